@@ -1,0 +1,1 @@
+"""Licences, files and random numbers into arrays: face models, projections, data sets."""

@@ -1,0 +1,93 @@
+"""Command line: `python -m data_gen.build_openhead` makes the embedded head model."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from data_gen.build_openhead.calibrate import fit_sds, write_sds
+from data_gen.build_openhead.components import (
+    align_rigidly,
+    expressions,
+    place_origin,
+    principal_components,
+)
+from data_gen.build_openhead.cut import average_adult, cut_head
+from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
+from data_gen.build_openhead.prior import load_prior
+from data_gen.errors import DataError
+from data_gen.openhead import OPENHEAD
+
+N_SAMPLES = 8000
+SEED = 20240
+
+
+def build(wheel: Path, ict: Path | None = None) -> dict[str, np.ndarray]:
+    """The arrays of the asset, by name.
+
+    Args:
+        wheel: The wheel that carries MakeHuman's assets.
+        ict: ICT-FaceKit Light as npz, to fit the prior anew (rewrites `identity_prior.csv`).
+
+    Raises:
+        DataError: A file is not what it should be.
+    """
+    assets = MakeHumanAssets(wheel)
+    head = cut_head(assets)
+    prior = load_prior(assets, head, partial(tqdm, desc="targets", unit="file"))
+    if ict is not None:
+        write_sds(fit_sds(prior, head, head.restrict(average_adult(assets)), ict))
+        prior = load_prior(assets, head)
+    heads = prior.sample(N_SAMPLES, np.random.default_rng(SEED))
+    mean = align_rigidly(heads, head, partial(tqdm, desc="alignment", unit="round"))
+    identity = principal_components(heads, mean, head)
+    expression_names, expression = expressions(assets, head)
+    masks = {f"mask_{name}": np.round(255 * mask) for name, mask in head.masks.items()}
+    return {
+        "mean": place_origin(mean, head).astype(np.float32),
+        "identity_basis_times_sd": identity.astype(np.float16),
+        "expression_basis": expression.astype(np.float16),
+        "expression_names": np.array(expression_names),
+        "triangles": head.triangles.astype(np.uint16),
+        "landmarks72": head.landmarks["bfm72"].astype(np.uint16),
+        "landmarks68": head.landmarks["ibug68"].astype(np.uint16),
+        "mirror": head.mirror.astype(np.uint16),
+        "part": head.part.astype(np.uint8),
+        "uv": head.uv.astype(np.float16),
+        "base_vertex": head.base_vertex.astype(np.int16),
+        **{name: mask.astype(np.uint8) for name, mask in masks.items()},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m data_gen.build_openhead", description=__doc__)
+    parser.add_argument("--wheel", type=Path, help=f"the wheel {WHEEL}; downloaded if not given")
+    parser.add_argument("--output", type=Path, default=OPENHEAD, help="default: %(default)s")
+    parser.add_argument("--calibrate", type=Path, metavar="ICT", help="fit the prior to this npz")
+    arguments = parser.parse_args()
+    output = arguments.output
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            wheel = arguments.wheel or download_wheel(Path(folder))
+            # On one thread sums are taken in one order, so that the bytes can be repeated.
+            with threadpool_limits(1):
+                arrays = build(wheel, arguments.calibrate)
+        except DataError as error:
+            sys.exit(f"error: {error}")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    temporary = output.with_suffix(".tmp.npz")
+    np.savez_compressed(temporary, **arrays)
+    os.replace(temporary, output)
+    print(f"{output}: {output.stat().st_size / 1e6:.2f} MB, {len(arrays['mean'])} vertices")
+
+
+if __name__ == "__main__":
+    main()

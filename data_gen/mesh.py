@@ -1,0 +1,56 @@
+"""Small facts about triangle meshes: which way they face, and which vertices hang together."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Unit normals, area-weighted over the triangles that meet at a vertex.
+
+    Args:
+        vertices: `(V, 3)`.
+        triangles: `(T, 3)` int, 0-based.
+
+    Returns:
+        `(V, 3)`; zero where no triangle meets.
+    """
+    across = _area_vectors(vertices, triangles)
+    normals = np.zeros((len(vertices), 3))
+    for corner in triangles.T:
+        np.add.at(normals, corner, across)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=normals, where=length > 0)
+
+
+def orient_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The same triangles, counter-clockwise seen from outside.
+
+    All triangles are assumed to be wound alike. The sign of the volume that they span with the
+    mean vertex decides; a face that is open behind still has most of its area in front of it.
+
+    Args:
+        vertices: `(V, 3)`.
+        triangles: `(T, 3)` int, 0-based.
+
+    Returns:
+        `(T, 3)` int.
+    """
+    offsets = vertices[triangles].mean(axis=1) - vertices.mean(axis=0)
+    volume = np.einsum("td,td->", offsets, _area_vectors(vertices, triangles))
+    return triangles if volume >= 0 else np.ascontiguousarray(triangles[:, ::-1])
+
+
+def largest_component(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
+    """Sorted vertex numbers of the largest connected part: the skin, without eyes and teeth."""
+    rows, columns = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    edges = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(n_vertices, n_vertices))
+    label = connected_components(edges, directed=False)[1]
+    return np.flatnonzero(label == np.bincount(label).argmax())
+
+
+def _area_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = vertices[triangles.T]
+    return np.cross(b - a, c - a)
