@@ -1,0 +1,36 @@
+"""Deep-MDS: the 3D shape of 2D landmarks from a single image (Kamyab and Azimifar).
+
+Names are loaded when they are first used, so that a process that only embeds does not import
+TensorFlow.
+"""
+
+from importlib import import_module
+
+_HOME = {
+    "DeepMDS": "pipeline",
+    "InputError": "errors",
+    "align": "alignment",
+    "build_autoencoder": "networks",
+    "build_dissimilarity_net": "networks",
+    "embed": "embedding",
+    "normalise": "normalisation",
+    "pair_features": "proximities",
+}
+_MODULES = ("baselines", "metrics")
+
+__all__ = [*_HOME, *_MODULES]
+__version__ = "0.1.0"
+
+
+def __getattr__(name):
+    if name in _MODULES:
+        return import_module(f"{__name__}.{name}")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted([*globals(), *__all__])

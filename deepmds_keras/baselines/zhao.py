@@ -1,0 +1,166 @@
+"""Landmark depth by a dense network, after Zhao et al. 2017 as the paper's authors trained it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import keras
+import numpy as np
+import tensorflow as tf
+from sklearn.base import BaseEstimator
+
+from deepmds_keras.baselines._checks import check_faces, check_fitted
+from deepmds_keras.training import face_order, train_by_epoch
+
+STEPS_PER_CALL = 50  # most steps of the optimiser within one call of the compiled graph
+
+
+def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
+    """Five hidden dense layers as wide as the input and a dense output, all with tanh.
+
+    Args:
+        n_landmarks: L. 72 gives 114,840 parameters (the paper's number), 51 gives 57,783.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, L)` depths.
+    """
+    seeds = iter(range(1000 * seed, 1000 * seed + 1000))
+
+    def dense_tanh(x, units, name):
+        initial = keras.initializers.GlorotUniform(seed=next(seeds))
+        return keras.layers.Dense(units, "tanh", kernel_initializer=initial, name=name)(x)
+
+    view = x = keras.Input((2 * n_landmarks,), name="view")
+    for number in range(1, 6):
+        x = dense_tanh(x, 2 * n_landmarks, f"hidden_{number}")
+    depth = dense_tanh(x, n_landmarks, "depth")
+    return keras.Model(view, depth, name=f"zhao_{n_landmarks}")
+
+
+class Zhao(BaseEstimator):
+    """Depth of each landmark in the camera's frame; x and y are the view itself.
+
+    Zhao et al. 2017, arXiv:1609.09058, in the topology and recipe of the paper's authors: RMSprop,
+    MSE, and each face in a unit of its own, see `normalise_view`. In that unit a frontal depth
+    just fits into the range of tanh; that of a face turned by 45 degrees does not.
+
+    Shapes come out with x, y and depth in that same unit. The authors' evaluator instead rescales
+    the predicted depth to [0, 1] by itself and joins it to the true x and y, whose depth spans
+    about 0.4: scored so even a perfect depth has an MSE of 2.1e-3, which is the number that the
+    paper reports for this method.
+
+    Args:
+        n_landmarks: L.
+        learning_rate: Of RMSprop.
+        epochs: Rounds of `steps_per_epoch` mini-batches.
+        steps_per_epoch: Mini-batches in an epoch.
+        batch_size: Faces in a mini-batch.
+        seed: Of the initial weights and the order of the faces.
+
+    Attributes:
+        network_: Trained `keras.Model`.
+        history_: Losses by epoch: `train` while the weights change, `inference` thereafter.
+    """
+
+    def __init__(
+        self,
+        n_landmarks: int = 72,
+        *,
+        learning_rate: float = 1e-3,
+        epochs: int = 10,
+        steps_per_epoch: int = 1000,
+        batch_size: int = 16,
+        seed: int = 0,
+    ):
+        self.n_landmarks = n_landmarks
+        self.learning_rate = learning_rate
+        self.epochs = epochs
+        self.steps_per_epoch = steps_per_epoch
+        self.batch_size = batch_size
+        self.seed = seed
+
+    def fit(
+        self,
+        points: np.ndarray,
+        *,
+        checkpoint: str | Path | None = None,
+        progress: Callable[[dict], object] | None = None,
+    ) -> Zhao:
+        """Train on faces in the camera's frame.
+
+        The depth has to be in the frame and unit of x and y, so that both come as one array.
+
+        Args:
+            points: `(n, L, 3)`: x and y as in the view, and depth towards the viewer.
+            checkpoint: File to go on from, and to write after every epoch.
+            progress: Called after every epoch with its losses.
+
+        Raises:
+            InputError: NaN, infinity, degenerate or another number of landmarks, or a checkpoint
+                of another run.
+        """
+        points = check_faces(points, "points", 3, self.n_landmarks)
+        centred = points - points.mean(1, keepdims=True)
+        views, size = normalise_view(points[..., :2])
+        views = np.float32(views).reshape(len(points), -1)
+        depths = np.float32(centred[..., 2] / size[..., 0])
+        steps, batch = self.steps_per_epoch, self.batch_size
+        network = build_zhao_net(self.n_landmarks, seed=self.seed)
+        network.compile(
+            keras.optimizers.RMSprop(self.learning_rate),
+            "mse",
+            # A divisor of the steps: a rest would be compiled as a second graph.
+            steps_per_execution=math.gcd(steps, STEPS_PER_CALL),
+        )
+
+        def batches(epoch: int) -> tf.data.Dataset:
+            faces = face_order(len(points), steps * batch, self.seed, epoch).reshape(steps, batch)
+            return tf.data.Dataset.from_tensor_slices((views[faces], depths[faces]))
+
+        def inference() -> float:
+            predicted = network.predict(views, batch_size=4096, verbose=0)
+            return float(np.mean((predicted - depths) ** 2))
+
+        label = {"network": network.name, "faces": len(points), **self.get_params()}
+        self.history_ = train_by_epoch(network, batches, label, inference, checkpoint, progress)
+        self.network_ = network
+        return self
+
+    def predict(self, views: np.ndarray) -> np.ndarray:
+        """Shapes in the camera's frame.
+
+        Args:
+            views: `(n, L, 2)`, any scale and place.
+
+        Returns:
+            `(n, L, 3)` normalised x and y, and depth towards the viewer in the same unit.
+
+        Raises:
+            InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.
+        """
+        network = check_fitted(self, "network_")
+        views, _ = normalise_view(check_faces(views, "views", 2, self.n_landmarks))
+        flat = np.float32(views).reshape(len(views), -1)
+        depths = network.predict(flat, batch_size=4096, verbose=0)
+        return np.concatenate([views, depths[..., None]], axis=2)
+
+    @property
+    def n_parameters(self) -> int:
+        """Trainable parameters; all of them are."""
+        return check_fitted(self, "network_").count_params()
+
+
+def normalise_view(views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each view centred and divided by std(x) + std(y), as the released code does.
+
+    Args:
+        views: `(n, L, 2)`.
+
+    Returns:
+        Normalised views and what they were divided by, `(n, 1, 1)`.
+    """
+    size = views.std(1).sum(1)[:, None, None]
+    return (views - views.mean(1, keepdims=True)) / size, size

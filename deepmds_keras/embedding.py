@@ -1,0 +1,138 @@
+"""Non-metric multidimensional scaling of dissimilarity matrices: distances in, 3D points out."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+import numpy as np
+from joblib import Parallel, delayed
+from sklearn.manifold import MDS
+
+from deepmds_keras.errors import InputError
+
+# Regressed distances of near neighbours may fall slightly below zero; beyond this share of the
+# largest one the matrix is not one of distances.
+_NEGATIVE_SHARE = 0.1
+_FACES_PER_TASK = 32
+
+
+def embed(
+    dissimilarities: np.ndarray,
+    n_components: int = 3,
+    *,
+    max_iter: int = 300,
+    eps: float = 1e-6,
+    n_jobs: int | None = None,
+    progress: Callable[[int], object] | None = None,
+    return_stress: bool = False,
+) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+    """Points whose distances have the order of the dissimilarities (paper, equation of c_2).
+
+    scikit-learn's non-metric `MDS` (SMACOF, Kruskal's stress-1) from a classical-scaling start,
+    as the `mdscale` of the released code starts. Being non-metric it loses the scale, which is put
+    back by least squares; points are centred and turned to their principal axes. Which of the two
+    mirror images comes out is arbitrary: distances cannot tell, see `DeepMDS.predict`.
+
+    Args:
+        dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
+            negative values, as a regression may give for near neighbours, are folded.
+        n_components: Dimensions of the embedding.
+        max_iter: Most SMACOF iterations for a face.
+        eps: Relative decrease of stress at which to stop.
+        n_jobs: Processes; None or 1 works in this one, -1 uses every core.
+        progress: Called with the number of faces just done.
+        return_stress: Whether to return stress-1 too.
+
+    Returns:
+        `(n, L, n_components)` or `(L, n_components)`; with `return_stress` also `(n,)` stress-1.
+
+    Raises:
+        InputError: Not square, not symmetric, NaN or infinity, clearly negative, or all zero.
+    """
+    single = np.ndim(dissimilarities) == 2
+    dissimilarities = check_dissimilarities(dissimilarities)
+    tasks = [
+        slice(first, first + _FACES_PER_TASK)
+        for first in range(0, len(dissimilarities), _FACES_PER_TASK)
+    ]
+    done = Parallel(n_jobs=n_jobs if len(tasks) > 1 else 1, return_as="generator")(
+        delayed(_embed_faces)(dissimilarities[task], n_components, max_iter, eps) for task in tasks
+    )
+    points, stress = [], []
+    for some_points, some_stress in done:
+        points.append(some_points)
+        stress.append(some_stress)
+        if progress is not None:
+            progress(len(some_points))
+    points, stress = np.concatenate(points), np.concatenate(stress)
+    if single:
+        points, stress = points[0], stress[0]
+    return (points, stress) if return_stress else points
+
+
+def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
+    """Classical (Torgerson) scaling of each matrix: `(n, L, L)` → `(n, L, n_components)`.
+
+    Components of negative eigenvalues, which no Euclidean distances have, are left at zero.
+    """
+    squared = np.square(np.asarray(dissimilarities, float))
+    rows = squared.mean(-1, keepdims=True)
+    gram = -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
+    values, vectors = np.linalg.eigh(gram)
+    top = slice(None, -n_components - 1, -1)
+    return vectors[..., top] * np.sqrt(np.maximum(values[..., top], 0))[..., None, :]
+
+
+def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
+    """Matrices as `embed` uses them: `(n, L, L)`, exactly symmetric, not negative, diagonal 0."""
+    matrices = np.array(dissimilarities, float)
+    if matrices.ndim == 2:
+        matrices = matrices[None]
+    if matrices.ndim != 3 or matrices.shape[1] != matrices.shape[2] or matrices.shape[1] < 3:
+        raise InputError(
+            "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3. "
+            f"Received shape {np.shape(dissimilarities)}."
+        )
+    if not np.isfinite(matrices).all():
+        raise InputError("dissimilarities must be finite. Received NaN or infinity.")
+    diagonal = np.arange(matrices.shape[1])
+    matrices[:, diagonal, diagonal] = 0
+    largest = np.abs(matrices).max((1, 2))
+    if (largest == 0).any():
+        raise InputError("dissimilarities must not all be zero off the diagonal. Received zeros.")
+    asymmetry = (np.abs(matrices - np.swapaxes(matrices, 1, 2)).max((1, 2)) / largest).max()
+    if asymmetry > 1e-5:
+        raise InputError(
+            "dissimilarities must be symmetric. "
+            f"Received a matrix that is off by {asymmetry:.1e} of its largest entry."
+        )
+    if (matrices.min((1, 2)) < -_NEGATIVE_SHARE * largest).any():
+        raise InputError(
+            f"dissimilarities must not be negative. Received {matrices.min():.3g} "
+            f"where the largest is {matrices.max():.3g}."
+        )
+    return np.abs((matrices + np.swapaxes(matrices, 1, 2)) / 2)
+
+
+def _embed_faces(matrices, n_components, max_iter, eps):
+    points = classical_scaling(matrices, n_components)
+    stress = np.empty(len(matrices))
+    for face, matrix in enumerate(matrices):
+        scaling = _non_metric_mds(n_components, max_iter, eps)
+        points[face] = scaling.fit_transform(matrix, init=points[face])
+        stress[face] = scaling.stress_
+    points -= points.mean(1, keepdims=True)
+    points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)
+    distances = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    scale = (distances * matrices).sum((1, 2)) / (distances**2).sum((1, 2))
+    return points * scale[:, None, None], stress
+
+
+def _non_metric_mds(n_components, max_iter, eps) -> MDS:
+    """scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7."""
+    if "metric_mds" in inspect.signature(MDS).parameters:
+        kind = {"metric_mds": False, "metric": "precomputed", "init": "random"}
+    else:
+        kind = {"metric": False, "dissimilarity": "precomputed"}
+    return MDS(n_components, n_init=1, max_iter=max_iter, eps=eps, normalized_stress=True, **kind)

@@ -1,0 +1,159 @@
+"""The criteria of the paper's tables, and the test by which it compares methods."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import norm, rankdata, wilcoxon
+
+from deepmds_keras.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ROUNDING = 1e-12  # Relative spread below which numbers count as constant.
+
+
+def mse(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
+    """Mean of the squared differences over all coordinates of a face.
+
+    The paper prints a sum of absolute differences; its code takes the mean of the squares.
+
+    Args:
+        prediction, truth: `(n, L, 3)` or `(L, 3)`, aligned, both in one unit.
+
+    Returns:
+        `(n,)`, or a float for one face, in that unit squared.
+
+    Raises:
+        InputError: Shapes differ or are no faces, or a number is not finite.
+    """
+    prediction, truth = _pair(prediction, truth)
+    return _per_face(np.mean((prediction - truth) ** 2, axis=(-2, -1)))
+
+
+def depth_corr(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
+    """Trace of the correlation matrix of the predicted and the true landmarks of a face.
+
+    Each landmark contributes the Pearson correlation of its three predicted with its three true
+    coordinates, as in the released code; L at most. It depends on where the origin lies and is
+    close to L for anything near the face. A landmark of three equal coordinates contributes 0.
+
+    Args:
+        prediction, truth: `(n, L, 3)` or `(L, 3)`, aligned.
+
+    Returns:
+        `(n,)`, or a float for one face.
+
+    Raises:
+        InputError: As for `mse`.
+    """
+    prediction, truth = _pair(prediction, truth)
+    return _per_face(_pearson(prediction, truth, axis=-1).sum(axis=-1))
+
+
+def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
+    """Sum over landmarks of the absolute correlation, across faces, of predicted with true depth.
+
+    Moniz et al. 2018, "Unsupervised Depth Estimation, 3D Face Rotation and Replacement", which the
+    paper cites for its own criterion. L at most; a landmark whose depth does not vary contributes
+    0, so that a constant answer scores 0.
+
+    Args:
+        prediction, truth: `(n, L, 3)`, n at least 2, aligned.
+
+    Raises:
+        InputError: As for `mse`, or fewer than two faces.
+    """
+    prediction, truth = _pair(prediction, truth)
+    if prediction.ndim != 3 or len(prediction) < 2:
+        raise InputError(
+            "depth_corr_across_faces needs two faces or more, (n, L, 3). "
+            f"Received shape {prediction.shape}."
+        )
+    return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())
+
+
+def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
+    """Wilcoxon signed-rank test of every two methods, two-sided.
+
+    Args:
+        values: Method to `(n,)`: one criterion, for the same faces or subsets in the same order.
+
+    Returns:
+        A row for every two methods: `method_a`, `method_b`, `n`, `statistic` (the smaller rank
+        sum), `p_value` (exact where SciPy computes it: up to 50 differences), `p_value_normal`
+        (normal approximation without continuity correction, as MATLAB has it),
+        `median_difference` (of a - b). Faces without a difference are left out of the ranks.
+
+    Raises:
+        InputError: A method's values are not one row of finite numbers, or lengths differ.
+    """
+    import pandas as pd  # Here, since what uses the other criteria need not have it installed.
+
+    arrays = {method: np.asarray(numbers, float) for method, numbers in values.items()}
+    for method, array in arrays.items():
+        if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
+            raise InputError(
+                f"values of {method} must be a row of finite numbers. Received shape {array.shape}"
+                f" with {np.count_nonzero(~np.isfinite(array))} not finite."
+            )
+    if len({len(array) for array in arrays.values()}) > 1:
+        lengths = ", ".join(f"{method} {len(array)}" for method, array in arrays.items())
+        raise InputError(f"values must be as many for every method. Received {lengths}.")
+    columns = ("method_a", "method_b", "n", "statistic", "p_value", "p_value_normal")
+    return pd.DataFrame(
+        [
+            (a, b, len(arrays[a]), *_signed_rank(arrays[a] - arrays[b]))
+            for a, b in combinations(arrays, 2)
+        ],
+        columns=[*columns, "median_difference"],
+    )
+
+
+def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
+    if not difference.any():
+        return 0.0, 1.0, 1.0, 0.0
+    nonzero = difference[difference != 0]
+    test = wilcoxon(nonzero)
+    ranks = rankdata(np.abs(nonzero))
+    z = (ranks * np.sign(nonzero)).sum() / np.sqrt((ranks**2).sum())
+    p_values = float(test.pvalue), float(2 * norm.sf(abs(z)))
+    return float(test.statistic), *p_values, float(np.median(difference))
+
+
+def _pair(prediction: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    prediction, truth = np.asarray(prediction, float), np.asarray(truth, float)
+    for name, array in (("prediction", prediction), ("truth", truth)):
+        if array.ndim not in (2, 3) or array.shape[-1] != 3 or not array.size:
+            raise InputError(
+                f"{name} must have shape (n, L, 3) or (L, 3). Received shape {array.shape}."
+            )
+        if not np.isfinite(array).all():
+            raise InputError(
+                f"{name} must be finite. Received {np.count_nonzero(~np.isfinite(array))} numbers "
+                "that are not."
+            )
+    if prediction.shape != truth.shape:
+        raise InputError(
+            "prediction and truth must have one shape. "
+            f"Received {prediction.shape} and {truth.shape}."
+        )
+    return prediction, truth
+
+
+def _pearson(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
+    """Pearson correlation along an axis, 0 where either side is constant."""
+    constant = np.zeros((), bool)
+    for x in (a, b):
+        constant = constant | (np.ptp(x, axis=axis) <= _ROUNDING * np.abs(x).max(axis=axis))
+    a, b = (x - x.mean(axis=axis, keepdims=True) for x in (a, b))
+    covariance = (a * b).sum(axis=axis)
+    scale = np.sqrt((a**2).sum(axis=axis) * (b**2).sum(axis=axis))
+    return np.where(constant, 0.0, covariance / np.where(constant, 1.0, scale))
+
+
+def _per_face(values: np.ndarray) -> np.ndarray | float:
+    return values if values.ndim else float(values)

@@ -1,0 +1,82 @@
+"""The two networks of the paper, as uncompiled functional Keras models."""
+
+from __future__ import annotations
+
+import keras
+from keras import layers
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.proximities import VARIANTS
+
+
+def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
+    """Autoencoder that turns any view of a face into the frontal one (the paper's "profile").
+
+    Seven dense layers 64-32-16-16-32-64-2L, each followed by LeakyReLU and batch normalisation,
+    the output included. The fourth is not normalised: the released code creates that layer but
+    leaves it unconnected, and the released weights have no entry for it.
+
+    Args:
+        n_landmarks: L. 72 gives 24,880 trainable parameters of 25,584, 51 gives 19,378 of 19,998.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, 2L)`.
+    """
+    dense = _dense_blocks(seed)
+    view = keras.Input((2 * n_landmarks,), name="view")
+    x = dense(view, 64, "encode_1")
+    x = dense(x, 32, "encode_2")
+    x = dense(x, 16, "encode_3")
+    x = dense(x, 16, "code", normalised=False)
+    x = dense(x, 32, "decode_1")
+    x = dense(x, 64, "decode_2")
+    frontal = dense(x, 2 * n_landmarks, "frontal")
+    return keras.Model(view, frontal, name=f"autoencoder_{n_landmarks}")
+
+
+def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.Model:
+    """The five-layer net that estimates the 3D distance of a pair of landmarks.
+
+    Five hidden layers of 20 units with a short connection, which the released code makes by
+    concatenating the second and the fourth; batch normalisation on the scalar output too.
+
+    Args:
+        variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
+            (5 features, 2,423 of 2,625); see `pair_features`.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(P, F)` features to `(P, 1)` distances in the unit of `normalise`.
+
+    Raises:
+        InputError: Unknown variant.
+    """
+    if variant not in VARIANTS:
+        raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
+    dense = _dense_blocks(seed)
+    pair = keras.Input((VARIANTS[variant],), name="pair_features")
+    x = dense(pair, 20, "hidden_1")
+    second = x = dense(x, 20, "hidden_2")
+    x = dense(x, 20, "hidden_3")
+    fourth = dense(x, 20, "hidden_4")
+    x = layers.Concatenate(name="short_connection")([second, fourth])
+    x = dense(x, 20, "hidden_5")
+    distance = dense(x, 1, "distance", activated=False)
+    return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
+
+
+def _dense_blocks(seed: int):
+    """The repeated trio dense → LeakyReLU → batch normalisation, each layer seeded in turn."""
+    seeds = iter(range(1000 * seed, 1000 * seed + 1000))
+
+    def dense(x, units: int, name: str, *, activated: bool = True, normalised: bool = True):
+        initial = keras.initializers.GlorotUniform(seed=next(seeds))
+        x = layers.Dense(units, kernel_initializer=initial, name=name)(x)
+        if activated:
+            x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu")(x)
+        if normalised:
+            x = layers.BatchNormalization(name=f"{name}_bn")(x)
+        return x
+
+    return dense

@@ -1,0 +1,282 @@
+"""The method of the paper as one estimator: views of a face in, its 3D landmarks out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import keras
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from deepmds_keras import weights
+from deepmds_keras.embedding import embed
+from deepmds_keras.errors import InputError
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+from deepmds_keras.normalisation import check_points, normalise
+from deepmds_keras.orientation import face_front, front_landmark
+from deepmds_keras.proximities import proximities
+from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
+
+# 0-based number of the tip of the nose, for weights that come without the shapes they were
+# trained on.
+_NOSE_TIP = {72: 28, 51: 13}
+_FACES_PER_CHUNK = 128
+
+
+class DeepMDS(BaseEstimator):
+    """3D landmarks of a face from the 2D landmarks of one image (Kamyab and Azimifar).
+
+    view → autoencoder → frontal view → dissimilarity net on all pairs → non-metric MDS → shape.
+
+    Args:
+        n_landmarks: L.
+        variant: `"paper"` or `"released"`, see `pair_features`.
+        schedule: Learning rate, `"constant"` as the paper has it or `"cosine"`. The constant one
+            leaves the moving statistics of batch normalisation behind the weights, and the
+            error of the networks in use far above that in training.
+        autoencoder_epochs: Passes over the faces, in mini-batches of 16.
+        dissimilarity_epochs: Thousands of steps of one face each.
+        seed: Of the initial weights and the order of the faces.
+        n_jobs: Processes for the embedding; -1 uses every core.
+
+    Attributes:
+        autoencoder_, dissimilarity_net_: Trained `keras.Model`s.
+        front_landmark_: 0-based number of the landmark that is most in front of the others; it
+            decides which of the two mirror images of an embedding is the face.
+        history_: Losses by network and epoch.
+        n_parameters: Trainable parameters of both networks.
+    """
+
+    def __init__(
+        self,
+        n_landmarks: int = 72,
+        variant: str = "paper",
+        *,
+        schedule: str = "constant",
+        autoencoder_epochs: int = 30,
+        dissimilarity_epochs: int = 30,
+        seed: int = 0,
+        n_jobs: int | None = None,
+    ):
+        self.n_landmarks = n_landmarks
+        self.variant = variant
+        self.schedule = schedule
+        self.autoencoder_epochs = autoencoder_epochs
+        self.dissimilarity_epochs = dissimilarity_epochs
+        self.seed = seed
+        self.n_jobs = n_jobs
+
+    def fit(
+        self,
+        views: np.ndarray,
+        shapes: np.ndarray,
+        *,
+        progress: Callable[[str, dict], object] | None = None,
+    ) -> DeepMDS:
+        """Train both networks, the second on what the first makes of the training views.
+
+        Args:
+            views: `(n, L, 2)` landmarks in the image, y up, any scale.
+            shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
+            progress: Called after every epoch with the network's name and its losses.
+
+        Raises:
+            InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity.
+        """
+        views = normalise(self._check(views, "views", 2))
+        shapes = normalise(self._check(shapes, "shapes", 3))
+        if len(views) != len(shapes):
+            raise InputError(
+                f"views and shapes must be of the same faces. Received {len(views)} views and "
+                f"{len(shapes)} shapes."
+            )
+
+        def report(name):
+            return None if progress is None else lambda losses: progress(name, losses)
+
+        self.autoencoder_, first = train_autoencoder(
+            views,
+            shapes[..., :2],
+            Recipe(self.autoencoder_epochs, schedule=self.schedule),
+            seed=self.seed,
+            progress=report("autoencoder"),
+        )
+        self.dissimilarity_net_, second = train_dissimilarity_net(
+            self.frontalise(views),
+            shapes,
+            Recipe(self.dissimilarity_epochs, 1000, self.schedule),
+            variant=self.variant,
+            seed=self.seed,
+            progress=report("dissimilarity_net"),
+        )
+        self.history_ = {"autoencoder": first, "dissimilarity_net": second}
+        self.front_landmark_ = front_landmark(shapes)
+        return self
+
+    def predict(
+        self, views: np.ndarray, *, progress: Callable[[int], object] | None = None
+    ) -> np.ndarray:
+        """3D landmarks of each view.
+
+        Distances leave rotation, translation and mirror image open. The embedding is turned so
+        that it lies over the frontal view of the autoencoder, and of the two mirror images that
+        then remain, one behind the other, the one whose `front_landmark_` (the tip of the nose)
+        is in front is taken.
+
+        Args:
+            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale.
+            progress: Called with the number of faces just embedded.
+
+        Returns:
+            `(n, L, 3)` frontal shapes: +x to the subject's left, +y up, +z out of the face, in the
+            unit of `normalise`; true size cannot be seen in one view. x and y lie over
+            `frontalise(views)` and the mean of z is 0.
+
+        Raises:
+            InputError: Wrong number of landmarks, NaN, infinity, or degenerate landmarks.
+        """
+        frontal = self.frontalise(views)
+        matrices = np.abs(self._matrices(frontal))  # as the released code does before mdscale
+        shapes = embed(matrices, n_jobs=self.n_jobs, progress=progress)
+        return face_front(shapes, frontal, self.front_landmark_)
+
+    def frontalise(self, views: np.ndarray) -> np.ndarray:
+        """Frontal views, as the autoencoder gives them: `(n, L, 2)`, x and y in the shape's unit.
+
+        Raises:
+            InputError: As for `predict`.
+        """
+        views = normalise(self._check(views, "views", 2))
+        network = self._trained("autoencoder_")
+        flat = np.float32(views).reshape(len(views), -1)
+        return network.predict(flat, batch_size=4096, verbose=0).reshape(views.shape)
+
+    def dissimilarities(self, views: np.ndarray) -> np.ndarray:
+        """Estimated 3D distances of all pairs, as the net gives them: `(n, L, L)`, symmetric.
+
+        The diagonal is not exactly 0 and near neighbours may come out slightly negative; `embed`
+        ignores the one and folds the other.
+
+        Raises:
+            InputError: As for `predict`.
+        """
+        return self._matrices(self.frontalise(views))
+
+    def save(self, path: str | Path) -> None:
+        """Write parameters and both networks into one `.npz` file, complete or not at all."""
+        arrays = {
+            f"{name}/{key}": array
+            for name in ("autoencoder", "dissimilarity_net")
+            for key, array in weights.network_arrays(self._trained(f"{name}_")).items()
+        }
+        described = {
+            "parameters": self.get_params(),
+            "front_landmark": int(self.front_landmark_),
+            "history": self.history_,
+        }
+        weights.write_arrays(path, arrays, described)
+
+    @classmethod
+    def load(cls, path: str | Path) -> DeepMDS:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: Missing or damaged file, or weights of another shape.
+        """
+        arrays, described = weights.read_arrays(path)
+        try:
+            model = cls(**described["parameters"])
+            model.front_landmark_ = described["front_landmark"]
+            model.history_ = described["history"]
+        except (KeyError, TypeError) as error:
+            raise InputError(f"{path} was not written by DeepMDS.save(): {error}.") from None
+        model._build()
+        for name in ("autoencoder", "dissimilarity_net"):
+            own = {k.split("/", 1)[1]: a for k, a in arrays.items() if k.startswith(f"{name}/")}
+            weights.set_network_arrays(getattr(model, f"{name}_"), own, str(path))
+        return model
+
+    @classmethod
+    def pretrained(cls, name: str) -> DeepMDS:
+        """The weights that ship with the package, such as `"openhead-bfm72"`.
+
+        Raises:
+            InputError: No weights of that name.
+        """
+        return cls.load(weights.pretrained_path(name))
+
+    @classmethod
+    def from_released(
+        cls, autoencoder_h5: str | Path, dissimilarity_h5: str | Path, *, n_landmarks: int = 72
+    ) -> DeepMDS:
+        """The `"released"` variant with the authors' Keras 2 weight files.
+
+        Raises:
+            InputError: Missing or truncated file, or weights of another network.
+        """
+        model = cls(n_landmarks, "released")
+        model._build()
+        weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
+        weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
+        model.front_landmark_ = _NOSE_TIP[n_landmarks]
+        model.history_ = {}
+        return model
+
+    @classmethod
+    def from_networks(
+        cls,
+        autoencoder: keras.Model,
+        dissimilarity_net: keras.Model,
+        front_landmark: int,
+        **parameters,
+    ) -> DeepMDS:
+        """Assemble networks that were trained one by one with `deepmds_keras.training`.
+
+        Args:
+            autoencoder: As `build_autoencoder` makes it.
+            dissimilarity_net: As `build_dissimilarity_net` makes it.
+            front_landmark: 0-based, see `front_landmark`.
+            **parameters: Of the constructor.
+        """
+        model = cls(**parameters)
+        model.autoencoder_, model.dissimilarity_net_ = autoencoder, dissimilarity_net
+        model.front_landmark_, model.history_ = front_landmark, {}
+        return model
+
+    @property
+    def n_parameters(self) -> int:
+        networks = (self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
+        return sum(int(np.prod(w.shape)) for n in networks for w in n.trainable_weights)
+
+    def _matrices(self, frontal: np.ndarray) -> np.ndarray:
+        network = self._trained("dissimilarity_net_")
+        points = normalise(frontal)
+        first, second = np.triu_indices(self.n_landmarks)
+        matrices = np.empty((len(points), self.n_landmarks, self.n_landmarks), np.float32)
+        for start in range(0, len(points), _FACES_PER_CHUNK):
+            chunk = points[start : start + _FACES_PER_CHUNK]
+            features = proximities(chunk[:, first], chunk[:, second], self.variant)
+            flat = features.reshape(-1, features.shape[-1])
+            distances = network.predict(flat, batch_size=1 << 18, verbose=0)
+            distances = distances.reshape(len(chunk), -1)
+            matrices[start : start + len(chunk), first, second] = distances
+            matrices[start : start + len(chunk), second, first] = distances
+        return matrices
+
+    def _build(self) -> None:
+        self.autoencoder_ = build_autoencoder(self.n_landmarks)
+        self.dissimilarity_net_ = build_dissimilarity_net(self.variant)
+
+    def _check(self, points, name, n_dimensions):
+        points = check_points(points, name, n_dimensions)
+        if points.shape[1] != self.n_landmarks:
+            raise InputError(
+                f"{name} must have {self.n_landmarks} landmarks a face. Received {points.shape[1]}."
+            )
+        return points
+
+    def _trained(self, name: str) -> keras.Model:
+        if not hasattr(self, name):
+            raise InputError("This DeepMDS is not trained: call fit, load or pretrained first.")
+        return getattr(self, name)

@@ -1,0 +1,46 @@
+"""Proximities of a pair of 2D landmarks: the input of the dissimilarity net."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+
+VARIANTS = {"paper": 6, "released": 5}  # name: features of a pair
+
+
+def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
+    """Symmetric proximities of every pair of landmarks of every face.
+
+    `"paper"` (section "Deep Learning Dissimilarity"): for each of x and y the absolute difference,
+    then the products, then exp(-absolute difference). `"released"` (the authors' code): products,
+    exponentials and the Euclidean distance.
+
+    Args:
+        views: `(n, L, 2)` or `(L, 2)` landmarks, normalised.
+        variant: `"paper"` (6 features) or `"released"` (5).
+
+    Returns:
+        `(n, P, F)` or `(P, F)` float32, pairs `i < j` in `scipy.spatial.distance.pdist` order.
+
+    Raises:
+        InputError: Unknown variant, or views of another shape.
+    """
+    views = np.asarray(views)
+    if views.ndim not in (2, 3) or views.shape[-1] != 2:
+        raise InputError(f"views must have shape (n, L, 2) or (L, 2). Received {views.shape}.")
+    first, second = np.triu_indices(views.shape[-2], 1)
+    return proximities(views[..., first, :], views[..., second, :], variant)
+
+
+def proximities(first: np.ndarray, second: np.ndarray, variant: str) -> np.ndarray:
+    """Features of the pairs `first[k], second[k]`: `(..., P, 2)` twice → `(..., P, F)` float32."""
+    if variant not in VARIANTS:
+        raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
+    first, second = np.float32(first), np.float32(second)
+    difference = np.abs(first - second)
+    product = first * second
+    if variant == "paper":
+        return np.concatenate([difference, product, np.exp(-difference)], axis=-1)
+    distance = np.linalg.norm(difference, axis=-1, keepdims=True)
+    return np.concatenate([product, np.exp(-difference), distance], axis=-1)

@@ -1,0 +1,225 @@
+"""Training of the two networks, epoch by epoch, so that a stopped run goes on where it was."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import keras
+import numpy as np
+import tensorflow as tf
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.proximities import proximities
+from deepmds_keras.weights import read_checkpoint, write_checkpoint
+
+SCHEDULES = ("constant", "cosine")
+_STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
+_DISSIMILARITY_CHECK_FACES = 100
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is trained: Adam on the mean squared error.
+
+    Attributes:
+        epochs: Passes of `steps_per_epoch` mini-batches; a checkpoint is written after each.
+        steps_per_epoch: Mini-batches in an epoch, or None for all of the data.
+        schedule: `"constant"` learning rate (the paper and its code) or `"cosine"` decay to zero.
+        learning_rate: Of Adam, at the start.
+        batch_size: Faces in a mini-batch (of the autoencoder; the other net takes one face).
+    """
+
+    epochs: int
+    steps_per_epoch: int | None = None
+    schedule: str = "constant"
+    learning_rate: float = 1e-3
+    batch_size: int = 16
+
+    def optimizer(self, steps_per_epoch: int) -> keras.optimizers.Optimizer:
+        if self.schedule not in SCHEDULES:
+            raise InputError(
+                f"schedule must be one of {', '.join(SCHEDULES)}. Received {self.schedule!r}."
+            )
+        rate = self.learning_rate
+        if self.schedule == "cosine":
+            rate = keras.optimizers.schedules.CosineDecay(rate, self.epochs * steps_per_epoch)
+        return keras.optimizers.Adam(rate)
+
+
+def train_autoencoder(
+    views: np.ndarray,
+    frontal: np.ndarray,
+    recipe: Recipe,
+    *,
+    seed: int = 0,
+    checkpoint: str | Path | None = None,
+    progress: Callable[[dict], object] | None = None,
+) -> tuple[keras.Model, dict[str, list[float]]]:
+    """Train the autoencoder from views to frontal views (paper, J_autoencoder).
+
+    Args:
+        views: `(n, L, 2)` normalised views.
+        frontal: `(n, L, 2)` x and y of the normalised shapes.
+        recipe: Epochs, batch size and learning rate.
+        seed: Of the initial weights and of the order of the faces.
+        checkpoint: File to go on from, and to write after every epoch.
+        progress: Called after every epoch with its losses.
+
+    Returns:
+        The network, and the loss of each epoch: `train` in training mode, while the weights
+        change, and `inference` of the network as it is afterwards, over the same faces.
+    """
+    n, n_landmarks = views.shape[:2]
+    views = np.float32(views).reshape(n, -1)
+    frontal = np.float32(frontal).reshape(n, -1)
+    size = min(recipe.batch_size, n)
+    steps = recipe.steps_per_epoch or n // size
+    model = build_autoencoder(n_landmarks, seed=seed)
+    model.compile(recipe.optimizer(steps), "mse", steps_per_execution=_per_call(steps))
+
+    def batches(epoch: int) -> tf.data.Dataset:
+        faces = face_order(n, steps * size, seed, epoch).reshape(steps, size)
+        return tf.data.Dataset.from_tensor_slices((views[faces], frontal[faces]))
+
+    def inference() -> float:
+        predicted = model.predict(views, batch_size=4096, verbose=0)
+        return float(np.mean((predicted - frontal) ** 2))
+
+    label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
+    return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
+
+
+def train_dissimilarity_net(
+    frontal: np.ndarray,
+    shapes: np.ndarray,
+    recipe: Recipe,
+    *,
+    variant: str = "paper",
+    seed: int = 0,
+    checkpoint: str | Path | None = None,
+    progress: Callable[[dict], object] | None = None,
+) -> tuple[keras.Model, dict[str, list[float]]]:
+    """Train the dissimilarity net, all pairs of one face a mini-batch (paper, J_Dissimilarity).
+
+    The paper's variant sees each pair once. The released one sees every ordered pair of landmarks,
+    those of a landmark with itself included, as the authors' code does.
+
+    Args:
+        frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
+        shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
+        recipe: Epochs, steps (faces) in an epoch and learning rate.
+        variant: As for `build_dissimilarity_net`.
+        seed: Of the initial weights and of the order of the faces.
+        checkpoint: File to go on from, and to write after every epoch.
+        progress: Called after every epoch with its losses.
+
+    Returns:
+        The network, and the loss of each epoch, as `train_autoencoder`; `inference` is over a
+        fixed hundred of the faces.
+    """
+    n, n_landmarks = shapes.shape[:2]
+    frontal = np.float32(normalise(frontal))
+    shapes = np.float32(shapes)
+    if variant == "released":
+        first, second = (index.ravel() for index in np.indices((n_landmarks, n_landmarks)))
+    else:
+        first, second = np.triu_indices(n_landmarks, 1)
+    steps = recipe.steps_per_epoch or n
+    model = build_dissimilarity_net(variant, seed=seed)
+    model.compile(recipe.optimizer(steps), "mse", steps_per_execution=_per_call(steps))
+
+    def batches(epoch: int) -> tf.data.Dataset:
+        faces = face_order(n, steps, seed, epoch)
+        return tf.data.Dataset.from_tensor_slices(pairs(faces))
+
+    def pairs(faces):
+        features = proximities(frontal[faces][:, first], frontal[faces][:, second], variant)
+        difference = shapes[faces][:, first] - shapes[faces][:, second]
+        return features, np.linalg.norm(difference, axis=-1, keepdims=True)
+
+    check_features, check_distances = pairs(np.arange(min(n, _DISSIMILARITY_CHECK_FACES)))
+    check_features = check_features.reshape(-1, check_features.shape[-1])
+
+    def inference() -> float:
+        predicted = model.predict(check_features, batch_size=1 << 18, verbose=0)
+        return float(np.mean((predicted - check_distances.reshape(-1, 1)) ** 2))
+
+    label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
+    return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
+
+
+def train_by_epoch(
+    model: keras.Model,
+    batches: Callable[[int], tf.data.Dataset],
+    label: dict,
+    inference: Callable[[], float],
+    checkpoint: str | Path | None = None,
+    progress: Callable[[dict], object] | None = None,
+) -> dict[str, list[float]]:
+    """Fit a compiled model for `label["epochs"]` epochs, going on from a checkpoint if there.
+
+    What an epoch sees depends on its number alone and the checkpoint holds the optimiser's state,
+    so that a run that was stopped ends with the same weights as one that was not.
+
+    Args:
+        model: Compiled model.
+        batches: From the number of an epoch to its mini-batches.
+        label: What identifies the run; a checkpoint of another run is refused.
+        inference: Loss of the model as it is after an epoch.
+        checkpoint: File to go on from, and to write after every epoch; None keeps no file.
+        progress: Called after every epoch with its losses.
+
+    Returns:
+        `{"train": losses, "inference": losses}`, one of each for each epoch.
+
+    Raises:
+        InputError: The checkpoint is of another run, or damaged.
+    """
+    history = {"train": [], "inference": []}
+    if checkpoint is not None and os.path.exists(checkpoint):
+        description = read_checkpoint(checkpoint, model)
+        if description["label"] != label:
+            raise InputError(
+                f"{checkpoint} is of another run; delete it to train anew. "
+                f"Received {description['label']}, needed {label}."
+            )
+        history = description["history"]
+        for epoch in range(len(history["train"])):
+            _report(progress, history, epoch)
+    for epoch in range(len(history["train"]), label["epochs"]):
+        fitted = model.fit(batches(epoch), shuffle=False, verbose=0)
+        history["train"].append(float(fitted.history["loss"][0]))
+        history["inference"].append(inference())
+        if checkpoint is not None:
+            write_checkpoint(checkpoint, model, {"label": label, "history": history})
+        _report(progress, history, epoch)
+    return history
+
+
+def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray:
+    """`(n_wanted,)` face numbers for an epoch: permutations of all faces, one after another.
+
+    Epochs that are shorter than the data go on where the one before stopped, so that every face
+    is seen equally often.
+    """
+    start = epoch * n_wanted
+    rounds = range(start // n_faces, (start + n_wanted - 1) // n_faces + 1)
+    faces = np.concatenate(
+        [np.random.default_rng([seed, number]).permutation(n_faces) for number in rounds]
+    )
+    return faces[start - rounds[0] * n_faces :][:n_wanted]
+
+
+def _report(progress, history, epoch):
+    if progress is not None:
+        progress({name: losses[epoch] for name, losses in history.items()})
+
+
+def _per_call(steps: int) -> int:
+    """The largest divisor of `steps` up to `_STEPS_PER_CALL`, so that no call is a partial one."""
+    return max(k for k in range(1, _STEPS_PER_CALL + 1) if steps % k == 0)
