@@ -1,0 +1,75 @@
+"""The numbers that the paper prints, from `results/published/published.csv`."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+
+import pandas as pd
+
+from deepmds_keras.errors import InputError
+
+PUBLISHED = Path(__file__).parents[1] / "results" / "published" / "published.csv"
+
+# What the paper says of an experiment: its table and where else the text gives a number for it.
+SOURCES = {
+    "bfm": ("tab:cmp_bfm", "text:bfm"),
+    "celeba": ("tab:cmp_celebA_bfm",),
+    "flame": ("tab:cmp_casia", "text:casia"),
+    "parameters": ("tab:cmp_param",),
+}
+
+
+def published(experiment: str, path: Path = PUBLISHED) -> pd.DataFrame:
+    """The paper's numbers for an experiment, in plain units.
+
+    Args:
+        experiment: `"bfm"`, `"celeba"`, `"flame"` or `"parameters"`.
+        path: The transcription.
+
+    Returns:
+        A row for each method and metric: `method`, `metric`, `paper_mean`, `paper_std` (NaN where
+        none is printed) and `paper_note`. 1.4 in units of 1e-4 is 1.4e-4; depth correlations stay
+        as printed, since the paper's "%" is a sum over landmarks.
+
+    Raises:
+        InputError: Unknown experiment.
+    """
+    rows = _rows(experiment, path)
+    rows = rows[(rows["method"] != "") & (rows["value"] != "")]
+    return pd.DataFrame(
+        {
+            "method": rows["method"],
+            "metric": rows["metric"],
+            "paper_mean": [*map(_plain, rows["value"], rows["unit"])],
+            "paper_std": [*map(_plain, rows["uncertainty"], rows["unit"])],
+            "paper_note": rows["note"],
+        }
+    ).reset_index(drop=True)
+
+
+def printed(experiment: str, metric: str, path: Path = PUBLISHED) -> dict[str, str]:
+    """Cells of a metric as the paper prints them, by method; for what is no number.
+
+    Raises:
+        InputError: Unknown experiment.
+    """
+    rows = _rows(experiment, path)
+    rows = rows[rows["metric"] == metric]
+    return dict(zip(rows["method"], rows["printed"], strict=True))
+
+
+def _rows(experiment: str, path: Path) -> pd.DataFrame:
+    if experiment not in SOURCES:
+        raise InputError(
+            f"experiment must be one of {', '.join(SOURCES)}. Received {experiment!r}."
+        )
+    rows = pd.read_csv(path, dtype=str, keep_default_na=False)
+    return rows[rows["table"].isin(SOURCES[experiment])]
+
+
+def _plain(value: str, unit: str) -> float:
+    """Decimal arithmetic, so that 1.4 in units of 1e-4 is 0.00014 and not its neighbour."""
+    if not value:
+        return float("nan")
+    return float(Decimal(value) * (1 if unit in ("", "%") else Decimal(unit)))
