@@ -1,0 +1,174 @@
+"""Stage 4: the paper's BFM table, ours beside it: metrics, tables, figures and the manifest."""
+
+from __future__ import annotations
+
+import json
+import shlex
+
+import numpy as np
+import pandas as pd
+
+from data_gen.errors import DataError
+from data_gen.landmarks import load_scheme
+from data_gen.projections import PROJECTIONS
+from experiments.faces import SCHEME, Faces, load_faces
+from experiments.figures.curves import learning_curves
+from experiments.figures.errors import error_per_landmark, error_per_pose
+from experiments.figures.qualitative import qualitative
+from experiments.figures.style import save
+from experiments.figures.summary import summary
+from experiments.methods import METHODS
+from experiments.networks import DEEP_MDS, histories
+from experiments.parameters import write_parameter_table
+from experiments.predictions import load_prediction, methods_of
+from experiments.run import Run, environment, parse_run, stage, write_json, write_text
+from experiments.scores import Scores, score, subset_metrics, subsets
+from experiments.tables import to_csv, write_tables
+
+# Why a method of the paper's table has no number of ours.
+_NOT_RUN = {
+    "mobileface": "needs rendered images, which are not part of this experiment yet",
+    "authors_weights": "their weight files were not given (AUTHORS=folder)",
+}
+_STAGES = ("faces", "networks", "predictions")
+# Drawn in the figures; the others differ from these in training or test views only.
+_DRAWN = ("mean_shape", "linear", "zhao", "aldrian", *DEEP_MDS, "authors_weights")
+
+
+def evaluate(run: Run, test: Faces) -> tuple[pd.DataFrame, dict[str, Scores], dict[str, dict]]:
+    """Scores of every method that made predictions.
+
+    Returns:
+        Long table as in `metrics.csv`, scores by method, and the predictions' arrays by method.
+
+    Raises:
+        DataError: A method of the run has no predictions.
+    """
+    chosen = subsets(run)
+    rows, scores, predictions = [], {}, {}
+    for method in METHODS:
+        loaded = load_prediction(run, method.id)
+        if loaded is None:
+            if method.id in methods_of(run):
+                raise DataError(f"{run.work} has no predictions of {method.id}: run that stage.")
+            continue
+        arrays, described = loaded
+        predictions[method.id] = arrays
+        scores[method.id] = score(arrays["shapes"], test)
+        rows.append(subset_metrics(method.id, scores[method.id], test, chosen))
+        rows += [
+            pd.DataFrame({"method": [method.id], "metric": name, "value": described[name]})
+            for name in ("ms_per_face", "n_parameters")
+        ]
+    metrics = pd.concat(rows, ignore_index=True)
+    metrics["subset"] = metrics["subset"].astype("Int64")
+    return metrics, scores, predictions
+
+
+def draw(
+    run: Run,
+    test: Faces,
+    scores: dict[str, Scores],
+    predictions: dict[str, dict],
+    table: pd.DataFrame,
+) -> None:
+    """Write every figure."""
+    folder, scheme = run.bfm_results / "figures", load_scheme(SCHEME)
+    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    save(summary(table), folder, "summary")
+    save(learning_curves(histories(run)), folder, "learning_curves")
+
+    titles, faces = typical_faces(test, scores["ours"].mse)
+    figure = qualitative(
+        test.views[faces],
+        predictions["ours"]["frontal"][faces],
+        test.shapes[faces],
+        {method: own.aligned[faces] for method, own in drawn.items()},
+        scheme,
+        titles,
+        {method: own.mse[faces] for method, own in drawn.items()},
+    )
+    save(figure, folder, "qualitative")
+
+    distances = {
+        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
+        for method, own in drawn.items()
+    }
+    errors = {method: np.sqrt(np.mean(own**2, axis=0)) for method, own in distances.items()}
+    save(error_per_landmark(errors, scheme, test.shapes.mean(0)), folder, "error_per_landmark")
+
+    cameras = test.cameras
+    poses = pd.DataFrame(
+        {
+            "projection": np.array(PROJECTIONS)[cameras.projection],
+            "yaw": cameras.yaw,
+            "pitch": cameras.pitch,
+        }
+    )
+    errors = [poses.assign(method=method, mse=own.mse) for method, own in drawn.items()]
+    save(error_per_pose(pd.concat(errors, ignore_index=True)), folder, "error_per_pose")
+
+
+def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """One face for each kind of view: the one whose error is the median of its kind."""
+    perspective = test.cameras.projection == PROJECTIONS.index("perspective")
+    kinds = {
+        f"orthographic\nyaw {yaw:+g}°": ~perspective & (test.cameras.yaw == yaw)
+        for yaw in sorted(np.unique(test.cameras.yaw[~perspective]))
+    }
+    kinds["perspective"] = perspective
+    kinds = {title: np.flatnonzero(members) for title, members in kinds.items() if members.any()}
+    faces = [own[np.argsort(mse[own])[len(own) // 2]] for own in kinds.values()]
+    return [title.replace("+0°", "0°").replace("-", "−") for title in kinds], np.array(faces)
+
+
+def manifest(run: Run, stages: list[dict]) -> dict:
+    """What made the results: enough to repeat them, and to see whether they are stale."""
+    variables = {
+        "MODEL": run.model,
+        "DATA": run.data,
+        "PRESET": run.preset.name,
+        "SEED": str(run.seed),
+        "PROTOCOL": run.protocol,
+        "AUTHORS": run.authors,
+    }
+    given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
+    return {
+        "command": f"make reproduce-bfm {given}",
+        "seed": run.seed,
+        "preset": vars(run.preset),
+        "protocol": run.protocol,
+        "model": run.model,
+        "model_sha256": stages[0]["model_sha256"],
+        "started": stages[0]["started"],
+        "seconds": round(sum(record["seconds"] for record in stages), 1),
+        "stages": stages,
+        **environment(),
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "bfm"):
+        test = load_faces(run, "test")
+        metrics, scores, predictions = evaluate(run, test)
+        write_text(run.bfm_results / "metrics.csv", to_csv(metrics))
+        table = write_tables(
+            run.bfm_results,
+            metrics,
+            experiment="bfm",
+            subset_size=run.preset.subset_size,
+            notes={method: why for method, why in _NOT_RUN.items() if method not in scores},
+            per_face={
+                metric: {method: getattr(own, metric) for method, own in scores.items()}
+                for metric in ("mse", "depth_corr")
+            },
+        )
+        write_parameter_table(run, metrics)
+        draw(run, test, scores, predictions, table)
+        stages = [json.loads((run.work / f"{name}.json").read_text()) for name in _STAGES]
+        write_json(run.bfm_results / "manifest.json", manifest(run, stages))
+
+
+if __name__ == "__main__":
+    main()

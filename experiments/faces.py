@@ -1,0 +1,86 @@
+"""Stage 1: faces and their views. Also what the later stages read of them, in the paper's unit."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm import tqdm
+
+from data_gen.dataset import load_dataset, make_dataset, save_dataset
+from data_gen.models import load_model
+from data_gen.projections import Cameras, in_camera_frame
+from deepmds_keras.normalisation import normalise, unit
+from experiments.run import Run, parse_run, stage
+
+SCHEME = "bfm72"
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Training or test faces as the methods see them.
+
+    Attributes:
+        views: `(n, L, 2)` normalised views.
+        shapes: `(n, L, 3)` normalised true landmarks.
+        unit_mm: `(n,)` millimetres that 1 stands for in `shapes`.
+        posed: `(n, L, 3)` normalised view and, in its unit, depth towards the camera: what a
+            method that adds a depth to the view is trained on.
+        cameras: Pose and projection of each face.
+    """
+
+    views: np.ndarray
+    shapes: np.ndarray
+    unit_mm: np.ndarray
+    posed: np.ndarray
+    cameras: Cameras
+
+
+def load_faces(run: Run, part: str) -> Faces:
+    """Read `"train"` or `"test"` faces of a run."""
+    dataset = load_dataset(run.work / f"{part}.npz")
+    low, size = unit(dataset.views)
+    depth = in_camera_frame(dataset.landmarks.astype(float), dataset.cameras)[..., 2:] / size
+    views = (dataset.views - low) / size
+    return Faces(
+        views=np.float32(views),
+        shapes=np.float32(normalise(dataset.landmarks)),
+        unit_mm=unit(dataset.landmarks)[1].ravel(),
+        posed=np.float32(np.concatenate([views, depth], axis=-1)),
+        cameras=dataset.cameras,
+    )
+
+
+def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Mean `(L, 3)` and identity basis times s.d. `(K, L, 3)` of the landmarks, millimetres."""
+    with np.load(run.work / "landmark_model.npz", allow_pickle=False) as file:
+        return file["mean"], file["identity_basis_times_sd"]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "faces") as record:
+        model = load_model(run.model, run.data)
+        record |= {"model": model.name, "model_sha256": model.sha256}
+        landmarks = model.restrict(model.landmarks[SCHEME])
+        path = run.work / "landmark_model.npz"
+        partial = path.with_suffix(".partial.npz")
+        np.savez(
+            partial,
+            mean=landmarks.mean,
+            identity_basis_times_sd=landmarks.identity_basis_times_sd,
+        )
+        os.replace(partial, path)
+        sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
+        for number, (part, n) in enumerate(sizes.items()):
+            rng = np.random.default_rng([run.seed, number])
+            with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
+                dataset = make_dataset(
+                    model, n, rng, scheme=SCHEME, protocol=run.protocol, progress=bar.update
+                )
+            save_dataset(run.work / f"{part}.npz", dataset)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Arrays into pictures: every function returns a matplotlib Figure, `style.save` writes it."""

@@ -1,0 +1,109 @@
+"""Losses over training: both networks' learning curves, and the lag of batch normalisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from experiments.figures.style import INK, colour, styled
+from experiments.methods import title
+
+_NETWORKS = {"autoencoder": "Autoencoder", "dissimilarity_net": "Dissimilarity net"}
+# Key of a record to line style and legend entry.
+_MODES = {
+    "train": ((0, (3, 1.5)), "training faces, training mode"),
+    "inference": ("-", "training faces, inference mode"),
+    "test": ((0, (1, 1.2)), "test faces, inference mode"),
+}
+_SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine-decayed learning rate"}
+
+
+@styled
+def learning_curves(histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> Figure:
+    """Loss against training time, the autoencoder beside the dissimilarity net.
+
+    Args:
+        histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
+            each a record with one mean squared error an epoch, in squared normalised units:
+            `"train"` as seen by the optimiser, `"inference"` of the network after the epoch,
+            `"test"` on test faces. What a record lacks is not drawn.
+    """
+    figure = Figure(figsize=(7.2, 3.1), layout="constrained")
+    panels = figure.subplots(1, 2)
+    shown = set()
+    for axes, (network, name) in zip(panels, _NETWORKS.items(), strict=True):
+        # Methods may share a network: the one named first is drawn last, on top.
+        for method, networks in reversed(histories.items()):
+            for mode, losses in networks.get(network, {}).items():
+                shown.add(mode)
+                axes.plot(
+                    _epochs(losses), losses, color=colour(method), linestyle=_MODES[mode][0], lw=1.1
+                )
+        axes.set(yscale="log", title=name)
+        _time_axis(axes)
+    panels[0].set_ylabel("Mean squared error\n(squared normalised units)")
+    figure.legend(
+        handles=[Line2D([], [], color=colour(m), label=title(m)) for m in histories],
+        loc="outside upper center",
+        ncols=4,
+    )
+    figure.legend(
+        handles=[
+            Line2D([], [], color=INK, linestyle=dashes, label=label)
+            for mode, (dashes, label) in _MODES.items()
+            if mode in shown
+        ],
+        loc="outside lower center",
+        ncols=3,
+        handlelength=2.6,
+    )
+    return figure
+
+
+@styled
+def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[float]]]]) -> Figure:
+    """The autoencoder's error by batch statistics and by moving ones, seed by seed.
+
+    At a constant learning rate the moving statistics of batch normalisation trail the weights, so
+    that the network errs more at inference than it did in training, on the same faces.
+
+    Args:
+        histories: `"constant"` and `"cosine"` to seed to a record with `"train"` and
+            `"inference"`, one mean squared error an epoch, in squared normalised units.
+    """
+    figure = Figure(figsize=(7.2, 2.9), layout="constrained")
+    panels = figure.subplots(1, len(histories), sharey=True, squeeze=False)[0]
+    looks = {
+        "inference": ("#D55E00", "inference mode (moving statistics)"),
+        "train": ("#777777", "training mode (statistics of the mini-batch)"),
+    }
+    for axes, (schedule, runs) in zip(panels, histories.items(), strict=True):
+        for record in runs.values():
+            for mode, (ink, _) in looks.items():
+                losses = record[mode]
+                axes.plot(_epochs(losses), np.sqrt(losses), color=ink, lw=0.8, alpha=0.8)
+        axes.set(yscale="log", title=f"{_SCHEDULES[schedule]} ({len(runs)} seeds)")
+        _time_axis(axes)
+    panels[0].set_ylabel("R.m.s. error of the frontal view\n(normalised units)")
+    figure.legend(
+        handles=[Line2D([], [], color=ink, label=label) for ink, label in looks.values()],
+        loc="outside lower center",
+        ncols=2,
+    )
+    return figure
+
+
+def _epochs(losses: Sequence[float]) -> np.ndarray:
+    return np.arange(1, len(losses) + 1)
+
+
+def _time_axis(axes: Axes) -> None:
+    axes.set_xlabel("Training time (epochs)")
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.margins(x=0.02)
+    axes.grid(axis="y")

@@ -1,0 +1,126 @@
+"""One look for every figure: type sizes, a fixed colour and marker a method, and the writer."""
+
+from __future__ import annotations
+
+import functools
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+from PIL import Image
+
+RC = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "lines.linewidth": 1.2,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "pdf.fonttype": 42,  # TrueType: text stays text in the report's PDF
+}
+
+TRUTH_COLOUR = "#B4B4B4"
+INK = "#333333"
+PNG_DPI = 160
+
+# Okabe and Ito's palette (https://jfly.uni-koeln.de/color/), whose hues stay apart for colour-blind
+# readers; the added ones differ from their neighbours in lightness and marker. Grey is the truth's.
+_LOOKS = {
+    "mean_shape": ("#8C6D31", "s"),
+    "linear": ("#222222", "D"),
+    "zhao": ("#0072B2", "^"),
+    "zhao_authors": ("#56B4E9", "v"),
+    "zhao_frontal": ("#1F3A93", "d"),
+    "aldrian": ("#009E73", "*"),
+    "ours": ("#D55E00", "o"),
+    "ours_released": ("#E69F00", "h"),
+    "ours_stable": ("#8C1C13", "p"),
+    "authors_weights": ("#CC79A7", "X"),
+    "mobileface": ("#7B1FA2", "<"),
+    "ringnet": ("#5F6B7A", ">"),
+    "mediapipe": ("#00727A", "H"),
+}
+
+
+def colour(method: str) -> str:
+    """Colour of a method id, the same in every figure."""
+    return _LOOKS.get(method, (INK, "o"))[0]
+
+
+def marker(method: str) -> str:
+    """Marker of a method id, so that no figure depends on colour alone."""
+    return _LOOKS.get(method, (INK, "o"))[1]
+
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """Decorate a function so that it draws with `RC`, whatever the caller's settings are."""
+
+    @functools.wraps(draw)
+    def wrapper(*args, **kwargs):
+        with matplotlib.rc_context(RC):
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
+    """Write `name.png` and `name.pdf`; equal figures give equal bytes.
+
+    Each file appears whole or not at all. The metadata hold no date.
+
+    Args:
+        figure: As returned by the functions of this package.
+        folder: Made if it is missing.
+        name: File name without its ending.
+
+    Returns:
+        The paths of the png and of the pdf.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    png, pdf = folder / f"{name}.png", folder / f"{name}.pdf"
+    with matplotlib.rc_context(RC):
+        _replace(png, _small_png(figure))
+        _replace(pdf, _render(figure, "pdf", metadata={"CreationDate": None}))
+    return png, pdf
+
+
+def _render(figure: Figure, kind: str, **options) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, **options)
+    return buffer.getvalue()
+
+
+def _small_png(figure: Figure) -> bytes:
+    # A palette of 256 colours looks the same for line drawings and takes a third of the room.
+    full = _render(figure, "png", dpi=PNG_DPI, metadata={"Software": None})
+    image = Image.open(io.BytesIO(full)).convert("RGB")
+    palette = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    buffer = io.BytesIO()
+    palette.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
+    return buffer.getvalue()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

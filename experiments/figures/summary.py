@@ -1,0 +1,150 @@
+"""The headline figure, every method beside the paper's number, and the spread over seeds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from experiments.figures.style import INK, colour, marker, styled
+from experiments.methods import title
+
+_MSE_UNIT = 1e-4
+
+
+@styled
+def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
+    """MSE and missing depth correlation of every method, filled ours, hollow the paper's.
+
+    The depth correlation is a trace, whose greatest value is the number of landmarks; what is
+    missing from it is drawn, because the values themselves differ in the fourth digit only.
+
+    Args:
+        table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`,
+            `paper_std`; NaN where there is no number.
+        n_landmarks: Landmarks of a face.
+    """
+    methods = list(dict.fromkeys(table["method"]))
+    figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
+    panels = figure.subplots(
+        1, 4, sharey=True, gridspec_kw={"width_ratios": (0.95, 1.25, 0.95, 1.25)}
+    )
+    figure.get_layout_engine().set(w_pad=0.01, wspace=0)
+    mse = table[table["metric"] == "mse"].set_index("method")
+    depth_corr = table[table["metric"] == "depth_corr"].set_index("method")
+    missing = depth_corr.assign(
+        mean=n_landmarks - depth_corr["mean"], paper_mean=n_landmarks - depth_corr["paper_mean"]
+    )
+    for axes, rows, name in (
+        (panels[0], mse, "MSE (squared normalised units)"),
+        (panels[2], missing, f"{n_landmarks} − depth correlation (no unit)"),
+    ):
+        _markers(axes, rows.reindex(methods))
+        axes.set_xlabel(f"{name}\n← better")
+    _numbers(panels[1], mse.reindex(methods), _MSE_UNIT, "MSE ($10^{-4}$)")
+    _numbers(panels[3], depth_corr.reindex(methods), 1.0, "Depth correlation")
+    panels[0].set_yticks(range(len(methods)), [title(method) for method in methods])
+    panels[0].set_ylim(len(methods) - 0.5, -0.5)
+    figure.legend(
+        handles=[
+            Line2D([], [], color=INK, marker="o", ms=5, lw=0.9, label="this work, mean ± s.d."),
+            Line2D([], [], color=INK, marker="o", ms=5, mfc="white", lw=0, label="as published"),
+        ],
+        loc="outside lower center",
+        ncols=2,
+    )
+    return figure
+
+
+def _markers(axes: Axes, rows: pd.DataFrame) -> None:
+    """One row a method: filled, our mean with its s.d.; hollow, the published mean."""
+    axes.set_xscale("log", nonpositive="clip")
+    for y, row in enumerate(rows.itertuples()):
+        look = {"color": colour(row.Index), "marker": marker(row.Index), "linestyle": "none"}
+        axes.plot(row.paper_mean, y, **look, ms=6.5, mfc="none", mew=0.9)
+        axes.errorbar(row.mean, y, xerr=row.std, **look, ms=4.5, mew=0, elinewidth=1)
+    _stripes(axes, len(rows))
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+    axes.margins(x=0.1)
+
+
+def _numbers(axes: Axes, rows: pd.DataFrame, unit: float, name: str) -> None:
+    """The two means and their s.d. as text, in the same rows."""
+    axes.set_axis_off()
+    _stripes(axes, len(rows))
+    axes.set(xlim=(0, 1), title=f"{name}\n")
+    for x, head, mean, std in (
+        (0.50, "this work", rows["mean"], rows["std"]),
+        (0.98, "published", rows["paper_mean"], rows["paper_std"]),
+    ):
+        axes.text(x, -0.6, head, ha="right", va="bottom", size=6.5, color=INK)
+        for y, (value, spread) in enumerate(zip(mean / unit, std / unit, strict=True)):
+            axes.text(
+                x, y, _plus_minus(value, spread), ha="right", va="center", size=5.8, color=INK
+            )
+
+
+def _stripes(axes: Axes, n_rows: int) -> None:
+    for y in range(0, n_rows, 2):
+        axes.axhspan(y - 0.5, y + 0.5, color="#F5F5F5", lw=0, zorder=0)
+
+
+def _plus_minus(mean: float, std: float) -> str:
+    """Rounded where the s.d. begins, or one digit later if it is 1 or 2; at most four decimals."""
+    if np.isnan(mean):
+        return "–"
+    if not std > 0:
+        return f"{mean:.3g}"
+    exponent = int(np.floor(np.log10(std)))
+    leading = round(std / 10.0**exponent, 1)
+    second = leading < 3 and leading % 1 > 0
+    digits = min(max(second - exponent, 0), 4)
+    return f"{mean:.{digits}f} ± {std:.{digits}f}"
+
+
+@styled
+def seed_spread(table: pd.DataFrame) -> Figure:
+    """MSE of every training run, a dot a seed, with runs of the same seed joined.
+
+    Args:
+        table: One row a run: `method` (id), `seed`, `metric` (only `"mse"` is drawn), `value` in
+            squared normalised units.
+    """
+    runs = table[table["metric"] == "mse"].pivot(index="seed", columns="method", values="value")
+    methods = [method for method in dict.fromkeys(table["method"]) if method in runs]
+    runs = runs[methods]
+    figure = Figure(figsize=(1.6 + 1.0 * len(methods), 3.0), layout="constrained")
+    axes = figure.subplots()
+    for values in runs.to_numpy():
+        axes.plot(range(len(methods)), values, color="#CCCCCC", linewidth=0.6, zorder=1)
+    for x, method in enumerate(methods):
+        values = runs[method].dropna()
+        axes.plot(
+            np.full(len(values), x),
+            values,
+            linestyle="none",
+            marker=marker(method),
+            markersize=5,
+            markeredgecolor="white",
+            markeredgewidth=0.5,
+            color=colour(method),
+        )
+        median = values.median()
+        axes.plot([x - 0.16, x + 0.16], [median, median], color=INK, linewidth=1.2, zorder=3)
+        axes.annotate(
+            f"median\n{median / _MSE_UNIT:#.3g}$\\times 10^{{-4}}$",
+            (x + 0.2, median),
+            va="center",
+            size=6.5,
+            color=INK,
+        )
+    axes.set(yscale="log", ylabel="Test MSE (squared normalised units)")
+    axes.set_xlim(-0.4, len(methods) - 0.2)
+    axes.set_xticks(
+        range(len(methods)), [f"{title(m)}\n({runs[m].count()} seeds)" for m in methods]
+    )
+    axes.grid(axis="y", which="both")
+    return figure

@@ -1,0 +1,37 @@
+"""The two sizes at which every experiment runs: the paper's, and one to see that it works."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Sizes of the BFM experiment.
+
+    Attributes:
+        train_faces, test_faces: Sizes of the two sets (paper, section "Datasets").
+        autoencoder_epochs: Passes over the training faces. The paper and its code leave the total
+            open; 30 is where the training error of the autoencoder no longer falls by much.
+        dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
+        zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
+        n_subsets, subset_size: Random subsets of the test set (paper, "Evaluation Criteria").
+        n_seeds: Repetitions of `make seeds`.
+    """
+
+    name: str
+    train_faces: int
+    test_faces: int
+    autoencoder_epochs: int
+    dissimilarity_epochs: int
+    dissimilarity_steps: int
+    zhao_epochs: int
+    zhao_steps: int
+    n_subsets: int
+    subset_size: int
+    n_seeds: int
+
+
+PAPER = Preset("paper", 20_000, 5_000, 30, 30, 1000, 10, 1000, 10, 500, 5)
+SMOKE = Preset("smoke", 1_600, 200, 20, 3, 500, 2, 100, 10, 100, 2)
+PRESETS = {preset.name: preset for preset in (PAPER, SMOKE)}

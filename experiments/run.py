@@ -1,0 +1,199 @@
+"""One run of an experiment: what it was asked for, its folders, its lock and its records."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import fcntl
+import json
+import logging
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from data_gen.errors import DataError
+from data_gen.models import MODELS
+from data_gen.projections import PROTOCOLS
+from deepmds_keras.errors import InputError
+from experiments.presets import PRESETS, Preset
+
+AUTHORS_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
+_PACKAGES = ("numpy", "scipy", "scikit-learn", "pandas", "matplotlib", "keras", "joblib")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What identifies a run, and where its files lie.
+
+    Attributes:
+        model: Name of the morphable model.
+        data: File or folder of a model that is not embedded, or None.
+        preset: Sizes.
+        seed: Of faces, views, initial weights, mini-batches and test subsets.
+        protocol: How faces are projected, see `data_gen.projections.draw_cameras`.
+        authors: Folder of the authors' released weights, or None.
+        jobs: Processes for the embedding.
+        build: Folder of arrays and weights; results: folder of tables and figures.
+    """
+
+    model: str
+    preset: Preset
+    seed: int = 0
+    protocol: str = "paper"
+    data: str | None = None
+    authors: str | None = None
+    jobs: int = -1
+    build: Path = Path("build")
+    results: Path = Path("results")
+
+    @property
+    def work(self) -> Path:
+        """Folder of the run's arrays and weights: one for everything that would change them."""
+        return self.build / self.model / f"bfm-{self.preset.name}-{self.protocol}-seed{self.seed}"
+
+    @property
+    def model_results(self) -> Path:
+        """`results/<model>`; other presets than the paper's lie apart, not to overwrite it."""
+        root = self.results if self.preset.name == "paper" else self.results / self.preset.name
+        return root / self.model
+
+    @property
+    def bfm_results(self) -> Path:
+        """`results/<model>/bfm`, with the protocol and seed in its name if not the default."""
+        protocol = "" if self.protocol == "paper" else f"-{self.protocol}"
+        seed = "" if self.seed == 0 else f"-seed{self.seed}"
+        return self.model_results / f"bfm{protocol}{seed}"
+
+
+def parse_run(description: str, arguments: list[str] | None = None) -> Run:
+    """The command line that every stage shares."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    add = parser.add_argument
+    add("--model", choices=MODELS, default="openhead", help="morphable model of the faces")
+    add("--data", metavar="PATH", help="file or folder of a model that is not embedded")
+    add("--preset", choices=tuple(PRESETS), default="paper", help="sizes of the experiment")
+    add("--seed", type=int, default=0, help="of everything random")
+    add("--protocol", choices=PROTOCOLS, default="paper", help="how faces are projected")
+    add("--authors", metavar="DIR", help="folder of the authors' released BFM weights (*.h5)")
+    add("--jobs", type=int, default=-1, help="processes for the embedding, -1 for every core")
+    add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
+    add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
+    values = vars(parser.parse_args(arguments))
+    if values["seed"] < 0:
+        parser.error(f"--seed must not be negative. Received {values['seed']}.")
+    values["preset"] = PRESETS[values["preset"]]
+    values["data"], values["authors"] = values["data"] or None, values["authors"] or None
+    for name in AUTHORS_FILES if values["authors"] else ():
+        if not Path(values["authors"], name).is_file():
+            parser.error(f"--authors must be a folder with {name}. Received {values['authors']}.")
+    return Run(**values)
+
+
+@contextmanager
+def stage(run: Run, name: str) -> Iterator[dict]:
+    """Run one stage under the lock of the run's folder and record it in `<name>.json`.
+
+    The record is written last, so that it stands for a stage that is complete. A file or argument
+    that cannot be used ends the process with one line and status 2.
+
+    Args:
+        run: The run.
+        name: Of the stage.
+
+    Yields:
+        A dict for what else the record is to say.
+    """
+    record: dict = {}
+    started, clock = datetime.datetime.now(datetime.timezone.utc), time.perf_counter()
+    # Each network of a stage is traced once, which TensorFlow takes for one traced too often.
+    logging.getLogger("tensorflow").setLevel(logging.ERROR)
+    print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
+    try:
+        with _lock(run.work):
+            yield record
+            record |= {
+                "stage": name,
+                "command": "python -m " + " ".join([_module(), *sys.argv[1:]]),
+                "started": started.isoformat(timespec="seconds"),
+                "seconds": round(time.perf_counter() - clock, 1),
+                "peak_memory_mb": _peak_memory_mb(),
+            }
+            write_json(run.work / f"{name}.json", record)
+    except (DataError, InputError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
+
+
+def environment() -> dict:
+    """Versions of what computed the numbers."""
+    packages = {package: version(package) for package in _PACKAGES}
+    import tensorflow
+
+    packages["tensorflow"] = tensorflow.__version__
+    return {
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "packages": packages,
+        "commit": _commit(),
+    }
+
+
+def write_json(path: Path, value: dict) -> None:
+    write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file under a temporary name until it is complete."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
+
+
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock; the system frees it when the process ends, however it ends."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / ".lock", "w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise DataError(
+                f"{folder} is in use by another run; wait for it or choose another --build."
+            ) from None
+        yield
+
+
+def _module() -> str:
+    main = sys.modules["__main__"]
+    return main.__spec__.name if getattr(main, "__spec__", None) else Path(sys.argv[0]).name
+
+
+def _peak_memory_mb() -> int:
+    """Largest resident set of this process or any one of its children."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return round(max(u.ru_maxrss for u in usage) * unit / 1e6)
+
+
+def _commit() -> str | None:
+    """Commit of the code, with a `+` if files that git knows were changed since."""
+    try:
+        git = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
+            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+        )  # fmt: skip
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return git.stdout.strip()

@@ -1,0 +1,76 @@
+"""How far each method's predictions lie from the truth: for every face, and for random subsets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from deepmds_keras import metrics
+from deepmds_keras.alignment import align, is_mirrored
+from experiments.faces import Faces
+from experiments.run import Run
+
+# Streams of random numbers of a run beside those of its two data sets.
+_SUBSETS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One method on all test faces, after Procrustes with scale and reflection onto the truth.
+
+    Attributes:
+        aligned: `(n, L, 3)` predictions in the frame and unit of the truth.
+        mse: `(n,)` mean squared error over all coordinates, in the unit of `normalise`.
+        mse_mm2: `(n,)` the same in square millimetres.
+        depth_corr: `(n,)` trace depth correlation, at most L.
+        mirrored: `(n,)` whether the alignment had to reflect the prediction.
+    """
+
+    aligned: np.ndarray
+    mse: np.ndarray
+    mse_mm2: np.ndarray
+    depth_corr: np.ndarray
+    mirrored: np.ndarray
+
+
+def score(shapes: np.ndarray, test: Faces) -> Scores:
+    """Align predictions `(n, L, 3)` to the truth and measure what is left."""
+    truth = test.shapes.astype(float)
+    aligned = align(shapes, truth)
+    mse = metrics.mse(aligned, truth)
+    return Scores(
+        aligned=aligned,
+        mse=mse,
+        mse_mm2=mse * test.unit_mm**2,
+        depth_corr=metrics.depth_corr(aligned, truth),
+        mirrored=is_mirrored(shapes, truth),
+    )
+
+
+def subsets(run: Run) -> np.ndarray:
+    """Random test faces, `(n_subsets, subset_size)`: without repetition within a subset."""
+    rng = np.random.default_rng([run.seed, _SUBSETS])
+    n, preset = run.preset.test_faces, run.preset
+    return np.array([rng.choice(n, preset.subset_size, False) for _ in range(preset.n_subsets)])
+
+
+def subset_metrics(method: str, scores: Scores, test: Faces, chosen: np.ndarray) -> pd.DataFrame:
+    """Long table `method, metric, subset, value` of one method."""
+    values = {
+        "mse": scores.mse[chosen].mean(1),
+        "mse_mm2": scores.mse_mm2[chosen].mean(1),
+        "depth_corr": scores.depth_corr[chosen].mean(1),
+        "depth_corr_across_faces": [
+            metrics.depth_corr_across_faces(scores.aligned[faces], test.shapes[faces])
+            for faces in chosen
+        ],
+        "mirrored_fraction": scores.mirrored[chosen].mean(1),
+    }
+    rows = [
+        (method, metric, subset, value)
+        for metric, by_subset in values.items()
+        for subset, value in enumerate(by_subset)
+    ]
+    return pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
