@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keras
+import numpy as np
 from keras import layers
 
 from deepmds_keras.errors import InputError
@@ -64,6 +65,26 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
     x = dense(x, 20, "hidden_5")
     distance = dense(x, 1, "distance", activated=False)
     return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
+
+
+def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 4096) -> np.ndarray:
+    """Outputs of a network in inference mode.
+
+    The network is called as it is: `Model.predict` would compile a graph for every network and
+    every new shape, which takes a second each.
+
+    Args:
+        network: Model of one input and one output.
+        inputs: `(n, d)`.
+        batch_size: Rows at a time, which bounds the memory.
+
+    Returns:
+        `(n, d_out)` float32.
+    """
+    batches = range(0, len(inputs), batch_size)
+    return np.concatenate(
+        [np.asarray(network(inputs[i : i + batch_size], training=False)) for i in batches]
+    )
 
 
 def _dense_blocks(seed: int):

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
 from deepmds_keras.normalisation import check_points, normalise
 from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
@@ -150,7 +150,7 @@ class DeepMDS(BaseEstimator):
         views = normalise(self._check(views, "views", 2))
         network = self._trained("autoencoder_")
         flat = np.float32(views).reshape(len(views), -1)
-        return network.predict(flat, batch_size=4096, verbose=0).reshape(views.shape)
+        return forward(network, flat).reshape(views.shape)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
         """Estimated 3D distances of all pairs, as the net gives them: `(n, L, L)`, symmetric.
@@ -258,8 +258,7 @@ class DeepMDS(BaseEstimator):
             chunk = points[start : start + _FACES_PER_CHUNK]
             features = proximities(chunk[:, first], chunk[:, second], self.variant)
             flat = features.reshape(-1, features.shape[-1])
-            distances = network.predict(flat, batch_size=1 << 18, verbose=0)
-            distances = distances.reshape(len(chunk), -1)
+            distances = forward(network, flat, len(flat)).reshape(len(chunk), -1)
             matrices[start : start + len(chunk), first, second] = distances
             matrices[start : start + len(chunk), second, first] = distances
         return matrices

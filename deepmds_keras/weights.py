@@ -6,12 +6,15 @@ import json
 import os
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
-import keras
 import numpy as np
 
 from deepmds_keras.errors import InputError
+
+if TYPE_CHECKING:
+    import keras
 
 PRETRAINED = Path(__file__).with_name("pretrained")
 

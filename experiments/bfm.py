@@ -8,21 +8,25 @@ import shlex
 import numpy as np
 import pandas as pd
 
-from data_gen.errors import DataError
 from data_gen.landmarks import load_scheme
 from data_gen.projections import PROJECTIONS
+from deepmds_keras.weights import read_arrays
 from experiments.faces import SCHEME, Faces, load_faces
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
 from experiments.figures.style import save
 from experiments.figures.summary import summary
-from experiments.methods import METHODS
-from experiments.networks import DEEP_MDS, histories
-from experiments.parameters import write_parameter_table
-from experiments.predictions import load_prediction, methods_of
+from experiments.methods import DEEP_MDS
 from experiments.run import Run, environment, parse_run, stage, write_json, write_text
-from experiments.scores import Scores, score, subset_metrics, subsets
+from experiments.scores import (
+    Scores,
+    costs,
+    load_prediction,
+    score,
+    subset_metrics,
+    subsets,
+)
 from experiments.tables import to_csv, write_tables
 
 # Why a method of the paper's table has no number of ours.
@@ -35,34 +39,39 @@ _STAGES = ("faces", "networks", "predictions")
 _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", *DEEP_MDS, "authors_weights")
 
 
-def evaluate(run: Run, test: Faces) -> tuple[pd.DataFrame, dict[str, Scores], dict[str, dict]]:
-    """Scores of every method that made predictions.
+def evaluate(
+    run: Run, test: Faces, methods: list[str]
+) -> tuple[pd.DataFrame, dict[str, Scores], dict[str, dict]]:
+    """Scores of the methods that made predictions.
 
     Returns:
         Long table as in `metrics.csv`, scores by method, and the predictions' arrays by method.
 
     Raises:
-        DataError: A method of the run has no predictions.
+        InputError: The predictions of a method are missing or damaged.
     """
     chosen = subsets(run)
-    rows, scores, predictions = [], {}, {}
-    for method in METHODS:
-        loaded = load_prediction(run, method.id)
-        if loaded is None:
-            if method.id in methods_of(run):
-                raise DataError(f"{run.work} has no predictions of {method.id}: run that stage.")
-            continue
-        arrays, described = loaded
-        predictions[method.id] = arrays
-        scores[method.id] = score(arrays["shapes"], test)
-        rows.append(subset_metrics(method.id, scores[method.id], test, chosen))
-        rows += [
-            pd.DataFrame({"method": [method.id], "metric": name, "value": described[name]})
-            for name in ("ms_per_face", "n_parameters")
-        ]
-    metrics = pd.concat(rows, ignore_index=True)
+    predictions = {method: load_prediction(run, method)[0] for method in methods}
+    scores = {method: score(arrays["shapes"], test) for method, arrays in predictions.items()}
+    rows = [subset_metrics(method, own, test, chosen) for method, own in scores.items()]
+    metrics = pd.concat([*rows, costs(run, methods)], ignore_index=True)
     metrics["subset"] = metrics["subset"].astype("Int64")
     return metrics, scores, predictions
+
+
+def histories(run: Run) -> dict[str, dict[str, dict]]:
+    """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
+
+    def history(name):
+        return read_arrays(run.network_file(name))[1]["history"]
+
+    return {
+        method: {
+            "autoencoder": history(f"autoencoder-{schedule}"),
+            "dissimilarity_net": history(f"dissimilarity-{variant}-{schedule}"),
+        }
+        for method, (variant, schedule) in DEEP_MDS.items()
+    }
 
 
 def draw(
@@ -150,8 +159,9 @@ def manifest(run: Run, stages: list[dict]) -> dict:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "bfm"):
+        stages = [json.loads((run.work / f"{name}.json").read_text()) for name in _STAGES]
         test = load_faces(run, "test")
-        metrics, scores, predictions = evaluate(run, test)
+        metrics, scores, predictions = evaluate(run, test, stages[-1]["methods"])
         write_text(run.bfm_results / "metrics.csv", to_csv(metrics))
         table = write_tables(
             run.bfm_results,
@@ -164,9 +174,7 @@ def main(arguments: list[str] | None = None) -> None:
                 for metric in ("mse", "depth_corr")
             },
         )
-        write_parameter_table(run, metrics)
         draw(run, test, scores, predictions, table)
-        stages = [json.loads((run.work / f"{name}.json").read_text()) for name in _STAGES]
         write_json(run.bfm_results / "manifest.json", manifest(run, stages))
 
 

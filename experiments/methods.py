@@ -77,6 +77,12 @@ METHODS = (
     ),
 )
 
+# Of the paper's method: variant of the dissimilarity net, learning-rate schedule of both networks.
+DEEP_MDS = {
+    "ours": ("paper", "constant"),
+    "ours_released": ("released", "constant"),
+    "ours_stable": ("paper", "cosine"),
+}
 BY_ID = {method.id: method for method in METHODS}
 
 

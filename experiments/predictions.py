@@ -14,12 +14,13 @@ from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
-from deepmds_keras.weights import read_arrays, write_arrays
+from deepmds_keras.weights import write_arrays
 from experiments.faces import Faces, load_faces, load_landmark_model
-from experiments.networks import DEEP_MDS, deep_mds, zhao
+from experiments.methods import DEEP_MDS
+from experiments.parameters import write_parameter_table
+from experiments.recipes import deep_mds, zhao
 from experiments.run import AUTHORS_FILES, Run, parse_run, stage
-
-_TIMED_FACES = 200
+from experiments.scores import costs
 
 
 def fitted(run: Run, train: Faces, method: str):
@@ -49,13 +50,9 @@ def methods_of(run: Run) -> list[str]:
     return methods + ["authors_weights"] * (run.authors is not None)
 
 
-def prediction_file(run: Run, method: str) -> Path:
-    return run.work / "predictions" / f"{method}.npz"
-
-
 def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
     """Write the predictions of one method, unless they are there."""
-    path = prediction_file(run, method)
+    path = run.prediction_file(method)
     if path.exists():
         return
     model = fitted(run, train, method)
@@ -72,7 +69,7 @@ def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
     described = {
         "method": method,
         "n_parameters": int(model.n_parameters),
-        "ms_per_face": milliseconds_per_face(model, views[:_TIMED_FACES]),
+        "ms_per_face": milliseconds_per_face(model, views[: run.preset.timed_faces]),
     }
     write_arrays(path, {k: np.float32(a) for k, a in arrays.items()}, described)
 
@@ -88,12 +85,6 @@ def milliseconds_per_face(model, views: np.ndarray) -> float:
     return 1000 * (time.perf_counter() - start) / len(views)
 
 
-def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict] | None:
-    """Arrays and description of a method's predictions, or None where it was not run."""
-    path = prediction_file(run, method)
-    return read_arrays(path) if path.exists() else None
-
-
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "predictions") as record:
@@ -103,6 +94,7 @@ def main(arguments: list[str] | None = None) -> None:
         record["methods"] = methods_of(run)
         for method in record["methods"]:
             predict(run, train, test, method)
+        write_parameter_table(run, costs(run, record["methods"]))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ class Preset:
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
         zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
         n_subsets, subset_size: Random subsets of the test set (paper, "Evaluation Criteria").
+        timed_faces: Test faces over which the time of a prediction is taken.
         n_seeds: Repetitions of `make seeds`.
     """
 
@@ -29,9 +30,10 @@ class Preset:
     zhao_steps: int
     n_subsets: int
     subset_size: int
+    timed_faces: int
     n_seeds: int
 
 
-PAPER = Preset("paper", 20_000, 5_000, 30, 30, 1000, 10, 1000, 10, 500, 5)
-SMOKE = Preset("smoke", 1_600, 200, 20, 3, 500, 2, 100, 10, 100, 2)
+PAPER = Preset("paper", 20_000, 5_000, 30, 30, 1000, 10, 1000, 10, 500, 200, 5)
+SMOKE = Preset("smoke", 4_800, 20, 6, 3, 400, 2, 100, 10, 10, 2, 2)
 PRESETS = {preset.name: preset for preset in (PAPER, SMOKE)}

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 
 from data_gen.errors import DataError
@@ -26,7 +26,10 @@ from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
 AUTHORS_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
-_PACKAGES = ("numpy", "scipy", "scikit-learn", "pandas", "matplotlib", "keras", "joblib")
+_PACKAGES = (
+    "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy",
+    "tensorflow", "tensorflow-cpu",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,14 @@ class Run:
     def work(self) -> Path:
         """Folder of the run's arrays and weights: one for everything that would change them."""
         return self.build / self.model / f"bfm-{self.preset.name}-{self.protocol}-seed{self.seed}"
+
+    def network_file(self, name: str) -> Path:
+        """Checkpoint of a network, which is also the trained network once its epochs are done."""
+        return self.work / "networks" / f"{name}.npz"
+
+    def prediction_file(self, method: str) -> Path:
+        """What a method made of the test views."""
+        return self.work / "predictions" / f"{method}.npz"
 
     @property
     def model_results(self) -> Path:
@@ -111,12 +122,12 @@ def stage(run: Run, name: str) -> Iterator[dict]:
         name: Of the stage.
 
     Yields:
-        A dict for what else the record is to say.
+        A dict for what else the record is to say; `processes_mb`, the peak memory of each process
+        that the stage started, is added to its own.
     """
     record: dict = {}
     started, clock = datetime.datetime.now(datetime.timezone.utc), time.perf_counter()
-    # Each network of a stage is traced once, which TensorFlow takes for one traced too often.
-    logging.getLogger("tensorflow").setLevel(logging.ERROR)
+    quiet_tensorflow()
     print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
     try:
         with _lock(run.work):
@@ -126,7 +137,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
                 "command": "python -m " + " ".join([_module(), *sys.argv[1:]]),
                 "started": started.isoformat(timespec="seconds"),
                 "seconds": round(time.perf_counter() - clock, 1),
-                "peak_memory_mb": _peak_memory_mb(),
+                "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
             }
             write_json(run.work / f"{name}.json", record)
     except (DataError, InputError) as error:
@@ -135,16 +146,18 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
 
 
+def quiet_tensorflow() -> None:
+    """Each network of a stage is traced once, which TensorFlow takes for one traced too often."""
+    logging.getLogger("tensorflow").setLevel(logging.ERROR)
+
+
 def environment() -> dict:
     """Versions of what computed the numbers."""
-    packages = {package: version(package) for package in _PACKAGES}
-    import tensorflow
-
-    packages["tensorflow"] = tensorflow.__version__
+    packages = {d.name: d.version for d in distributions() if d.name in _PACKAGES}
     return {
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "packages": packages,
+        "packages": dict(sorted(packages.items())),
         "commit": _commit(),
     }
 
@@ -180,8 +193,8 @@ def _module() -> str:
     return main.__spec__.name if getattr(main, "__spec__", None) else Path(sys.argv[0]).name
 
 
-def _peak_memory_mb() -> int:
-    """Largest resident set of this process or any one of its children."""
+def peak_memory_mb() -> int:
+    """Largest resident set of this process, or of a child that has ended."""
     unit = 1 if sys.platform == "darwin" else 1024
     usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return round(max(u.ru_maxrss for u in usage) * unit / 1e6)

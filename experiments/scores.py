@@ -9,11 +9,28 @@ import pandas as pd
 
 from deepmds_keras import metrics
 from deepmds_keras.alignment import align, is_mirrored
+from deepmds_keras.weights import read_arrays
 from experiments.faces import Faces
 from experiments.run import Run
 
 # Streams of random numbers of a run beside those of its two data sets.
 _SUBSETS = 2
+
+
+def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]:
+    """Arrays and description of a method's predictions."""
+    return read_arrays(run.prediction_file(method))
+
+
+def costs(run: Run, methods: list[str]) -> pd.DataFrame:
+    """Long table `method, metric, value` of the time of a prediction and the parameters."""
+    rows = [
+        (method, metric, described[metric])
+        for method in methods
+        for described in [load_prediction(run, method)[1]]
+        for metric in ("ms_per_face", "n_parameters")
+    ]
+    return pd.DataFrame(rows, columns=["method", "metric", "value"])
 
 
 @dataclass(frozen=True, eq=False)

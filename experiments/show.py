@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pandas as pd
 
 from experiments.run import parse_run
@@ -10,11 +12,17 @@ from experiments.typesetting import text
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    folder = run.bfm_results
-    table = pd.read_csv(folder / "table.csv", dtype={"n_subsets": "Int64", "subset_size": "Int64"})
+    path = run.bfm_results / "table.csv"
+    if not path.is_file():
+        print(
+            f"error: {path} does not exist; delete {run.work}/bfm.json and make it again.",
+            file=sys.stderr,
+        )
+        raise SystemExit(2)
+    table = pd.read_csv(path, dtype={"n_subsets": "Int64", "subset_size": "Int64"})
     print(f"\n{run.model}, {run.preset.test_faces} test faces, seed {run.seed}\n")
     print(text(table, "bfm"))
-    print(f"Tables, figures and manifest: {folder}/")
+    print(f"Tables, figures and manifest: {run.bfm_results}/")
 
 
 if __name__ == "__main__":

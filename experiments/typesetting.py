@@ -80,7 +80,7 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
 
 
 def text(table: pd.DataFrame, experiment: str) -> str:
-    """The table for the terminal: the paper's number beside ours, then what the columns are.
+    """The table for the terminal: the paper's criteria, the others, then what the columns are.
 
     Args:
         table, experiment: As for `latex`.
@@ -89,6 +89,20 @@ def text(table: pd.DataFrame, experiment: str) -> str:
         InputError: Unknown experiment.
     """
     columns = _columns(experiment)
+    blocks = [
+        _block(table, [column for column in columns if column.quoted == quoted])
+        for quoted in (True, False)
+    ]
+    width = blocks[0].index("\n")
+    remarks = [
+        textwrap.fill(remark, width, subsequent_indent="    ")
+        for remark in _remarks(table, columns)
+    ]
+    return "\n".join([*blocks, *remarks, ""])
+
+
+def _block(table: pd.DataFrame, columns: list[_Column]) -> str:
+    """Some columns of the table, aligned."""
     body = [["method", *(s for c in columns for s in c.subheads)], *_rows(table, columns)]
     widths = [max(map(len, cells)) for cells in zip(*body, strict=True)]
     top, first = " " * widths[0], 1
@@ -101,11 +115,7 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     lines = [
         "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in body
     ]
-    remarks = [
-        textwrap.fill(remark, len(top), subsequent_indent="    ")
-        for remark in _remarks(table, columns)
-    ]
-    return "\n".join([top, lines[0], "-" * len(top), *lines[1:], "", *remarks, ""])
+    return "\n".join([top, lines[0], "-" * len(top), *lines[1:], ""])
 
 
 def tex(string: str) -> str:

@@ -35,8 +35,7 @@ def table(metrics):
 
 
 def line(string, start):
-    (found,) = (part for part in string.splitlines() if part.startswith(start))
-    return found
+    return next(part for part in string.splitlines() if part.startswith(start))
 
 
 def test_csv_to_the_letter(table):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +11,8 @@ import tensorflow as tf
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.baselines._checks import check_faces, check_fitted
-from deepmds_keras.training import face_order, train_by_epoch
-
-STEPS_PER_CALL = 50  # most steps of the optimiser within one call of the compiled graph
+from deepmds_keras.networks import forward
+from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 
 
 def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
@@ -109,19 +107,15 @@ class Zhao(BaseEstimator):
         depths = np.float32(centred[..., 2] / size[..., 0])
         steps, batch = self.steps_per_epoch, self.batch_size
         network = build_zhao_net(self.n_landmarks, seed=self.seed)
-        network.compile(
-            keras.optimizers.RMSprop(self.learning_rate),
-            "mse",
-            # A divisor of the steps: a rest would be compiled as a second graph.
-            steps_per_execution=math.gcd(steps, STEPS_PER_CALL),
-        )
+        optimizer = keras.optimizers.RMSprop(self.learning_rate)
+        network.compile(optimizer, "mse", steps_per_execution=steps_per_call(steps))
 
         def batches(epoch: int) -> tf.data.Dataset:
             faces = face_order(len(points), steps * batch, self.seed, epoch).reshape(steps, batch)
             return tf.data.Dataset.from_tensor_slices((views[faces], depths[faces]))
 
         def inference() -> float:
-            predicted = network.predict(views, batch_size=4096, verbose=0)
+            predicted = forward(network, views)
             return float(np.mean((predicted - depths) ** 2))
 
         label = {"network": network.name, "faces": len(points), **self.get_params()}
@@ -144,7 +138,7 @@ class Zhao(BaseEstimator):
         network = check_fitted(self, "network_")
         views, _ = normalise_view(check_faces(views, "views", 2, self.n_landmarks))
         flat = np.float32(views).reshape(len(views), -1)
-        depths = network.predict(flat, batch_size=4096, verbose=0)
+        depths = forward(network, flat)
         return np.concatenate([views, depths[..., None]], axis=2)
 
     @property

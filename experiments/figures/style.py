@@ -97,6 +97,7 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     png, pdf = folder / f"{name}.png", folder / f"{name}.pdf"
     with matplotlib.rc_context(RC):
         _replace(png, _small_png(figure))
+        figure.set_layout_engine("none")  # what is laid out once need not be for the second file
         _replace(pdf, _render(figure, "pdf", metadata={"CreationDate": None}))
     return png, pdf
 

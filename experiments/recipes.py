@@ -1,0 +1,111 @@
+"""How each network of the experiment is trained; one whose file is complete is only loaded."""
+
+from __future__ import annotations
+
+import os
+
+import keras
+from tqdm import tqdm
+
+from deepmds_keras.baselines.zhao import Zhao
+from deepmds_keras.networks import forward
+from deepmds_keras.orientation import front_landmark
+from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
+from experiments.faces import Faces
+from experiments.methods import DEEP_MDS
+from experiments.run import Run
+
+# The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
+_ZHAO_AUTHORS_FACES = 3000
+
+
+def autoencoder(run: Run, train: Faces, schedule: str) -> tuple[keras.Model, dict]:
+    """The autoencoder and its losses by epoch."""
+    name = f"autoencoder-{schedule}"
+    epochs = run.preset.autoencoder_epochs
+    with EpochBar(name, epochs) as bar:
+        return train_autoencoder(
+            train.views,
+            train.shapes[..., :2],
+            Recipe(epochs, schedule=schedule),
+            seed=run.seed,
+            checkpoint=run.network_file(name),
+            progress=bar.losses,
+        )
+
+
+def dissimilarity_net(
+    run: Run, train: Faces, encoder: keras.Model, variant: str, schedule: str
+) -> tuple[keras.Model, dict]:
+    """The dissimilarity net on the autoencoder's frontal views, and its losses by epoch."""
+    name = f"dissimilarity-{variant}-{schedule}"
+    preset = run.preset
+    flat = train.views.reshape(len(train.views), -1)
+    frontal = forward(encoder, flat).reshape(train.views.shape)
+    with EpochBar(name, preset.dissimilarity_epochs) as bar:
+        return train_dissimilarity_net(
+            frontal,
+            train.shapes,
+            Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, schedule),
+            variant=variant,
+            seed=run.seed,
+            checkpoint=run.network_file(name),
+            progress=bar.losses,
+        )
+
+
+def deep_mds(run: Run, train: Faces, method: str) -> tuple[DeepMDS, dict[str, dict]]:
+    """One of `DEEP_MDS`, trained, and its losses by network and epoch."""
+    variant, schedule = DEEP_MDS[method]
+    encoder, first = autoencoder(run, train, schedule)
+    net, second = dissimilarity_net(run, train, encoder, variant, schedule)
+    model = DeepMDS.from_networks(
+        encoder,
+        net,
+        front_landmark(train.shapes),
+        n_landmarks=train.views.shape[1],
+        variant=variant,
+        schedule=schedule,
+        autoencoder_epochs=run.preset.autoencoder_epochs,
+        dissimilarity_epochs=run.preset.dissimilarity_epochs,
+        seed=run.seed,
+        n_jobs=run.jobs,
+    )
+    model.history_ = {"autoencoder": first, "dissimilarity_net": second}
+    return model, model.history_
+
+
+def zhao(run: Run, train: Faces, method: str) -> Zhao:
+    """Zhao's net: `"zhao"` on the views of everybody else, `"zhao_authors"` as the authors did."""
+    points = train.posed if method == "zhao" else train.shapes[:_ZHAO_AUTHORS_FACES]
+    preset = run.preset
+    net = Zhao(
+        train.views.shape[1],
+        epochs=preset.zhao_epochs,
+        steps_per_epoch=preset.zhao_steps,
+        seed=run.seed,
+    )
+    with EpochBar(method, preset.zhao_epochs) as bar:
+        return net.fit(points, checkpoint=run.network_file(method), progress=bar.losses)
+
+
+class EpochBar(tqdm):
+    """A progress bar over epochs that shows the root of the mean squared errors.
+
+    Attributes:
+        parent: Process on whose behalf this one trains; training stops after an epoch when it is
+            gone.
+    """
+
+    parent = os.getpid()
+
+    def __init__(self, name: str, epochs: int):
+        # What a file already holds is read in less than the delay and needs no bar.
+        super().__init__(total=epochs, desc=name, unit="epoch", delay=2)
+
+    def losses(self, losses: dict[str, float]) -> None:
+        if self.parent not in (os.getpid(), os.getppid()):
+            raise SystemExit("The run that this process trained for is gone.")
+        self.set_postfix({f"{k} r.m.s.": f"{v**0.5:.4f}" for k, v in losses.items()}, refresh=False)
+        self.update()
