@@ -67,7 +67,7 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
     return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
 
 
-def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 4096) -> np.ndarray:
+def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
     """Outputs of a network in inference mode.
 
     The network is called as it is: `Model.predict` would compile a graph for every network and

@@ -21,7 +21,7 @@ from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarit
 # 0-based number of the tip of the nose, for weights that come without the shapes they were
 # trained on.
 _NOSE_TIP = {72: 28, 51: 13}
-_FACES_PER_CHUNK = 128
+_FACES_PER_CHUNK = 64
 
 
 class DeepMDS(BaseEstimator):
@@ -251,14 +251,14 @@ class DeepMDS(BaseEstimator):
 
     def _matrices(self, frontal: np.ndarray) -> np.ndarray:
         network = self._trained("dissimilarity_net_")
-        points = normalise(frontal)
+        points = np.float32(normalise(frontal))
         first, second = np.triu_indices(self.n_landmarks)
         matrices = np.empty((len(points), self.n_landmarks, self.n_landmarks), np.float32)
         for start in range(0, len(points), _FACES_PER_CHUNK):
             chunk = points[start : start + _FACES_PER_CHUNK]
             features = proximities(chunk[:, first], chunk[:, second], self.variant)
             flat = features.reshape(-1, features.shape[-1])
-            distances = forward(network, flat, len(flat)).reshape(len(chunk), -1)
+            distances = forward(network, flat).reshape(len(chunk), -1)
             matrices[start : start + len(chunk), first, second] = distances
             matrices[start : start + len(chunk), second, first] = distances
         return matrices

@@ -26,21 +26,26 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
     Raises:
         InputError: Unknown variant, or views of another shape.
     """
-    views = np.asarray(views)
+    views = np.asarray(views, np.float32)
     if views.ndim not in (2, 3) or views.shape[-1] != 2:
         raise InputError(f"views must have shape (n, L, 2) or (L, 2). Received {views.shape}.")
     first, second = np.triu_indices(views.shape[-2], 1)
     return proximities(views[..., first, :], views[..., second, :], variant)
 
 
-def proximities(first: np.ndarray, second: np.ndarray, variant: str) -> np.ndarray:
-    """Features of the pairs `first[k], second[k]`: `(..., P, 2)` twice → `(..., P, F)` float32."""
+def proximities(first, second, variant: str, xp=np):
+    """Features of the pairs `first[k], second[k]`: `(..., P, 2)` twice → `(..., P, F)`.
+
+    Args:
+        first, second: float32 arrays of `xp`.
+        variant: As for `pair_features`.
+        xp: NumPy, or TensorFlow's namespace of the same functions, to work within a graph.
+    """
     if variant not in VARIANTS:
         raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
-    first, second = np.float32(first), np.float32(second)
-    difference = np.abs(first - second)
+    difference = xp.abs(first - second)
     product = first * second
     if variant == "paper":
-        return np.concatenate([difference, product, np.exp(-difference)], axis=-1)
-    distance = np.linalg.norm(difference, axis=-1, keepdims=True)
-    return np.concatenate([product, np.exp(-difference), distance], axis=-1)
+        return xp.concatenate([difference, product, xp.exp(-difference)], axis=-1)
+    distance = xp.sqrt(xp.sum(xp.square(difference), axis=-1, keepdims=True))
+    return xp.concatenate([product, xp.exp(-difference), distance], axis=-1)

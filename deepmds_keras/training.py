@@ -10,6 +10,7 @@ from pathlib import Path
 import keras
 import numpy as np
 import tensorflow as tf
+import tensorflow.experimental.numpy as tnp
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
@@ -19,7 +20,7 @@ from deepmds_keras.weights import read_checkpoint, write_checkpoint
 
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
-_DISSIMILARITY_CHECK_FACES = 100
+_DISSIMILARITY_CHECK_FACES = 50
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def train_dissimilarity_net(
 
     Returns:
         The network, and the loss of each epoch, as `train_autoencoder`; `inference` is over a
-        fixed hundred of the faces.
+        fixed fifty of the faces.
     """
     n, n_landmarks = shapes.shape[:2]
     frontal = np.float32(normalise(frontal))
@@ -141,18 +142,22 @@ def train_dissimilarity_net(
 
     def batches(epoch: int) -> tf.data.Dataset:
         faces = face_order(n, steps, seed, epoch)
-        return tf.data.Dataset.from_tensor_slices(pairs(faces))
+        data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
+        # Pairs are made beside the training, a few faces ahead: all at once fill the memory.
+        return data.map(lambda *face: pairs(*face, tnp)).prefetch(_STEPS_PER_CALL)
 
-    def pairs(faces):
-        features = proximities(frontal[faces][:, first], frontal[faces][:, second], variant)
-        difference = shapes[faces][:, first] - shapes[faces][:, second]
-        return features, np.linalg.norm(difference, axis=-1, keepdims=True)
+    def pairs(frontal, shapes, xp):
+        ends = [xp.take(frontal, landmarks, axis=-2) for landmarks in (first, second)]
+        difference = xp.take(shapes, first, axis=-2) - xp.take(shapes, second, axis=-2)
+        distance = xp.sqrt(xp.sum(xp.square(difference), axis=-1, keepdims=True))
+        return proximities(*ends, variant, xp), distance
 
-    check_features, check_distances = pairs(np.arange(min(n, _DISSIMILARITY_CHECK_FACES)))
+    check = slice(min(n, _DISSIMILARITY_CHECK_FACES))
+    check_features, check_distances = pairs(frontal[check], shapes[check], np)
     check_features = check_features.reshape(-1, check_features.shape[-1])
 
     def inference() -> float:
-        predicted = forward(model, check_features, 1 << 18)
+        predicted = forward(model, check_features)
         return float(np.mean((predicted - check_distances.reshape(-1, 1)) ** 2))
 
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import shlex
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,8 +17,9 @@ from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
 from experiments.figures.style import save
 from experiments.figures.summary import summary
+from experiments.manifest import write_manifest
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, environment, parse_run, stage, write_json, write_text
+from experiments.run import Run, parse_run, stage, write_text
 from experiments.scores import (
     Scores,
     costs,
@@ -80,9 +81,10 @@ def draw(
     scores: dict[str, Scores],
     predictions: dict[str, dict],
     table: pd.DataFrame,
+    folder: Path,
 ) -> None:
     """Write every figure."""
-    folder, scheme = run.bfm_results / "figures", load_scheme(SCHEME)
+    scheme = load_scheme(SCHEME)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
     save(summary(table), folder, "summary")
     save(learning_curves(histories(run)), folder, "learning_curves")
@@ -131,40 +133,16 @@ def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
     return [title.replace("+0°", "0°").replace("-", "−") for title in kinds], np.array(faces)
 
 
-def manifest(run: Run, stages: list[dict]) -> dict:
-    """What made the results: enough to repeat them, and to see whether they are stale."""
-    variables = {
-        "MODEL": run.model,
-        "DATA": run.data,
-        "PRESET": run.preset.name,
-        "SEED": str(run.seed),
-        "PROTOCOL": run.protocol,
-        "AUTHORS": run.authors,
-    }
-    given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
-    return {
-        "command": f"make reproduce-bfm {given}",
-        "seed": run.seed,
-        "preset": vars(run.preset),
-        "protocol": run.protocol,
-        "model": run.model,
-        "model_sha256": stages[0]["model_sha256"],
-        "started": stages[0]["started"],
-        "seconds": round(sum(record["seconds"] for record in stages), 1),
-        "stages": stages,
-        **environment(),
-    }
-
-
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
+    folder = run.experiment_results("bfm")
     with stage(run, "bfm"):
         stages = [json.loads((run.work / f"{name}.json").read_text()) for name in _STAGES]
         test = load_faces(run, "test")
         metrics, scores, predictions = evaluate(run, test, stages[-1]["methods"])
-        write_text(run.bfm_results / "metrics.csv", to_csv(metrics))
+        write_text(folder / "metrics.csv", to_csv(metrics))
         table = write_tables(
-            run.bfm_results,
+            folder,
             metrics,
             experiment="bfm",
             subset_size=run.preset.subset_size,
@@ -174,8 +152,8 @@ def main(arguments: list[str] | None = None) -> None:
                 for metric in ("mse", "depth_corr")
             },
         )
-        draw(run, test, scores, predictions, table)
-        write_json(run.bfm_results / "manifest.json", manifest(run, stages))
+        draw(run, test, scores, predictions, table, folder / "figures")
+        write_manifest(run, "reproduce-bfm", stages, folder)
 
 
 if __name__ == "__main__":

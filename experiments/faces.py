@@ -58,28 +58,35 @@ def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:
         return file["mean"], file["identity_basis_times_sd"]
 
 
+def make_faces(run: Run) -> dict:
+    """Write the training faces, the test faces and the landmark model of a run.
+
+    Returns:
+        Name and hash of the morphable model, for the record.
+    """
+    model = load_model(run.model, run.data)
+    landmarks = model.restrict(model.landmarks[SCHEME])
+    path = run.work / "landmark_model.npz"
+    partial = path.with_suffix(".partial.npz")
+    np.savez(
+        partial, mean=landmarks.mean, identity_basis_times_sd=landmarks.identity_basis_times_sd
+    )
+    os.replace(partial, path)
+    sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
+    for number, (part, n) in enumerate(sizes.items()):
+        rng = np.random.default_rng([run.seed, number])
+        with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
+            dataset = make_dataset(
+                model, n, rng, scheme=SCHEME, protocol=run.protocol, progress=bar.update
+            )
+        save_dataset(run.work / f"{part}.npz", dataset)
+    return {"model": model.name, "model_sha256": model.sha256}
+
+
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "faces") as record:
-        model = load_model(run.model, run.data)
-        record |= {"model": model.name, "model_sha256": model.sha256}
-        landmarks = model.restrict(model.landmarks[SCHEME])
-        path = run.work / "landmark_model.npz"
-        partial = path.with_suffix(".partial.npz")
-        np.savez(
-            partial,
-            mean=landmarks.mean,
-            identity_basis_times_sd=landmarks.identity_basis_times_sd,
-        )
-        os.replace(partial, path)
-        sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
-        for number, (part, n) in enumerate(sizes.items()):
-            rng = np.random.default_rng([run.seed, number])
-            with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
-                dataset = make_dataset(
-                    model, n, rng, scheme=SCHEME, protocol=run.protocol, progress=bar.update
-                )
-            save_dataset(run.work / f"{part}.npz", dataset)
+        record |= make_faces(run)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,12 @@ import fcntl
 import json
 import logging
 import os
-import platform
 import resource
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import distributions
 from pathlib import Path
 
 from data_gen.errors import DataError
@@ -26,10 +23,6 @@ from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
 AUTHORS_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
-_PACKAGES = (
-    "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy",
-    "tensorflow", "tensorflow-cpu",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -76,12 +69,11 @@ class Run:
         root = self.results if self.preset.name == "paper" else self.results / self.preset.name
         return root / self.model
 
-    @property
-    def bfm_results(self) -> Path:
-        """`results/<model>/bfm`, with the protocol and seed in its name if not the default."""
+    def experiment_results(self, name: str) -> Path:
+        """`results/<model>/<name>`, with the protocol and seed after it if not the default."""
         protocol = "" if self.protocol == "paper" else f"-{self.protocol}"
         seed = "" if self.seed == 0 else f"-seed{self.seed}"
-        return self.model_results / f"bfm{protocol}{seed}"
+        return self.model_results / f"{name}{protocol}{seed}"
 
 
 def parse_run(description: str, arguments: list[str] | None = None) -> Run:
@@ -151,17 +143,6 @@ def quiet_tensorflow() -> None:
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
 
 
-def environment() -> dict:
-    """Versions of what computed the numbers."""
-    packages = {d.name: d.version for d in distributions() if d.name in _PACKAGES}
-    return {
-        "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "packages": dict(sorted(packages.items())),
-        "commit": _commit(),
-    }
-
-
 def write_json(path: Path, value: dict) -> None:
     write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
 
@@ -198,15 +179,3 @@ def peak_memory_mb() -> int:
     unit = 1 if sys.platform == "darwin" else 1024
     usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return round(max(u.ru_maxrss for u in usage) * unit / 1e6)
-
-
-def _commit() -> str | None:
-    """Commit of the code, with a `+` if files that git knows were changed since."""
-    try:
-        git = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
-            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
-        )  # fmt: skip
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return git.stdout.strip()

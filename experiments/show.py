@@ -12,7 +12,7 @@ from experiments.typesetting import text
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    path = run.bfm_results / "table.csv"
+    path = run.experiment_results("bfm") / "table.csv"
     if not path.is_file():
         print(
             f"error: {path} does not exist; delete {run.work}/bfm.json and make it again.",
@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> None:
     table = pd.read_csv(path, dtype={"n_subsets": "Int64", "subset_size": "Int64"})
     print(f"\n{run.model}, {run.preset.test_faces} test faces, seed {run.seed}\n")
     print(text(table, "bfm"))
-    print(f"Tables, figures and manifest: {run.bfm_results}/")
+    print(f"Tables, figures and manifest: {path.parent}/")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,73 @@
+"""The manifest beside every set of results: what made them, enough to do it again."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import subprocess
+from importlib.metadata import distributions
+from pathlib import Path
+
+from experiments.run import Run, write_json
+
+_PACKAGES = (
+    "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy",
+    "tensorflow", "tensorflow-cpu",
+)  # fmt: skip
+
+
+def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> None:
+    """Write `manifest.json`: command, sizes, durations, versions and the model file's hash.
+
+    Args:
+        run: The run.
+        target: Of the Makefile.
+        stages: Records of the stages, in order, as `run.stage` wrote them.
+        folder: Of the results.
+    """
+    variables = {
+        "MODEL": run.model,
+        "DATA": run.data,
+        "PRESET": run.preset.name,
+        "SEED": str(run.seed),
+        "PROTOCOL": run.protocol,
+        "AUTHORS": run.authors,
+    }
+    given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
+    made = {
+        "command": f"make {target} {given}",
+        "seed": run.seed,
+        "preset": vars(run.preset),
+        "protocol": run.protocol,
+        "model": run.model,
+        "model_sha256": stages[0]["model_sha256"],
+        "started": stages[0]["started"],
+        "seconds": round(sum(record["seconds"] for record in stages), 1),
+        "stages": stages,
+        **environment(),
+    }
+    write_json(folder / "manifest.json", made)
+
+
+def environment() -> dict:
+    """Versions of what computed the numbers."""
+    packages = {d.name: d.version for d in distributions() if d.name in _PACKAGES}
+    return {
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "packages": dict(sorted(packages.items())),
+        "commit": _commit(),
+    }
+
+
+def _commit() -> str | None:
+    """Commit of the code, with a `+` if files that git knows were changed since."""
+    try:
+        git = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
+            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+        )  # fmt: skip
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return git.stdout.strip()
