@@ -111,7 +111,7 @@ def load_dataset(path: str | Path) -> Dataset:
         DataError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
     except FileNotFoundError:
         raise DataError(f"{path} does not exist; make the data set first.") from None

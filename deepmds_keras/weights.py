@@ -36,7 +36,7 @@ def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
         InputError: The file is missing, truncated or not of this kind.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         return arrays, json.loads(str(arrays.pop("description")))
     except FileNotFoundError:

@@ -22,6 +22,8 @@ from experiments.recipes import deep_mds, zhao
 from experiments.run import AUTHORS_FILES, Run, parse_run, stage
 from experiments.scores import costs
 
+_FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
+
 
 def fitted(run: Run, train: Faces, method: str):
     """A method of the table, ready to predict."""
@@ -64,8 +66,11 @@ def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
                 "frontal": model.frontalise(views),
             }
         else:
-            arrays = {"shapes": model.predict(views)}
-            bar.update(len(views))
+            arrays = {"shapes": np.empty_like(test.shapes)}
+            for start in range(0, len(views), _FACES_PER_CHUNK):
+                faces = slice(start, start + _FACES_PER_CHUNK)
+                arrays["shapes"][faces] = model.predict(views[faces])
+                bar.update(len(views[faces]))
     described = {
         "method": method,
         "n_parameters": int(model.n_parameters),

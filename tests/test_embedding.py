@@ -1,0 +1,87 @@
+"""Non-metric MDS: true distances come back as the shape, and only the order of distances counts."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+
+from deepmds_keras import InputError, align, embed
+from deepmds_keras.embedding import classical_scaling
+
+
+@pytest.fixture
+def faces():
+    return np.random.default_rng(0).random((4, 20, 3))
+
+
+@pytest.fixture
+def distances(faces):
+    return np.array([squareform(pdist(face)) for face in faces])
+
+
+def error(points, faces):
+    return np.sqrt(((align(points, faces) - faces) ** 2).mean())
+
+
+def test_true_distances_give_the_shape_in_its_size(faces, distances):
+    points, stress = embed(distances, return_stress=True)
+    assert error(points, faces) < 1e-8
+    assert stress.max() < 1e-6
+    assert np.allclose([pdist(p) for p in points], [pdist(f) for f in faces])
+
+
+def test_start_alone_solves_euclidean_distances(faces, distances):
+    assert error(classical_scaling(distances), faces) < 1e-8
+
+
+def test_only_the_order_of_dissimilarities_counts(faces, distances):
+    bent = distances**1.5 + 0.1 * (distances > 0)
+    assert error(classical_scaling(bent), faces) > 0.02  # a metric method is misled
+    assert error(embed(bent, eps=1e-9, max_iter=3000), faces) < 0.02
+
+
+def test_scale_of_the_dissimilarities_is_the_scale_of_the_points(distances):
+    assert np.allclose(embed(7 * distances), 7 * embed(distances), atol=1e-6)
+
+
+def test_batch_equals_one_by_one_equals_two_processes(distances):
+    many = np.concatenate([distances] * 12)  # more than one task
+    together = embed(many)
+    assert np.array_equal(together[:4], np.stack([embed(matrix) for matrix in distances]))
+    assert np.array_equal(together, embed(many, n_jobs=2))
+
+
+def test_points_are_centred_on_their_principal_axes(distances):
+    for points in embed(distances):
+        assert np.allclose(points.mean(0), 0)
+        moments = points.T @ points
+        assert np.allclose(moments, np.diag(np.diag(moments)), atol=1e-8)
+        assert (np.diff(np.diag(moments)) <= 0).all()
+
+
+def test_progress_counts_every_face(distances):
+    done = []
+    embed(np.concatenate([distances] * 12), progress=done.append)
+    assert sum(done) == 48
+
+
+def test_diagonal_and_slightly_negative_entries_do_no_harm(faces, distances):
+    dirty = distances.copy()
+    dirty[:, np.arange(20), np.arange(20)] = 0.007
+    dirty[:, 0, 1] = dirty[:, 1, 0] = -0.01
+    assert error(embed(dirty), faces) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda d: d[:, :5], "square matrices"),
+        (lambda d: d[0, 0], "square matrices"),
+        (lambda d: np.where(d > 1, np.nan, d), "finite"),
+        (lambda d: d + np.triu(np.ones((20, 20))), "symmetric"),
+        (lambda d: -d, "must not be negative"),
+        (lambda d: 0 * d, "must not all be zero"),
+    ],
+)
+def test_bad_matrices_are_named(distances, spoil, message):
+    with pytest.raises(InputError, match=message):
+        embed(spoil(distances))

@@ -1,0 +1,110 @@
+"""Training: seeds decide everything, a stopped run ends as one that was not, faces come in turn."""
+
+import numpy as np
+import pytest
+
+from deepmds_keras import InputError, normalise
+from deepmds_keras.networks import forward
+from deepmds_keras.proximities import proximities
+from deepmds_keras.training import (
+    Recipe,
+    face_order,
+    steps_per_call,
+    train_autoencoder,
+    train_dissimilarity_net,
+)
+
+
+class StopTraining(Exception):  # noqa: N818 (no error)
+    """Ends a training from its progress callback, as a kill between two epochs does."""
+
+
+@pytest.fixture(scope="module")
+def faces():
+    rng = np.random.default_rng(0)
+    shapes = normalise(rng.random((1, 12, 3)) + 0.1 * rng.normal(size=(64, 12, 3)))
+    return np.float32(normalise(shapes[..., :2])), np.float32(shapes)
+
+
+def autoencoder(faces, **options):
+    return train_autoencoder(faces[0], faces[1][..., :2], Recipe(3, batch_size=8), **options)
+
+
+def dissimilarity_net(faces, **options):
+    return train_dissimilarity_net(*faces, Recipe(3, 10, "cosine"), **options)
+
+
+@pytest.mark.parametrize("train", [autoencoder, dissimilarity_net])
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path, train):
+    def stop_after_the_second(losses, epochs=[]):  # noqa: B006 (counts the calls)
+        epochs.append(losses)
+        if len(epochs) == 2:
+            raise StopTraining
+
+    whole, history = train(faces)
+    path = tmp_path / "checkpoint.npz"
+    with pytest.raises(StopTraining):
+        train(faces, checkpoint=path, progress=stop_after_the_second)
+    resumed, history_resumed = train(faces, checkpoint=path)
+    for a, b in zip(whole.get_weights(), resumed.get_weights(), strict=True):
+        assert np.array_equal(a, b)
+    assert history == history_resumed
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.npz"]
+    finished, _ = train(faces, checkpoint=path)  # nothing is left to do
+    assert np.array_equal(finished.get_weights()[0], whole.get_weights()[0])
+
+
+def test_seed_decides_weights_and_losses(faces):
+    first, again, other = (autoencoder(faces, seed=s)[1] for s in (1, 1, 2))
+    assert first == again != other
+
+
+def test_losses_fall_and_inference_is_that_of_the_network(faces):
+    network, history = train_autoencoder(
+        faces[0], faces[1][..., :2], Recipe(40, batch_size=8, schedule="cosine")
+    )
+    assert history["inference"][-1] < 0.05 * history["inference"][0]
+    flat = faces[0].reshape(64, -1)
+    own = np.mean((network.predict(flat, verbose=0) - faces[1][..., :2].reshape(64, -1)) ** 2)
+    assert np.isclose(history["inference"][-1], own, rtol=1e-4)
+
+
+def test_released_variant_sees_self_pairs_too(faces):
+    """The paper's pairs are those i < j; the released code also trains the diagonal towards 0."""
+    recipe = Recipe(30, 20, "cosine", learning_rate=0.01)
+    diagonals = {}
+    for variant in ("paper", "released"):
+        network, _ = train_dissimilarity_net(*faces, recipe, variant=variant)
+        points = faces[0].reshape(-1, 2)
+        diagonals[variant] = np.abs(forward(network, proximities(points, points, variant))).mean()
+    assert diagonals["released"] < 0.5 * diagonals["paper"]
+
+
+def test_checkpoint_of_another_run_is_refused(faces, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    autoencoder(faces, checkpoint=path)
+    with pytest.raises(InputError, match="checkpoint.npz is of another run; delete it"):
+        autoencoder(faces, checkpoint=path, seed=1)
+
+
+def test_damaged_checkpoint_is_refused(faces, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    autoencoder(faces, checkpoint=path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match="checkpoint.npz must be an npz written by save"):
+        autoencoder(faces, checkpoint=path)
+
+
+def test_every_face_is_seen_equally_often():
+    epochs = [face_order(10, 4, seed=0, epoch=epoch) for epoch in range(5)]
+    assert np.array_equal(np.bincount(np.concatenate(epochs)), np.full(10, 2))
+    assert not np.array_equal(np.sort(epochs[0]), np.sort(epochs[1]))
+
+
+def test_no_call_of_the_graph_is_a_partial_one():
+    assert [steps_per_call(steps) for steps in (1250, 1000, 97, 53, 7)] == [50, 50, 1, 1, 7]
+
+
+def test_unknown_schedule_is_named(faces):
+    with pytest.raises(InputError, match="schedule must be one of constant, cosine"):
+        train_autoencoder(faces[0], faces[1][..., :2], Recipe(1, schedule="linear"))
