@@ -38,6 +38,7 @@ _NOT_RUN = {
 _STAGES = ("faces", "networks", "predictions")
 # Drawn in the figures; the others differ from these in training or test views only.
 _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", *DEEP_MDS, "authors_weights")
+_MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
 
 
 def evaluate(
@@ -106,7 +107,8 @@ def draw(
         for method, own in drawn.items()
     }
     errors = {method: np.sqrt(np.mean(own**2, axis=0)) for method, own in distances.items()}
-    save(error_per_landmark(errors, scheme, test.shapes.mean(0)), folder, "error_per_landmark")
+    figure = error_per_landmark(errors, scheme, test.shapes.mean(0), _MAPPED)
+    save(figure, folder, "error_per_landmark")
 
     cameras = test.cameras
     poses = pd.DataFrame(

@@ -21,7 +21,7 @@ _INCHES_PER_UNIT = 1.25  # a face is about 0.65 units wide: 0.8 inch, twelve of 
 _GAP = 0.11  # between columns, and between the front and the side view
 _ROW_GAP = 0.26  # holds the scores
 _HEAD = 0.42  # holds the column titles
-_MARGIN = 0.18  # holds the row titles
+_MARGIN = 0.3  # holds the row titles, of up to two lines
 
 
 @styled
@@ -79,7 +79,7 @@ def qualitative(
         middle_y, score_y = (front_y + side_y) / 2, side_y - height / 2 - 0.05
         if row:
             axes.axhline(top + _ROW_GAP / 3, color="#DDDDDD", linewidth=0.5)
-        write(extent[0] + 0.05, middle_y, row_title, rotation=90, va="center", size=7.5)
+        write(extent[0] + 0.14, middle_y, row_title, rotation=90, va="center", size=7.5)
 
         wire(np.add(_fit(views[row], width, height), (columns[0], middle_y)), colour=INK)
 
