@@ -86,7 +86,8 @@ def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
         A row for every two methods: `method_a`, `method_b`, `n`, `statistic` (the smaller rank
         sum), `p_value` (exact where SciPy computes it: up to 50 differences), `p_value_normal`
         (normal approximation without continuity correction, as MATLAB has it),
-        `median_difference` (of a - b). Faces without a difference are left out of the ranks.
+        `median_difference` (of a - b). Faces without a difference are left out of the ranks. A
+        probability below about 1e-308, as thousands of faces easily give, is rounded to 0.
 
     Raises:
         InputError: A method's values are not one row of finite numbers, or lengths differ.

@@ -31,7 +31,7 @@ def test_headline_numbers_are_those_of_the_results(model, column):
 
 def test_every_target_of_the_readme_is_one_of_the_makefile():
     targets = {*re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M)}
-    assert {*re.findall(r"`?make ([a-z-]+)", README)} <= targets
+    assert {*re.findall(r"(?:`|^)make ([a-z-]+)", README, re.M)} <= targets
 
 
 def test_every_link_of_the_readme_leads_somewhere():

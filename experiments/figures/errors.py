@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ def error_per_landmark(
             linewidths=0.3,
             zorder=3,
         )
-        axes.set_title(title(method))
+        axes.set_title("\n".join(textwrap.wrap(title(method), 14)))
     bar = faces.colorbar(colours, ax=panels, shrink=0.8, pad=0.01, aspect=14, panchor=False)
     bar.set_label("R.m.s. error (mm)")
     _plain_log_ticks(bar.ax.yaxis)

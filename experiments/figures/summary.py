@@ -31,7 +31,7 @@ def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
     panels = figure.subplots(
         1, 4, sharey=True, gridspec_kw={"width_ratios": (0.95, 1.25, 0.95, 1.25)}
     )
-    figure.get_layout_engine().set(w_pad=0.01, wspace=0)
+    figure.get_layout_engine().set(w_pad=0.03, wspace=0)
     mse = table[table["metric"] == "mse"].set_index("method")
     depth_corr = table[table["metric"] == "depth_corr"].set_index("method")
     missing = depth_corr.assign(
