@@ -43,7 +43,8 @@ def draw_learning(rng):
 
 
 def draw_lag(rng):
-    return batchnorm_lag({"constant": {0: RECORD, 1: RECORD}, "cosine": {0: RECORD}})
+    record = RECORD | {"reestimated": 1.6e-5}
+    return batchnorm_lag({"constant": {0: record, 1: record}, "cosine": {0: record}})
 
 
 def draw_landmarks(rng):
@@ -205,9 +206,10 @@ def test_region_errors_are_root_mean_squares():
 
 def test_lag_is_drawn_as_root_mean_square_error_by_epoch():
     constant, _ = draw_lag(None).axes
-    inference, train = constant.lines[:2]
+    inference, train, anew = constant.lines[:3]
     np.testing.assert_allclose(inference.get_xydata(), [[1, 0.03], [2, 0.02]])
     np.testing.assert_allclose(train.get_ydata(), np.sqrt(RECORD["train"]))
+    np.testing.assert_allclose(anew.get_xydata(), [[2, 0.004]])
 
 
 def test_summary_writes_both_numbers_and_a_dash_where_there_is_none():
