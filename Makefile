@@ -43,7 +43,7 @@ $(READY): setup.cfg constraints.txt
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
 	@touch $@
 
-reproduce-bfm: $(BUILD)/bfm.json ## the paper's BFM table, ours beside it          (10-20 min)
+reproduce-bfm: $(BUILD)/bfm.json ## the paper's BFM table, ours beside it          (15 min)
 	@$(STAGE).show $(RUN)
 
 $(BUILD)/faces.json: | $(READY)
@@ -60,7 +60,7 @@ $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
 	@$(STAGE).predictions $(RUN)
 endif
 
-seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (30-40 min)
+seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (40 min)
 	@$(STAGE).seeds $(RUN)
 
 pretrained: $(BUILD)/networks.json ## put the networks of ours_stable into the package

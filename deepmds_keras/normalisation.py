@@ -25,9 +25,14 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
     points = np.asarray(points, float)
     if points.ndim == 2:
         points = points[None]
-    if points.ndim != 3 or points.shape[2] != n_dimensions or points.shape[1] < 3:
+    if (
+        points.ndim != 3
+        or not len(points)
+        or points.shape[2] != n_dimensions
+        or points.shape[1] < 3
+    ):
         raise InputError(
-            f"{name} must have shape (faces, landmarks >= 3, {n_dimensions}). "
+            f"{name} must have shape (faces >= 1, landmarks >= 3, {n_dimensions}). "
             f"Received {points.shape}."
         )
     for face in np.flatnonzero(~np.isfinite(points).all((1, 2)))[:1]:

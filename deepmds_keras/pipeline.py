@@ -22,6 +22,7 @@ from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarit
 # trained on.
 _NOSE_TIP = {72: 28, 51: 13}
 _FACES_PER_CHUNK = 64
+_FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
 
 
 class DeepMDS(BaseEstimator):
@@ -137,8 +138,12 @@ class DeepMDS(BaseEstimator):
             InputError: Wrong number of landmarks, NaN, infinity, or degenerate landmarks.
         """
         frontal = self.frontalise(views)
-        matrices = np.abs(self._matrices(frontal))  # as the released code does before mdscale
-        shapes = embed(matrices, n_jobs=self.n_jobs, progress=progress)
+        shapes = np.empty((*frontal.shape[:2], 3))
+        for start in range(0, len(frontal), _FACES_PER_EMBEDDING):
+            faces = slice(start, start + _FACES_PER_EMBEDDING)
+            # Without signs, as the released code has them before mdscale.
+            matrices = np.abs(self._matrices(frontal[faces]))
+            shapes[faces] = embed(matrices, n_jobs=self.n_jobs, progress=progress)
         return face_front(shapes, frontal, self.front_landmark_)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:

@@ -19,8 +19,9 @@ def test_all_coordinates_of_a_face_share_one_scale():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.zeros((2, 5, 3)), r"shape \(faces, landmarks >= 3, 2\)"),
-        (np.zeros((2, 2, 2)), r"shape \(faces, landmarks >= 3, 2\)"),
+        (np.zeros((2, 5, 3)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
+        (np.zeros((0, 5, 2)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
+        (np.zeros((2, 2, 2)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
         (np.ones((2, 5, 2)), "one point 5 times in face 0"),
         (np.arange(10.0).reshape(1, 5, 2), "straight line in face 0"),
         (np.array([["a", "b"]] * 3), "must hold numbers"),

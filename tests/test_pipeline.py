@@ -147,7 +147,7 @@ def test_bad_input_is_named(shipped, test_faces):
     views = test_faces.views[:4].copy()
     with pytest.raises(InputError, match="views must have 72 landmarks a face. Received 71"):
         shipped.predict(views[:, 1:])
-    with pytest.raises(InputError, match=r"shape \(faces, landmarks >= 3, 2\)"):
+    with pytest.raises(InputError, match=r"shape \(faces >= 1, landmarks >= 3, 2\)"):
         shipped.predict(np.zeros((4, 72, 3)))
     views[1, 5] = np.nan
     with pytest.raises(InputError, match="NaN or infinity in face 1"):
