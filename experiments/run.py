@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import resource
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -126,7 +127,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
             yield record
             record |= {
                 "stage": name,
-                "command": "python -m " + " ".join([_module(), *sys.argv[1:]]),
+                "command": "python -m " + shlex.join([_module(), *sys.argv[1:]]),
                 "started": started.isoformat(timespec="seconds"),
                 "seconds": round(time.perf_counter() - clock, 1),
                 "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
