@@ -60,7 +60,7 @@ $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
 	@$(STAGE).predictions $(RUN)
 endif
 
-seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (40 min)
+seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min)
 	@$(STAGE).seeds $(RUN)
 
 pretrained: $(BUILD)/networks.json ## put the networks of ours_stable into the package
