@@ -10,10 +10,11 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from deepmds_keras import weights
+from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
-from deepmds_keras.normalisation import check_points, normalise
+from deepmds_keras.normalisation import normalise
 from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
@@ -85,8 +86,8 @@ class DeepMDS(BaseEstimator):
         Raises:
             InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity.
         """
-        views = normalise(self._check(views, "views", 2))
-        shapes = normalise(self._check(shapes, "shapes", 3))
+        views = normalise(check_faces(views, "views", 2, self.n_landmarks))
+        shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
         if len(views) != len(shapes):
             raise InputError(
                 f"views and shapes must be of the same faces. Received {len(views)} views and "
@@ -152,7 +153,7 @@ class DeepMDS(BaseEstimator):
         Raises:
             InputError: As for `predict`.
         """
-        views = normalise(self._check(views, "views", 2))
+        views = normalise(check_faces(views, "views", 2, self.n_landmarks))
         network = self._trained("autoencoder_")
         flat = np.float32(views).reshape(len(views), -1)
         return forward(network, flat).reshape(views.shape)
@@ -272,15 +273,5 @@ class DeepMDS(BaseEstimator):
         self.autoencoder_ = build_autoencoder(self.n_landmarks)
         self.dissimilarity_net_ = build_dissimilarity_net(self.variant)
 
-    def _check(self, points, name, n_dimensions):
-        points = check_points(points, name, n_dimensions)
-        if points.shape[1] != self.n_landmarks:
-            raise InputError(
-                f"{name} must have {self.n_landmarks} landmarks a face. Received {points.shape[1]}."
-            )
-        return points
-
     def _trained(self, name: str) -> keras.Model:
-        if not hasattr(self, name):
-            raise InputError("This DeepMDS is not trained: call fit, load or pretrained first.")
-        return getattr(self, name)
+        return check_fitted(self, name, "fit, load or pretrained")

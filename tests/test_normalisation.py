@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deepmds_keras import InputError, normalise
-from deepmds_keras.normalisation import check_points, unit
+from deepmds_keras.checks import check_points
+from deepmds_keras.normalisation import unit
 
 
 def test_all_coordinates_of_a_face_share_one_scale():

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.baselines._checks import check_faces
+from deepmds_keras.checks import check_faces, check_points
 from deepmds_keras.errors import InputError
-from deepmds_keras.normalisation import check_points
 
 CAMERAS = ("affine", "orthographic")
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.linear_model import RidgeCV
 
-from deepmds_keras.baselines._checks import check_faces, check_fitted, check_training_faces
+from deepmds_keras.checks import check_faces, check_fitted, check_training_faces
 
 
 class Linear(BaseEstimator):

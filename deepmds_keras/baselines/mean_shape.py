@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.baselines._checks import check_faces, check_fitted, check_training_faces
+from deepmds_keras.checks import check_faces, check_fitted, check_training_faces
 
 
 class MeanShape(BaseEstimator):

@@ -10,7 +10,7 @@ import numpy as np
 import tensorflow as tf
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.baselines._checks import check_faces, check_fitted
+from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.networks import forward
 from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 
