@@ -18,7 +18,7 @@ from experiments.figures.qualitative import qualitative
 from experiments.figures.style import save
 from experiments.figures.summary import summary
 from experiments.manifest import write_manifest
-from experiments.methods import DEEP_MDS
+from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run, parse_run, stage, write_text
 from experiments.scores import (
     Scores,
@@ -53,26 +53,24 @@ def evaluate(
         InputError: The predictions of a method are missing or damaged.
     """
     chosen = subsets(run)
-    predictions = {method: load_prediction(run, method)[0] for method in methods}
+    loaded = {method: load_prediction(run, method) for method in methods}
+    predictions = {method: arrays for method, (arrays, _) in loaded.items()}
     scores = {method: score(arrays["shapes"], test) for method, arrays in predictions.items()}
     rows = [subset_metrics(method, own, test, chosen) for method, own in scores.items()]
-    metrics = pd.concat([*rows, costs(run, methods)], ignore_index=True)
+    descriptions = {method: described for method, (_, described) in loaded.items()}
+    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
     metrics["subset"] = metrics["subset"].astype("Int64")
     return metrics, scores, predictions
 
 
 def histories(run: Run) -> dict[str, dict[str, dict]]:
     """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
-
-    def history(name):
-        return read_arrays(run.network_file(name))[1]["history"]
-
     return {
         method: {
-            "autoencoder": history(f"autoencoder-{schedule}"),
-            "dissimilarity_net": history(f"dissimilarity-{variant}-{schedule}"),
+            network: read_arrays(run.network_file(name))[1]["history"]
+            for network, name in network_names(method).items()
         }
-        for method, (variant, schedule) in DEEP_MDS.items()
+        for method in DEEP_MDS
     }
 
 

@@ -20,7 +20,7 @@ from experiments.methods import DEEP_MDS
 from experiments.parameters import write_parameter_table
 from experiments.recipes import deep_mds, zhao
 from experiments.run import AUTHORS_FILES, Run, parse_run, stage
-from experiments.scores import costs
+from experiments.scores import costs, load_prediction
 
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
@@ -99,7 +99,8 @@ def main(arguments: list[str] | None = None) -> None:
         record["methods"] = methods_of(run)
         for method in record["methods"]:
             predict(run, train, test, method)
-        write_parameter_table(run, costs(run, record["methods"]))
+        descriptions = {m: load_prediction(run, m)[1] for m in record["methods"]}
+        write_parameter_table(run, costs(descriptions))
 
 
 if __name__ == "__main__":

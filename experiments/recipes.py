@@ -13,16 +13,16 @@ from deepmds_keras.orientation import front_landmark
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
 from experiments.faces import Faces
-from experiments.methods import DEEP_MDS
+from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
 
 
-def autoencoder(run: Run, train: Faces, schedule: str) -> tuple[keras.Model, dict]:
+def autoencoder(run: Run, train: Faces, method: str) -> tuple[keras.Model, dict]:
     """The autoencoder and its losses by epoch."""
-    name = f"autoencoder-{schedule}"
+    name, schedule = network_names(method)["autoencoder"], DEEP_MDS[method][1]
     epochs = run.preset.autoencoder_epochs
     with EpochBar(name, epochs) as bar:
         return train_autoencoder(
@@ -36,10 +36,10 @@ def autoencoder(run: Run, train: Faces, schedule: str) -> tuple[keras.Model, dic
 
 
 def dissimilarity_net(
-    run: Run, train: Faces, encoder: keras.Model, variant: str, schedule: str
+    run: Run, train: Faces, encoder: keras.Model, method: str
 ) -> tuple[keras.Model, dict]:
     """The dissimilarity net on the autoencoder's frontal views, and its losses by epoch."""
-    name = f"dissimilarity-{variant}-{schedule}"
+    name, (variant, schedule) = network_names(method)["dissimilarity_net"], DEEP_MDS[method]
     preset = run.preset
     flat = train.views.reshape(len(train.views), -1)
     frontal = forward(encoder, flat).reshape(train.views.shape)
@@ -58,8 +58,8 @@ def dissimilarity_net(
 def deep_mds(run: Run, train: Faces, method: str) -> tuple[DeepMDS, dict[str, dict]]:
     """One of `DEEP_MDS`, trained, and its losses by network and epoch."""
     variant, schedule = DEEP_MDS[method]
-    encoder, first = autoencoder(run, train, schedule)
-    net, second = dissimilarity_net(run, train, encoder, variant, schedule)
+    encoder, first = autoencoder(run, train, method)
+    net, second = dissimilarity_net(run, train, encoder, method)
     model = DeepMDS.from_networks(
         encoder,
         net,

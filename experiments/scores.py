@@ -22,12 +22,11 @@ def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]
     return read_arrays(run.prediction_file(method))
 
 
-def costs(run: Run, methods: list[str]) -> pd.DataFrame:
+def costs(descriptions: dict[str, dict]) -> pd.DataFrame:
     """Long table `method, metric, value` of the time of a prediction and the parameters."""
     rows = [
         (method, metric, described[metric])
-        for method in methods
-        for described in [load_prediction(run, method)[1]]
+        for method, described in descriptions.items()
         for metric in ("ms_per_face", "n_parameters")
     ]
     return pd.DataFrame(rows, columns=["method", "metric", "value"])

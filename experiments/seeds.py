@@ -20,7 +20,7 @@ from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
 from experiments.manifest import write_manifest
-from experiments.methods import DEEP_MDS, title
+from experiments.methods import DEEP_MDS, network_names, title
 from experiments.networks import train_chain
 from experiments.run import Run, parse_run, stage, write_text
 from experiments.scores import load_prediction, score
@@ -61,7 +61,7 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
     from experiments.batchnorm import with_statistics_of
     from experiments.recipes import autoencoder
 
-    network, history = autoencoder(run, train, DEEP_MDS[method][1])
+    network, history = autoencoder(run, train, method)
     flat = train.views.reshape(len(train.views), -1)
     anew = forward(with_statistics_of(network, flat), flat).reshape(train.views.shape)
     return {
@@ -85,7 +85,7 @@ def autoencoder_histories(run: Run, metrics: pd.DataFrame) -> dict[str, dict[int
         schedule = DEEP_MDS[method][1]
         found[schedule] = {}
         for seed in metrics["seed"].unique():
-            file = replace(run, seed=int(seed)).network_file(f"autoencoder-{schedule}")
+            file = replace(run, seed=int(seed)).network_file(network_names(method)["autoencoder"])
             losses = read_arrays(file)[1]["history"]
             anew = errors[method, "autoencoder_mse_reestimated", seed]
             found[schedule][int(seed)] = losses | {"reestimated": anew}
