@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.errors import DataError
+from data_gen.model_files import UNREADABLE_NPZ
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import PROJECTIONS, Cameras, draw_cameras, project
 
@@ -115,7 +115,7 @@ def load_dataset(path: str | Path) -> Dataset:
             arrays = {key: file[key] for key in file.files}
     except FileNotFoundError:
         raise DataError(f"{path} does not exist; make the data set first.") from None
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except UNREADABLE_NPZ as error:
         raise DataError(f"{path} must be a data set (npz). Received {error}.") from None
     n, n_landmarks = arrays.get("landmarks", np.empty((0, 0))).shape[:2]
     needed = {"landmarks": (n, n_landmarks, 3), "views": (n, n_landmarks, 2), "description": ()}
@@ -130,5 +130,8 @@ def load_dataset(path: str | Path) -> Dataset:
     angles["projection"] = angles["projection"].astype(int)
     if n and not (0 <= angles["projection"].min() <= angles["projection"].max() < len(PROJECTIONS)):
         raise DataError(f"{path}: projection must be a number below {len(PROJECTIONS)}.")
-    description = json.loads(str(arrays["description"]))
+    try:
+        description = json.loads(str(arrays["description"]))
+    except ValueError as error:
+        raise DataError(f"{path}: description must be JSON. Received {error}.") from None
     return Dataset(arrays["landmarks"], arrays["views"], Cameras(**angles), description)

@@ -76,7 +76,7 @@ def transfer_landmarks(
         if not extent[2] > 1e-3 * extent[0]:
             raise DataError(f"{label} must not lie in one plane. Received extents {extent}.")
     # The source is bent, so the target is brought to it: every length below is in the source's mm.
-    scale, rotation, shift = _similarity(source_mean[source_anchors], target_mean[target_anchors])
+    scale, rotation, shift = similarity(source_mean[source_anchors], target_mean[target_anchors])
     target_mean = (target_mean - shift) @ rotation.T / scale
     target = _Skin(target_mean, target_triangles)
     n_needed = max(len(source_landmarks), _CANDIDATES)
@@ -128,7 +128,7 @@ class _Skin:
         return points - height[:, None] * self.normals[best], fits.any(axis=1)
 
 
-def _similarity(source: np.ndarray, target: np.ndarray):
+def similarity(source: np.ndarray, target: np.ndarray):
     """Least-squares `source * scale @ rotation + shift`; Umeyama 1991, doi:10.1109/34.88573."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     u, s, vt = np.linalg.svd(a.T @ b)

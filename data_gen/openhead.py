@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.errors import DataError
+from data_gen.model_files import UNREADABLE_NPZ, model_of
 from data_gen.morphable_model import MorphableModel
 
 OPENHEAD = Path(__file__).parent / "assets" / "openhead.npz"
@@ -36,21 +35,6 @@ LAYOUT = {
     "mask_eyelids": ("i", ("V",)),
     "mask_inside_mouth": ("i", ("V",)),
 }
-# What numpy and zipfile raise for a file that is cut short, foreign or hostile. A lone .npy loads
-# as an array, which then fails as a context manager.
-_UNREADABLE = (
-    AttributeError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 def load_openhead(path: str | Path | None = None) -> MorphableModel:
@@ -66,22 +50,20 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
     """
     path = OPENHEAD if path is None else Path(path)
     arrays, sha256 = _read(path)
-    try:
-        return MorphableModel(
-            name="openhead",
-            mean=arrays["mean"].astype(float),
-            identity_basis_times_sd=arrays["identity_basis_times_sd"].astype(float),
-            triangles=arrays["triangles"].astype(int),
-            landmarks={
-                "bfm72": arrays["landmarks72"].astype(int),
-                "ibug68": arrays["landmarks68"].astype(int),
-            },
-            expression_basis=arrays["expression_basis"].astype(float),
-            expression_names=tuple(arrays["expression_names"].tolist()),
-            sha256=sha256,
-        )
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from None
+    return model_of(
+        path,
+        name="openhead",
+        mean=arrays["mean"].astype(float),
+        identity_basis_times_sd=arrays["identity_basis_times_sd"].astype(float),
+        triangles=arrays["triangles"].astype(int),
+        landmarks={
+            "bfm72": arrays["landmarks72"].astype(int),
+            "ibug68": arrays["landmarks68"].astype(int),
+        },
+        expression_basis=arrays["expression_basis"].astype(float),
+        expression_names=tuple(arrays["expression_names"].tolist()),
+        sha256=sha256,
+    )
 
 
 def read_openhead(path: str | Path | None = None) -> dict[str, np.ndarray]:
@@ -109,7 +91,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], str]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {key: file[key] for key in LAYOUT}
-    except _UNREADABLE as error:
+    except UNREADABLE_NPZ as error:
         raise DataError(
             f"{path} must be an open head model, an npz of plain arrays. "
             f"Received: {type(error).__name__}: {error}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,20 @@ from deepmds_keras.errors import InputError
 if TYPE_CHECKING:
     import keras
 
+# What numpy, zipfile and json raise for a file that is cut short, damaged or of another kind.
+_UNREADABLE = (
+    AttributeError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 PRETRAINED = Path(__file__).with_name("pretrained")
 
 
@@ -41,7 +56,7 @@ def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
         return arrays, json.loads(str(arrays.pop("description")))
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be a file written by save().") from None
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise InputError(f"{path} must be an npz written by save(). {_line(error)}") from None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from data_gen.dataset import load_dataset, make_dataset, save_dataset
 from data_gen.models import load_model
 from data_gen.projections import Cameras, in_camera_frame
 from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.run import Run, parse_run, stage
 
 SCHEME = "bfm72"
@@ -54,8 +54,8 @@ def load_faces(run: Run, part: str) -> Faces:
 
 def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Mean `(L, 3)` and identity basis times s.d. `(K, L, 3)` of the landmarks, millimetres."""
-    with np.load(run.work / "landmark_model.npz", allow_pickle=False) as file:
-        return file["mean"], file["identity_basis_times_sd"]
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    return arrays["mean"], arrays["identity_basis_times_sd"]
 
 
 def make_faces(run: Run) -> dict:
@@ -66,12 +66,11 @@ def make_faces(run: Run) -> dict:
     """
     model = load_model(run.model, run.data)
     landmarks = model.restrict(model.landmarks[SCHEME])
-    path = run.work / "landmark_model.npz"
-    partial = path.with_suffix(".partial.npz")
-    np.savez(
-        partial, mean=landmarks.mean, identity_basis_times_sd=landmarks.identity_basis_times_sd
-    )
-    os.replace(partial, path)
+    arrays = {
+        "mean": landmarks.mean,
+        "identity_basis_times_sd": landmarks.identity_basis_times_sd,
+    }
+    write_arrays(run.work / "landmark_model.npz", arrays, {"model": model.name})
     sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
     for number, (part, n) in enumerate(sizes.items()):
         rng = np.random.default_rng([run.seed, number])

@@ -17,6 +17,8 @@ from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR, read_table
 from data_gen.errors import DataError
+from data_gen.landmark_transfer import similarity
+from data_gen.model_files import UNREADABLE_NPZ
 
 CANTHI = (0, 56)  # outer corners of the eyes, landmarks 1 and 57 of bfm72: their distance is 1
 PUPILS = [4, 53]  # left out: ICT-FaceKit has them on the eyelid
@@ -93,7 +95,7 @@ def _bounds(prior: IdentityPrior) -> tuple[np.ndarray, np.ndarray]:
 def _directions(prior: IdentityPrior, average: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """`(P, 3L)` what a parameter at 1 does to the landmarks, up to similarity, in ICT's frame."""
     unit = np.linalg.norm(average[CANTHI[0]] - average[CANTHI[1]])
-    scale, rotation = _similarity(average / unit, goal)
+    scale, rotation, _ = similarity(average / unit, goal)
     slopes = (prior.positive - prior.negative) / np.where(prior.one_sided, 1, 2)[:, None, None]
     moves = np.einsum("ps,slj->plj", prior.mixing, slopes) @ rotation * (scale / unit)
     here = (average - average.mean(0)) / unit @ rotation * scale
@@ -109,7 +111,7 @@ def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
         with np.load(path, allow_pickle=False) as model:
             landmarks = model["landmarks72"]
             mean, basis = model["mean"][landmarks], model["identity"][:, landmarks]
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except (*UNREADABLE_NPZ, IndexError) as error:
         raise DataError(
             f"{path} must be ICT-FaceKit Light as npz, with mean, identity and landmarks72. "
             f"Received: {error}."
@@ -122,7 +124,7 @@ def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _covariance(faces: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """`(3L, 3L)` landmark covariance in ICT's frame, similarity removed."""
     faces, mean = _generalised_procrustes(faces.astype(float))
-    _, rotation = _similarity(mean, goal)
+    _, rotation, _ = similarity(mean, goal)
     return np.cov((faces @ rotation).reshape(len(faces), -1).T)
 
 
@@ -139,10 +141,3 @@ def _generalised_procrustes(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unit = np.linalg.norm(mean[CANTHI[0]] - mean[CANTHI[1]])
         mean = mean / unit
     return aligned / unit, mean
-
-
-def _similarity(source: np.ndarray, goal: np.ndarray) -> tuple[float, np.ndarray]:
-    """Scale and rotation (`source @ rotation * scale`) that bring `(L, 3)` source onto goal."""
-    source, goal = source - source.mean(0), goal - goal.mean(0)
-    u, singular, vt = np.linalg.svd(source.T @ goal)
-    return singular.sum() / (source**2).sum(), u @ vt
