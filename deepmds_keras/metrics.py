@@ -59,7 +59,8 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
 
     Moniz et al. 2018, "Unsupervised Depth Estimation, 3D Face Rotation and Replacement", which the
     paper cites for its own criterion. L at most; a landmark whose depth does not vary contributes
-    0, so that a constant answer scores 0.
+    0, so that a constant answer scores 0. Aligned to each face it is constant no longer: Procrustes
+    lends it the place and size of the truth, and it then scores high.
 
     Args:
         prediction, truth: `(n, L, 3)`, n at least 2, aligned.

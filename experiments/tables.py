@@ -14,9 +14,7 @@ from deepmds_keras.metrics import wilcoxon_table
 from experiments.methods import METHODS, title
 from experiments.published import published
 from experiments.run import write_text
-from experiments.typesetting import latex, text
-
-__all__ = ["latex", "summarise", "text", "to_csv", "wilcoxon_tests", "write_tables"]
+from experiments.typesetting import latex
 
 METRICS = (
     "depth_corr",

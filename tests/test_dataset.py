@@ -82,3 +82,19 @@ def test_unusable_files_are_refused(faces, tmp_path):
 def test_unknown_scheme_is_named(model):
     with pytest.raises(DataError, match=r"scheme must be one of .* Received 'dlib'"):
         make_dataset(model, 3, np.random.default_rng(0), scheme="dlib")
+
+
+def test_a_flipped_byte_is_refused_or_harmless(faces, tmp_path):
+    path = tmp_path / "faces.npz"
+    save_dataset(path, faces)
+    whole = path.read_bytes()
+    refused = 0
+    for position in np.random.default_rng(0).integers(0, len(whole), 100):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            load_dataset(path)
+        except DataError:
+            refused += 1
+    assert refused > 90

@@ -121,11 +121,27 @@ def test_damaged_files_are_refused(small, tmp_path):
     np.savez(path, description=np.array("{}"))
     with pytest.raises(InputError, match="was not written by DeepMDS.save"):
         DeepMDS.load(path)
-    np.savez(path, description=np.array([{}], dtype=object), allow_pickle=True)
+    np.savez(path, description=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="must be an npz written by save"):
         DeepMDS.load(path)
     with pytest.raises(InputError, match="none.npz does not exist"):
         DeepMDS.load(tmp_path / "none.npz")
+
+
+def test_a_flipped_byte_is_refused_or_harmless(small, tmp_path):
+    path = tmp_path / "model.npz"
+    small[0].save(path)
+    whole = path.read_bytes()
+    refused = 0
+    for position in np.random.default_rng(0).integers(0, len(whole), 40):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            DeepMDS.load(path)
+        except InputError:
+            refused += 1
+    assert refused > 20
 
 
 def test_foreign_keras_files_are_refused(tmp_path):

@@ -7,8 +7,8 @@ import pytest
 from deepmds_keras.errors import InputError
 from experiments import parameters
 from experiments.published import published
-from experiments.tables import METRICS, latex, summarise, text, to_csv, write_tables
-from experiments.typesetting import tex
+from experiments.tables import METRICS, summarise, to_csv, write_tables
+from experiments.typesetting import latex, tex, text
 
 NOTES = {"mobileface": "needs images: not part of this experiment yet"}
 

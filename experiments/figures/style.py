@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import io
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
+
+from experiments.run import write_bytes
 
 RC = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
@@ -93,12 +94,11 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
         The paths of the png and of the pdf.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     png, pdf = folder / f"{name}.png", folder / f"{name}.pdf"
     with matplotlib.rc_context(RC):
-        _replace(png, _small_png(figure))
+        write_bytes(png, _small_png(figure))
         figure.set_layout_engine("none")  # what is laid out once need not be for the second file
-        _replace(pdf, _render(figure, "pdf", metadata={"CreationDate": None}))
+        write_bytes(pdf, _render(figure, "pdf", metadata={"CreationDate": None}))
     return png, pdf
 
 
@@ -116,12 +116,3 @@ def _small_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     palette.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
     return buffer.getvalue()
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
