@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen.build_openhead.tables import IDENTITY_PRIOR, LANDMARKS, read_table
+from data_gen.build_openhead.tables import IDENTITY_PRIOR, LANDMARKS
 from data_gen.errors import DataError
 from data_gen.openhead import OPENHEAD, load_openhead, read_openhead
+from data_gen.tables import read_table
 
 SHARED = Path(__file__).parents[2] / "shared"
 FLIP = np.array([-1.0, 1.0, 1.0])

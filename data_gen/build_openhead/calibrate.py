@@ -15,10 +15,11 @@ from scipy.optimize import lsq_linear
 
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
-from data_gen.build_openhead.tables import IDENTITY_PRIOR, read_table
+from data_gen.build_openhead.tables import IDENTITY_PRIOR
 from data_gen.errors import DataError
 from data_gen.landmark_transfer import similarity
 from data_gen.model_files import UNREADABLE_NPZ
+from data_gen.tables import read_table
 
 CANTHI = (0, 56)  # outer corners of the eyes, landmarks 1 and 57 of bfm72: their distance is 1
 PUPILS = [4, 53]  # left out: ICT-FaceKit has them on the eyelid

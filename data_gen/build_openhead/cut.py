@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_gen.build_openhead.makehuman import MakeHumanAssets
-from data_gen.build_openhead.tables import KEPT_FACES, LANDMARKS, read_table
+from data_gen.build_openhead.tables import KEPT_FACES, LANDMARKS
+from data_gen.tables import read_table
 
 # base.obj closes the front of each eyeball by a flat octagon without a centre.
 RIGHT_PUPIL_RING = np.arange(14670, 14734, 9)

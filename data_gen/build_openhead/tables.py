@@ -1,18 +1,10 @@
-"""Reads the commented CSV tables that stand beside this file."""
+"""Where the tables of the build are: CSV with comments, beside this file."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 HERE = Path(__file__).parent
 IDENTITY_PRIOR = HERE / "identity_prior.csv"
 KEPT_FACES = HERE / "kept_faces.csv"
 LANDMARKS = HERE / "landmarks.csv"
-
-
-def read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Comment lines (with their `#`) and rows, by column name, of a CSV table."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comments = [line for line in lines if line.startswith("#")]
-    return comments, list(csv.DictReader(line for line in lines if not line.startswith("#")))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.errors import DataError
+from data_gen.tables import read_table
 
 SCHEMES = ("bfm72", "ibug68", "ibug51")
 _FOLDER = Path(__file__).parent
@@ -59,11 +59,11 @@ def load_scheme(name: str) -> LandmarkScheme:
         DataError: Another name.
     """
     if name == "bfm72":
-        return _read_scheme(name, _read_table("bfm72.csv"), _read_table("bfm72_polylines.csv"))
+        return _read_scheme(name, _rows("bfm72.csv"), _rows("bfm72_polylines.csv"))
     if name in ("ibug68", "ibug51"):
-        rows = _read_table("ibug68.csv")
+        rows = _rows("ibug68.csv")
         inner = rows if name == "ibug68" else rows[17:]
-        return _read_scheme(name, inner, _read_table("ibug68_polylines.csv"))
+        return _read_scheme(name, inner, _rows("ibug68_polylines.csv"))
     raise DataError(f"landmark scheme must be one of {', '.join(SCHEMES)}. Received {name!r}.")
 
 
@@ -74,13 +74,12 @@ def load_basel_anchors() -> dict[str, dict[str, int]]:
     Returns:
         Name, as in `metadata/landmarks/json`, to `{face model: 0-based vertex number}`.
     """
-    rows = _read_table("basel_anchors.csv")
+    rows = _rows("basel_anchors.csv")
     return {row.pop("name"): {model: int(v) for model, v in row.items() if v} for row in rows}
 
 
-def _read_table(filename: str) -> list[dict[str, str]]:
-    lines = (_FOLDER / filename).read_text(encoding="utf-8").splitlines()
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+def _rows(filename: str) -> list[dict[str, str]]:
+    return read_table(_FOLDER / filename)[1]
 
 
 def _read_scheme(
