@@ -23,12 +23,14 @@ class Dataset:
     """Random neutral faces and one view of each.
 
     Attributes:
+        identity: `(n, K)` float32, coefficients of the morphable model.
         landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
         views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
         cameras: Pose and projection of each face.
         description: What it was made of: model, its hash, scheme, protocol, seed.
     """
 
+    identity: np.ndarray
     landmarks: np.ndarray
     views: np.ndarray
     cameras: Cameras
@@ -69,11 +71,12 @@ def make_dataset(
         )
     cameras = draw_cameras(n, rng, protocol)
     model_of_landmarks = model.restrict(model.landmarks[scheme])
+    identity = np.empty((n, model.n_identity), np.float32)
     landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)
     views = np.empty((n, model_of_landmarks.n_vertices, 2), np.float32)
     for start in range(0, n, _FACES_PER_CHUNK):
         faces = slice(start, min(start + _FACES_PER_CHUNK, n))
-        _, points = model_of_landmarks.sample(faces.stop - start, rng)
+        identity[faces], points = model_of_landmarks.sample(faces.stop - start, rng)
         landmarks[faces] = points
         views[faces] = project(points, cameras[faces])
         if progress is not None:
@@ -84,7 +87,7 @@ def make_dataset(
         "scheme": scheme,
         "protocol": protocol,
     }
-    return Dataset(landmarks, views, cameras, description)
+    return Dataset(identity, landmarks, views, cameras, description)
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
@@ -96,6 +99,7 @@ def save_dataset(path: str | Path, dataset: Dataset) -> None:
     with open(partial, "wb") as file:
         np.savez(
             file,
+            identity=dataset.identity,
             landmarks=dataset.landmarks,
             views=dataset.views,
             description=np.array(json.dumps(dataset.description)),
@@ -117,8 +121,13 @@ def load_dataset(path: str | Path) -> Dataset:
         raise DataError(f"{path} does not exist; make the data set first.") from None
     except UNREADABLE_NPZ as error:
         raise DataError(f"{path} must be a data set (npz). Received {error}.") from None
-    n, n_landmarks = arrays.get("landmarks", np.empty((0, 0))).shape[:2]
-    needed = {"landmarks": (n, n_landmarks, 3), "views": (n, n_landmarks, 2), "description": ()}
+    n, n_landmarks = (*arrays.get("landmarks", np.empty(0)).shape, 0, 0)[:2]
+    needed = {
+        "identity": (n, *arrays.get("identity", np.empty(0)).shape[-1:]),
+        "landmarks": (n, n_landmarks, 3),
+        "views": (n, n_landmarks, 2),
+        "description": (),
+    }
     needed |= {key: (n,) for key in Cameras.__dataclass_fields__}
     for key, shape in needed.items():
         if key not in arrays or arrays[key].shape != shape:
@@ -134,4 +143,6 @@ def load_dataset(path: str | Path) -> Dataset:
         description = json.loads(str(arrays["description"]))
     except ValueError as error:
         raise DataError(f"{path}: description must be JSON. Received {error}.") from None
-    return Dataset(arrays["landmarks"], arrays["views"], Cameras(**angles), description)
+    return Dataset(
+        arrays["identity"], arrays["landmarks"], arrays["views"], Cameras(**angles), description
+    )

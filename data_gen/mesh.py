@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 
-def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def vertex_normals(
+    vertices: np.ndarray, triangles: np.ndarray, corners: csr_matrix | None = None
+) -> np.ndarray:
     """Unit normals, area-weighted over the triangles that meet at a vertex.
 
     Args:
         vertices: `(V, 3)`.
         triangles: `(T, 3)` int, 0-based.
+        corners: As from `triangle_corners`, for who needs normals of the same mesh many times.
 
     Returns:
         `(V, 3)`; zero where no triangle meets.
     """
-    across = _area_vectors(vertices, triangles)
-    normals = np.zeros((len(vertices), 3))
-    for corner in triangles.T:
-        np.add.at(normals, corner, across)
+    if corners is None:
+        corners = triangle_corners(len(vertices), triangles)
+    normals = corners @ _area_vectors(vertices, triangles)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, length, out=normals, where=length > 0)
+
+
+def triangle_corners(n_vertices: int, triangles: np.ndarray) -> csr_matrix:
+    """`(V, T)` sparse, 1 where a triangle meets a vertex: sums over triangles are one product."""
+    corners = triangles.T.ravel()
+    numbers = np.tile(np.arange(len(triangles)), 3)
+    ones = np.ones(len(corners))
+    return csr_matrix((ones, (corners, numbers)), shape=(n_vertices, len(triangles)))
 
 
 def orient_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -43,12 +53,18 @@ def orient_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return triangles if volume >= 0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
-def largest_component(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
-    """Sorted vertex numbers of the largest connected part: the skin, without eyes and teeth."""
+def components(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
+    """Number of the connected part that each vertex belongs to, `(V,)`; the largest part is 0."""
     rows, columns = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
     edges = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(n_vertices, n_vertices))
     label = connected_components(edges, directed=False)[1]
-    return np.flatnonzero(label == np.bincount(label).argmax())
+    by_size = np.argsort(-np.bincount(label), kind="stable")
+    return np.argsort(by_size)[label]
+
+
+def largest_component(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
+    """Sorted vertex numbers of the largest connected part: the skin, without eyes and teeth."""
+    return np.flatnonzero(components(n_vertices, triangles) == 0)
 
 
 def _area_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -105,11 +105,12 @@ class MorphableModel:
         identity = rng.standard_normal((n, self.n_identity))
         return identity, self.shape(identity)
 
-    def restrict(self, vertices: np.ndarray) -> MorphableModel:
+    def restrict(self, vertices: np.ndarray, triangles: np.ndarray | None = None) -> MorphableModel:
         """The same model on some vertices only: what sampling landmarks alone needs.
 
         Args:
             vertices: `(L,)` 0-based vertex numbers, in the order wanted.
+            triangles: `(T, 3)` int, of the new vertices; none by default.
         """
 
         def pick(basis):
@@ -119,7 +120,7 @@ class MorphableModel:
             self,
             mean=pick(self.mean),
             identity_basis_times_sd=pick(self.identity_basis_times_sd),
-            triangles=np.empty((0, 3), int),
+            triangles=np.empty((0, 3), int) if triangles is None else triangles,
             landmarks={},
             expression_mean=pick(self.expression_mean),
             expression_basis=pick(self.expression_basis),

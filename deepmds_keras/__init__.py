@@ -15,6 +15,7 @@ _HOME = {
     "embed": "embedding",
     "normalise": "normalisation",
     "pair_features": "proximities",
+    "read_photo": "photos",
 }
 _MODULES = ("baselines", "metrics")
 

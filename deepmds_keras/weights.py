@@ -1,4 +1,4 @@
-"""The only module that opens files: trained networks, checkpoints and the authors' weights."""
+"""Files of trained networks, checkpoints and the authors' weights."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -11,56 +11,66 @@ import pandas as pd
 from data_gen.landmarks import load_scheme
 from data_gen.projections import PROJECTIONS
 from deepmds_keras.weights import read_arrays
-from experiments.faces import SCHEME, Faces, load_faces
+from experiments.faces import SCHEME, Faces, image_files, load_faces, load_landmark_model
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
+from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.figures.summary import summary
 from experiments.manifest import write_manifest
 from experiments.methods import DEEP_MDS, network_names
-from experiments.run import Run, parse_run, stage, write_text
+from experiments.parameters import write_parameter_table
+from experiments.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
+from experiments.run import Run, load_record, parse_run, stage, write_text
 from experiments.scores import (
     Scores,
     costs,
-    load_prediction,
+    load_predictions,
     score,
     subset_metrics,
     subsets,
 )
 from experiments.tables import to_csv, write_tables
 
-# Why a method of the paper's table has no number of ours.
-_NOT_RUN = {
-    "mobileface": "needs rendered images, which are not part of this experiment yet",
-    "authors_weights": "their weight files were not given (AUTHORS=folder)",
-}
-_STAGES = ("faces", "networks", "predictions")
+_STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 # Drawn in the figures; the others differ from these in training or test views only.
-_DRAWN = ("mean_shape", "linear", "zhao", "aldrian", *DEEP_MDS, "authors_weights")
+_DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
 _MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
+_RENDERS = 32
 
 
 def evaluate(
-    run: Run, test: Faces, methods: list[str]
-) -> tuple[pd.DataFrame, dict[str, Scores], dict[str, dict]]:
-    """Scores of the methods that made predictions.
-
-    Returns:
-        Long table as in `metrics.csv`, scores by method, and the predictions' arrays by method.
-
-    Raises:
-        InputError: The predictions of a method are missing or damaged.
-    """
+    run: Run, test: Faces, predictions: dict[str, dict], descriptions: dict[str, dict]
+) -> tuple[pd.DataFrame, dict[str, Scores]]:
+    """Long table as in `metrics.csv`, and scores by method, of the predictions' arrays."""
     chosen = subsets(run)
-    loaded = {method: load_prediction(run, method) for method in methods}
-    predictions = {method: arrays for method, (arrays, _) in loaded.items()}
     scores = {method: score(arrays["shapes"], test) for method, arrays in predictions.items()}
     rows = [subset_metrics(method, own, test, chosen) for method, own in scores.items()]
-    descriptions = {method: described for method, (_, described) in loaded.items()}
     metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
     metrics["subset"] = metrics["subset"].astype("Int64")
-    return metrics, scores, predictions
+    return metrics, scores
+
+
+def notes(run: Run, methods: Container[str]) -> dict[str, str]:
+    """What a reader must know of a method, or why it has no number of ours."""
+    found = {}
+    if "mobileface" in methods:
+        steps = run.preset.mobileface_epochs * run.preset.mobileface_steps
+        of_all = (
+            "as many as in the released code" if steps == 100_000 else "the released code: 100,000"
+        )
+        found["mobileface"] = (
+            f"trained for {steps:,} steps of 16 images ({of_all}) to find "
+            f"{len(load_landmark_model(run)[1])} coefficients of the face model"
+        )
+    else:
+        found["mobileface"] = "left out (MOBILEFACE=no)"
+    if "authors_weights" not in methods:
+        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
+    if run.evaluator == "released":
+        found |= dict.fromkeys((*ZHAO, TRUE_DEPTH), NOTE)
+    return found
 
 
 def histories(run: Run) -> dict[str, dict[str, dict]]:
@@ -79,13 +89,15 @@ def draw(
     test: Faces,
     scores: dict[str, Scores],
     predictions: dict[str, dict],
-    table: pd.DataFrame,
     folder: Path,
 ) -> None:
     """Write every figure."""
     scheme = load_scheme(SCHEME)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
-    save(summary(table), folder, "summary")
+    if "mobileface" in scores:
+        files, shown = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
+        figure = renders(files[slice(len(shown))], files.landmarks(shown), scheme)
+        save(figure, folder, "renders")
     save(learning_curves(histories(run)), folder, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
@@ -135,25 +147,35 @@ def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    folder = run.experiment_results("bfm")
-    with stage(run, "bfm"):
-        stages = [json.loads((run.work / f"{name}.json").read_text()) for name in _STAGES]
+    folder = run.experiment_results(run.evaluation)
+    with stage(run, run.evaluation):
         test = load_faces(run, "test")
-        metrics, scores, predictions = evaluate(run, test, stages[-1]["methods"])
+        loaded = load_predictions(run)
+        predictions = {method: arrays for method, (arrays, _) in loaded.items()}
+        descriptions = {method: described for method, (_, described) in loaded.items()}
+        released = run.evaluator == "released"
+        if released:
+            predictions = as_released(predictions, test.shapes)
+        metrics, scores = evaluate(run, test, predictions, descriptions)
         write_text(folder / "metrics.csv", to_csv(metrics))
         table = write_tables(
             folder,
             metrics,
             experiment="bfm",
             subset_size=run.preset.subset_size,
-            notes={method: why for method, why in _NOT_RUN.items() if method not in scores},
+            notes=notes(run, scores),
             per_face={
                 metric: {method: getattr(own, metric) for method, own in scores.items()}
                 for metric in ("mse", "depth_corr")
             },
+            beside=BESIDE if released else {},
         )
-        draw(run, test, scores, predictions, table, folder / "figures")
-        write_manifest(run, "reproduce-bfm", stages, folder)
+        save(summary(table), folder / "figures", "summary")
+        if not released:  # the other figures and tables are of the methods, however scored
+            draw(run, test, scores, predictions, folder / "figures")
+            write_parameter_table(run, metrics)
+        done = [name for name in _STAGES if (run.work / f"{name}.json").exists()]
+        write_manifest(run, "reproduce-bfm", [load_record(run, name) for name in done], folder)
 
 
 if __name__ == "__main__":

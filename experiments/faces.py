@@ -8,13 +8,15 @@ import numpy as np
 from tqdm import tqdm
 
 from data_gen.dataset import load_dataset, make_dataset, save_dataset
+from data_gen.image_files import ImageFiles
 from data_gen.models import load_model
 from data_gen.projections import Cameras, in_camera_frame
 from deepmds_keras.normalisation import normalise, unit
 from deepmds_keras.weights import read_arrays, write_arrays
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run, load_record, parse_run, stage
 
 SCHEME = "bfm72"
+IMAGE_SIZE = 96
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +54,33 @@ def load_faces(run: Run, part: str) -> Faces:
     )
 
 
+def image_files(run: Run, part: str) -> ImageFiles:
+    """Where the images of `"train"` or `"test"` faces are, or will be."""
+    n = {"train": run.preset.train_images, "test": run.preset.test_faces}[part]
+    return ImageFiles(run.work / "images" / part, n, IMAGE_SIZE)
+
+
+def load_images(run: Run, part: str) -> ImageFiles:
+    """Images as their stage left them.
+
+    Raises:
+        DataError: A file is missing or was changed.
+    """
+    files = image_files(run, part)
+    files.check(load_record(run, "images")["checksums"][part])
+    return files
+
+
 def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Mean `(L, 3)` and identity basis times s.d. `(K, L, 3)` of the landmarks, millimetres."""
     arrays, _ = read_arrays(run.work / "landmark_model.npz")
     return arrays["mean"], arrays["identity_basis_times_sd"]
+
+
+def load_shape_gram(run: Run) -> np.ndarray:
+    """`(K, K)` mean product of two components' offsets over all coordinates of the mesh, mm²."""
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    return arrays["shape_gram"]
 
 
 def make_faces(run: Run) -> dict:
@@ -66,9 +91,11 @@ def make_faces(run: Run) -> dict:
     """
     model = load_model(run.model, run.data)
     landmarks = model.restrict(model.landmarks[SCHEME])
+    components = model.identity_basis_times_sd.reshape(model.n_identity, -1)
     arrays = {
         "mean": landmarks.mean,
         "identity_basis_times_sd": landmarks.identity_basis_times_sd,
+        "shape_gram": components @ components.T / components.shape[1],
     }
     write_arrays(run.work / "landmark_model.npz", arrays, {"model": model.name})
     sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}

@@ -45,6 +45,11 @@ METHODS = (
         "the same net tested on frontal orthographic views, as the authors did",
     ),
     Method(
+        "zhao_true_depth",
+        "True depth in Zhao's place",
+        "no method: what the released evaluator gives to a net that makes no error",
+    ),
+    Method(
         "aldrian",
         "Aldrian's",
         "fit of the face model to the view; nothing is trained, the model is given",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import keras
 import pandas as pd
 
+from deepmds_keras.baselines.mobileface import build_mobileface_net
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+from experiments.faces import load_landmark_model
 from experiments.methods import BY_ID, METHODS
 from experiments.published import printed
 from experiments.run import Run, write_text
@@ -53,12 +56,15 @@ HEADS = {
 }
 
 
-def parameter_table(metrics: pd.DataFrame, n_landmarks: int = 72) -> pd.DataFrame:
+def parameter_table(
+    metrics: pd.DataFrame, n_landmarks: int = 72, n_coefficients: int = 199
+) -> pd.DataFrame:
     """Parameters, complexity and measured time of every method, as strings.
 
     Args:
         metrics: As `metrics.csv`. Counts and times of methods that have no row stay empty.
         n_landmarks: For which our networks are counted; the paper counts at 72.
+        n_coefficients: Of the face model, for which MobileFace is counted; the Basel model has 199.
 
     Returns:
         Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
@@ -70,9 +76,11 @@ def parameter_table(metrics: pd.DataFrame, n_landmarks: int = 72) -> pd.DataFram
     quoted_times = printed("parameters", "time_complexity")
     rows = []
     for method in METHODS:
+        if method.id not in _COMPLEXITY:
+            continue
         trainable = total = counts.get(method.id)
-        if method.id in _VARIANTS:
-            nets = build_autoencoder(n_landmarks), build_dissimilarity_net(_VARIANTS[method.id])
+        nets = _networks(method.id, n_landmarks, n_coefficients)
+        if nets:
             total = sum(net.count_params() for net in nets)
             trainable = sum(
                 math.prod(weight.shape) for net in nets for weight in net.trainable_weights
@@ -117,9 +125,17 @@ def latex(table: pd.DataFrame) -> str:
 def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
     """Write `table.csv` and `table.tex` into `results/<model>/parameters`."""
     folder = run.model_results / "parameters"
-    table = parameter_table(metrics)
+    table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
     write_text(folder / "table.csv", to_csv(table))
     write_text(folder / "table.tex", latex(table))
+
+
+def _networks(method: str, n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
+    if method == "mobileface":
+        return [build_mobileface_net(n_coefficients)]
+    if method in _VARIANTS:
+        return [build_autoencoder(n_landmarks), build_dissimilarity_net(_VARIANTS[method])]
+    return []
 
 
 def _values(metrics: pd.DataFrame, metric: str) -> dict[str, float]:

@@ -17,10 +17,8 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
 from experiments.faces import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
-from experiments.parameters import write_parameter_table
 from experiments.recipes import deep_mds, zhao
 from experiments.run import AUTHORS_FILES, Run, parse_run, stage
-from experiments.scores import costs, load_prediction
 
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
@@ -54,40 +52,45 @@ def methods_of(run: Run) -> list[str]:
 
 def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
     """Write the predictions of one method, unless they are there."""
-    path = run.prediction_file(method)
-    if path.exists():
+    if run.prediction_file(method).exists():
         return
     model = fitted(run, train, method)
     views = normalise(test.shapes[..., :2]) if method == "zhao_frontal" else test.views
-    with tqdm(total=len(views), desc=method, unit="face") as bar:
+    write_prediction(run, method, model, views)
+
+
+def write_prediction(run: Run, method: str, model, inputs) -> None:
+    """Write what a trained method makes of its inputs, views or images: one of each test face."""
+    with tqdm(total=len(inputs), desc=method, unit="face") as bar:
         if isinstance(model, DeepMDS):
             arrays = {
-                "shapes": model.predict(views, progress=bar.update),
-                "frontal": model.frontalise(views),
+                "shapes": model.predict(inputs, progress=bar.update),
+                "frontal": model.frontalise(inputs),
             }
         else:
-            arrays = {"shapes": np.empty_like(test.shapes)}
-            for start in range(0, len(views), _FACES_PER_CHUNK):
-                faces = slice(start, start + _FACES_PER_CHUNK)
-                arrays["shapes"][faces] = model.predict(views[faces])
-                bar.update(len(views[faces]))
+            chunks = []
+            for start in range(0, len(inputs), _FACES_PER_CHUNK):
+                chunks.append(model.predict(inputs[start : start + _FACES_PER_CHUNK]))
+                bar.update(len(chunks[-1]))
+            arrays = {"shapes": np.concatenate(chunks)}
     described = {
         "method": method,
         "n_parameters": int(model.n_parameters),
-        "ms_per_face": milliseconds_per_face(model, views[: run.preset.timed_faces]),
+        "ms_per_face": milliseconds_per_face(model, inputs[: run.preset.timed_faces]),
     }
+    path = run.prediction_file(method)
     write_arrays(path, {k: np.float32(a) for k, a in arrays.items()}, described)
 
 
-def milliseconds_per_face(model, views: np.ndarray) -> float:
-    """Time of one call of `predict` for all the views, in this process, after one to warm up."""
+def milliseconds_per_face(model, inputs: np.ndarray) -> float:
+    """Time of one call of `predict` for all the inputs, in this process, after one to warm up."""
     if isinstance(model, DeepMDS):
         model = model.set_params(n_jobs=1)
     predict: Callable = model.predict
-    predict(views)
+    predict(inputs)
     start = time.perf_counter()
-    predict(views)
-    return 1000 * (time.perf_counter() - start) / len(views)
+    predict(inputs)
+    return 1000 * (time.perf_counter() - start) / len(inputs)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -99,8 +102,6 @@ def main(arguments: list[str] | None = None) -> None:
         record["methods"] = methods_of(run)
         for method in record["methods"]:
             predict(run, train, test, method)
-        descriptions = {m: load_prediction(run, m)[1] for m in record["methods"]}
-        write_parameter_table(run, costs(descriptions))
 
 
 if __name__ == "__main__":

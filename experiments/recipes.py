@@ -7,12 +7,14 @@ import os
 import keras
 from tqdm import tqdm
 
+from data_gen.dataset import load_dataset
+from deepmds_keras.baselines.mobileface import MobileFace
 from deepmds_keras.baselines.zhao import Zhao
 from deepmds_keras.networks import forward
 from deepmds_keras.orientation import front_landmark
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
-from experiments.faces import Faces
+from experiments.faces import Faces, load_images, load_landmark_model, load_shape_gram
 from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run
 
@@ -88,6 +90,27 @@ def zhao(run: Run, train: Faces, method: str) -> Zhao:
     )
     with EpochBar(method, preset.zhao_epochs) as bar:
         return net.fit(points, checkpoint=run.network_file(method), progress=bar.losses)
+
+
+def mobileface(run: Run) -> MobileFace:
+    """MobileFace on the run's images, standardising as the run's protocol does."""
+    images = load_images(run, "train")
+    preset = run.preset
+    model = MobileFace(
+        *load_landmark_model(run),
+        load_shape_gram(run),
+        standardise="batch" if run.protocol == "released" else "face",
+        epochs=preset.mobileface_epochs,
+        steps_per_epoch=preset.mobileface_steps,
+        seed=run.seed,
+    )
+    with EpochBar("mobileface", preset.mobileface_epochs) as bar:
+        return model.fit(
+            images,
+            load_dataset(run.work / "train.npz").identity[: len(images)],
+            checkpoint=run.network_file("mobileface"),
+            progress=bar.losses,
+        )
 
 
 class EpochBar(tqdm):

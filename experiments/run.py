@@ -23,6 +23,7 @@ from data_gen.projections import PROTOCOLS
 from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
+EVALUATORS = ("paper", "released")
 AUTHORS_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
 
 
@@ -37,7 +38,8 @@ class Run:
         seed: Of faces, views, initial weights, mini-batches and test subsets.
         protocol: How faces are projected, see `data_gen.projections.draw_cameras`.
         authors: Folder of the authors' released weights, or None.
-        jobs: Processes for the embedding.
+        evaluator: How predictions are scored, one of `EVALUATORS`.
+        jobs: Processes for the embedding and for rendering.
         build: Folder of arrays and weights; results: folder of tables and figures.
     """
 
@@ -47,6 +49,7 @@ class Run:
     protocol: str = "paper"
     data: str | None = None
     authors: str | None = None
+    evaluator: str = "paper"
     jobs: int = -1
     build: Path = Path("build")
     results: Path = Path("results")
@@ -63,6 +66,11 @@ class Run:
     def prediction_file(self, method: str) -> Path:
         """What a method made of the test views."""
         return self.work / "predictions" / f"{method}.npz"
+
+    @property
+    def evaluation(self) -> str:
+        """Name of the stage that scores, of its record and of its folder of results."""
+        return "bfm" if self.evaluator == "paper" else f"bfm-evaluator-{self.evaluator}"
 
     @property
     def model_results(self) -> Path:
@@ -89,7 +97,8 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--seed", type=int, default=0, help="of everything random")
     add("--protocol", choices=PROTOCOLS, default="paper", help="how faces are projected")
     add("--authors", metavar="DIR", help="folder of the authors' released BFM weights (*.h5)")
-    add("--jobs", type=int, default=-1, help="processes for the embedding, -1 for every core")
+    add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
+    add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
     add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
     add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
     values = vars(parser.parse_args(arguments))
@@ -137,6 +146,11 @@ def stage(run: Run, name: str) -> Iterator[dict]:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
+
+
+def load_record(run: Run, name: str) -> dict:
+    """What the stage of that name recorded when it was done."""
+    return json.loads((run.work / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def quiet_tensorflow() -> None:

@@ -11,10 +11,17 @@ from deepmds_keras import metrics
 from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.weights import read_arrays
 from experiments.faces import Faces
-from experiments.run import Run
+from experiments.run import Run, load_record
 
 # Streams of random numbers of a run beside those of its two data sets.
 _SUBSETS = 2
+
+
+def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
+    """Arrays and description of the predictions of every method whose stage is complete."""
+    methods = load_record(run, "predictions")["methods"]
+    methods = methods + ["mobileface"] * (run.work / "mobileface.json").exists()
+    return {method: load_prediction(run, method) for method in methods}
 
 
 def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]:

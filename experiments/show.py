@@ -12,10 +12,11 @@ from experiments.typesetting import text
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    path = run.experiment_results("bfm") / "table.csv"
+    path = run.experiment_results(run.evaluation) / "table.csv"
     if not path.is_file():
         print(
-            f"error: {path} does not exist; delete {run.work}/bfm.json and make it again.",
+            f"error: {path} does not exist; delete {run.work}/{run.evaluation}.json and make it "
+            "again.",
             file=sys.stderr,
         )
         raise SystemExit(2)

@@ -46,6 +46,7 @@ def summarise(
     notes: Mapping[str, str],
     *,
     subset_size: int,
+    beside: Mapping[str, str] = {},
 ) -> pd.DataFrame:
     """Mean and standard deviation over subsets of every method and metric, beside the paper's.
 
@@ -54,6 +55,8 @@ def summarise(
         quoted: As from `published.published`.
         notes: Method to what a reader must know of it; for one that was not run, why not.
         subset_size: Test faces in a subset.
+        beside: Method of the paper to the one that its numbers stand beside, where that is another
+            than `METHODS` says.
 
     Returns:
         `COLUMNS`, with a row for every method (measured, quoted or noted) and metric. A cell that
@@ -68,7 +71,7 @@ def summarise(
     measured = grouped.agg(
         mean=("value", "mean"), std=("value", "std"), n_subsets=("subset", "count")
     )
-    ours = {method.paper: method.id for method in METHODS if method.paper}
+    ours = {method.paper: method.id for method in METHODS if method.paper} | dict(beside)
     quoted = quoted.assign(method=quoted["method"].map(ours)).set_index(["method", "metric"])
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
@@ -99,19 +102,21 @@ def write_tables(
     subset_size: int,
     notes: Mapping[str, str],
     per_face: Mapping[str, Mapping[str, np.ndarray]],
+    beside: Mapping[str, str] = {},
 ) -> pd.DataFrame:
     """Write `table.csv`, `table.tex` and `wilcoxon.csv`.
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, subset_size, notes: As for `summarise`.
+        metrics, subset_size, notes, beside: As for `summarise`.
         experiment: As for `latex`.
         per_face: Metric to method to `(n,)`, of all test faces in one order.
 
     Returns:
         What `table.csv` holds.
     """
-    table = summarise(metrics, published(experiment), notes, subset_size=subset_size)
+    quoted = published(experiment)
+    table = summarise(metrics, quoted, notes, subset_size=subset_size, beside=beside)
     write_text(folder / "table.csv", to_csv(table))
     write_text(folder / "table.tex", latex(table, experiment))
     write_text(folder / "wilcoxon.csv", to_csv(wilcoxon_tests(metrics, per_face)))

@@ -1,0 +1,108 @@
+"""The images of a data set as files of some hundred each, read like one array."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.errors import DataError
+
+FACES_PER_FILE = 500
+
+
+class ImageFiles:
+    """The images of a data set on disk, indexed like one array `(n, size, size, 3)` uint8.
+
+    Only the pages that are asked for are read.
+
+    Args:
+        folder: Of the files.
+        n: Images in all.
+        size: Width and height of the images in pixels.
+    """
+
+    def __init__(self, folder: str | Path, n: int, size: int):
+        self.folder, self.n, self.size = Path(folder), n, size
+        self._arrays: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return self.n
+
+    def __getitem__(self, faces) -> np.ndarray:
+        """Images of the faces with these numbers, an array or a slice."""
+        numbers = np.arange(self.n)[faces]
+        images = np.empty((len(numbers), self.size, self.size, 3), np.uint8)
+        files = numbers // FACES_PER_FILE
+        for file in np.unique(files):
+            rows = np.flatnonzero(files == file)
+            images[rows] = self._file(int(file))[numbers[rows] % FACES_PER_FILE]
+        return images
+
+    def ranges(self) -> list[range]:
+        """Faces of each file."""
+        starts = range(0, self.n, FACES_PER_FILE)
+        return [range(start, min(start + FACES_PER_FILE, self.n)) for start in starts]
+
+    def paths(self, file: int) -> tuple[Path, Path]:
+        """Where the images of a file and their landmarks are, or will be."""
+        return self.folder / f"{file:04}.npy", self.folder / f"{file:04}-landmarks.npy"
+
+    def save(self, file: int, images: np.ndarray, landmarks: np.ndarray) -> None:
+        """Write one file of images, after their landmarks, each whole or not at all."""
+        images_path, landmarks_path = self.paths(file)
+        for path, array in ((landmarks_path, landmarks), (images_path, images)):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+            with open(partial, "wb") as opened:
+                np.save(opened, array)
+            os.replace(partial, path)
+
+    def landmarks(self, faces: range) -> np.ndarray:
+        """Pixel positions of the landmarks of the first faces, `(n, L, 2)`."""
+        files = range(faces.stop // FACES_PER_FILE + 1)
+        rows = [np.load(self.paths(k)[1], allow_pickle=False) for k in files]
+        return np.concatenate(rows)[faces.start : faces.stop]
+
+    def checksums(self) -> dict[str, str]:
+        """sha256 of every file of images, by name."""
+        digests = {}
+        for file in range(len(self.ranges())):
+            path = self.paths(file)[0]
+            try:
+                with open(path, "rb") as opened:
+                    digests[path.name] = hashlib.file_digest(opened, "sha256").hexdigest()
+            except OSError as error:
+                raise DataError(f"{path} must hold images. Received {error.strerror}.") from None
+        return digests
+
+    def check(self, checksums: dict[str, str]) -> None:
+        """Compare the files with what was written.
+
+        Raises:
+            DataError: A file is missing or was changed; delete it and make the images again.
+        """
+        for name, digest in self.checksums().items():
+            if checksums.get(name) != digest:
+                raise DataError(
+                    f"{self.folder / name} was changed since it was made. Delete it and the "
+                    "record images.json, and run again."
+                )
+
+    def _file(self, file: int) -> np.ndarray:
+        if file not in self._arrays:
+            path = self.paths(file)[0]
+            needed = (len(self.ranges()[file]), self.size, self.size, 3)
+            try:
+                array = np.load(path, mmap_mode="r", allow_pickle=False)
+            except (OSError, ValueError, EOFError) as error:
+                raise DataError(f"{path} must hold images. Received {error}.") from None
+            if array.shape != needed or array.dtype != np.uint8:
+                raise DataError(
+                    f"{path} must hold images, uint8 {needed}. "
+                    f"Received {array.dtype} {array.shape}."
+                )
+            self._arrays[file] = array
+        return self._arrays[file]

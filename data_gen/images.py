@@ -1,0 +1,103 @@
+"""Images of the faces of a data set, each as its landmarks are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_gen.albedo import Albedo
+from data_gen.dataset import Dataset
+from data_gen.morphable_model import MorphableModel
+from data_gen.projections import in_camera_frame, project_with_depth
+from data_gen.rendering import (
+    Frames,
+    Renderer,
+    draw_lights,
+    square_frames,
+    stretched_frames,
+)
+from data_gen.visibility import part_of, seen_vertices
+
+_FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What the faces of a data set are drawn with: the visible part of the model, and its colours.
+
+    Attributes:
+        model: Morphable model of the vertices that can be seen.
+        albedo: Colours of those.
+        size: Width and height of the images in pixels.
+        stretched: Whether images are cut to the head's bounding box, whatever its aspect, as the
+            authors' are, instead of to a square about the landmarks.
+    """
+
+    model: MorphableModel
+    albedo: Albedo
+    size: int
+    stretched: bool = False
+
+
+def make_scene(model: MorphableModel, scheme: str, size: int, protocol: str = "paper") -> Scene:
+    """The scene for a model.
+
+    Args:
+        model: Morphable model with landmarks of the scheme.
+        scheme: Landmark scheme by which images are framed.
+        size: Width and height of the images in pixels.
+        protocol: As for `projections.draw_cameras`; `"released"` stretches the images.
+
+    Raises:
+        DataError: The libraries that draw are missing, or the model cannot be coloured.
+    """
+    vertices = seen_vertices(model, scheme)
+    visible = part_of(model, vertices)
+    return Scene(visible, Albedo(model, vertices), size, stretched=protocol == "released")
+
+
+def render(
+    scene: Scene, dataset: Dataset, faces: range, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Images of some faces of a data set, in colours and light of their own.
+
+    Args:
+        scene: What to draw them with.
+        dataset: Faces of the same morphable model.
+        faces: Their numbers.
+        rng: Source of colours and light.
+
+    Returns:
+        `(n, size, size, 3)` uint8, and the landmarks in them: `(n, L, 2)` float32 pixels, x right
+        and y down from the left upper corner.
+    """
+    renderer = Renderer(scene.model, scene.size)
+    images, pixels = [], []
+    for start in range(faces.start, faces.stop, _FACES_AT_A_TIME):
+        rows = slice(start, min(start + _FACES_AT_A_TIME, faces.stop))
+        cameras = dataset.cameras[rows]
+        shapes = scene.model.shape(dataset.identity[rows])
+        seen = project_with_depth(shapes, dataset.landmarks[rows].astype(float), cameras)
+        views = dataset.views[rows].astype(float)
+        frames = frames_of(scene, views, seen)
+        n = len(cameras)
+        albedo, lights = scene.albedo.sample(n, rng), draw_lights(n, rng)
+        posed = in_camera_frame(shapes, cameras)
+        images.append(renderer.draw(seen, posed, albedo, frames, lights))
+        pixels.append(np.float32(frames.pixels(views)))
+    renderer.close()
+    return np.concatenate(images), np.concatenate(pixels)
+
+
+def frames_of(scene: Scene, views: np.ndarray, seen: np.ndarray) -> Frames:
+    """What part of the views the images show.
+
+    Args:
+        scene: Says how images are cut.
+        views: `(n, L, 2)` landmarks, millimetres.
+        seen: `(n, V, 3)` vertices, millimetres.
+    """
+    if scene.stretched:
+        return stretched_frames(seen[..., :2], scene.size)
+    return square_frames(views, scene.size)

@@ -1,0 +1,64 @@
+"""Which part of a face model an image can ever show: the rest need not be drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_gen.morphable_model import MorphableModel
+from data_gen.projections import Cameras, project, project_with_depth
+from data_gen.rasteriser import Rasteriser
+from data_gen.rendering import square_frames
+
+# Views in which the model is looked at, a little beyond those of the data sets.
+_YAWS, _PITCHES = (-50.0, -25.0, 0.0, 25.0, 50.0), (-35.0, -15.0, 0.0, 10.0)
+_FACES_PER_VIEW = 3
+_PIXELS = 512
+
+
+def seen_vertices(model: MorphableModel, scheme: str) -> np.ndarray:
+    """Vertices of the triangles seen in some view of some random faces, and of their neighbours.
+
+    Args:
+        model: Morphable model.
+        scheme: Landmark scheme by which images are framed.
+
+    Returns:
+        Sorted 0-based vertex numbers.
+    """
+    yaw, pitch = (angles.ravel() for angles in np.meshgrid(_YAWS, _PITCHES))
+    level = np.zeros(len(yaw))
+    cameras = Cameras(level.astype(int), yaw, pitch, level, level)
+    rasteriser = Rasteriser(model.n_vertices, model.triangles, _PIXELS, by_triangle=True)
+    # A triangle's number, written as a colour; the background is the one number left.
+    numbers = np.arange(len(model.triangles), dtype="<u4")
+    colours = numbers[:, None].view(np.uint8)[:, :3]
+    seen = np.zeros(len(numbers) + 1, bool)
+    rng = np.random.default_rng(0)
+    for _ in range(_FACES_PER_VIEW):
+        identity = rng.standard_normal((len(yaw), model.n_identity))
+        for k, coefficients in enumerate(identity):
+            camera = cameras[k : k + 1]
+            face = model.shape(coefficients)[None]
+            landmarks = face[:, model.landmarks[scheme]]
+            points = project_with_depth(face, landmarks, camera)
+            frame = square_frames(project(landmarks, camera), _PIXELS)
+            image = rasteriser.draw(frame.pixels(points[..., :2])[0], points[0, :, 2], colours)
+            found = np.zeros((*image.shape[:2], 4), np.uint8)
+            found[..., :3] = image
+            seen[np.minimum(found.view("<u4"), len(numbers))] = True
+    rasteriser.close()
+    touched = np.unique(model.triangles[seen[:-1]])
+    beside = np.isin(model.triangles, touched).any(1)
+    return np.unique(model.triangles[beside])
+
+
+def part_of(model: MorphableModel, vertices: np.ndarray) -> MorphableModel:
+    """The model with only these vertices, and the triangles that lie wholly among them.
+
+    Args:
+        model: Morphable model.
+        vertices: Sorted 0-based vertex numbers.
+    """
+    within = np.isin(model.triangles, vertices).all(1)
+    triangles = np.searchsorted(vertices, model.triangles[within])
+    return model.restrict(vertices, triangles)

@@ -1,0 +1,85 @@
+"""Reads photos into the images that MobileFace takes."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from deepmds_keras.errors import InputError
+
+MIN_SIDE, MAX_PIXELS = 32, 64_000_000
+
+
+def read_photo(
+    path: str | Path, box: tuple[float, float, float, float] | None = None, *, size: int = 96
+) -> np.ndarray:
+    """The face in a photo, in colour, upright and of the size that the network takes.
+
+    A grey photo becomes one of three equal channels, transparency white, and the camera's note on
+    which way is up is followed. What the box has beyond the photo is white.
+
+    Args:
+        path: Any kind of file that Pillow reads; of several frames the first is taken.
+        box: `(left, top, width, height)` of the face in pixels, about 1.4 times the box of its
+            landmarks; None takes the largest square in the middle.
+        size: Pixels of a side of the result; the aspect of the box is not kept.
+
+    Returns:
+        `(size, size, 3)` uint8, RGB.
+
+    Raises:
+        InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
+            more than 64 million pixels, or the box has no area.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own limit is higher than ours
+            with Image.open(path) as opened:
+                _check_size(path, *opened.size)
+                photo = _in_colour(ImageOps.exif_transpose(opened))
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be a photo.") from None
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises many kinds for a damaged file
+        raise InputError(
+            f"{path} must be a photo that can be read. "
+            f"Received {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        ) from None
+    if box is None:
+        side = min(photo.size)
+        box = ((photo.width - side) / 2, (photo.height - side) / 2, side, side)
+    left, top, width, height = box
+    if not (width > 0 and height > 0 and np.isfinite(box).all()):
+        raise InputError(f"box must be (left, top, width > 0, height > 0). Received {tuple(box)}.")
+    corners = np.rint([left, top, left + width, top + height]).astype(int)
+    face = Image.new(
+        "RGB", (max(corners[2] - corners[0], 1), max(corners[3] - corners[1], 1)), "white"
+    )
+    face.paste(photo, (-corners[0], -corners[1]))
+    return np.asarray(face.resize((size, size), Image.Resampling.BILINEAR))
+
+
+def _check_size(path: str | Path, width: int, height: int) -> None:
+    """Before anything is decoded: a small file can claim to be a huge image."""
+    if min(width, height) < MIN_SIDE:
+        raise InputError(
+            f"{path} must be at least {MIN_SIDE} pixels on each side. Received {width} x {height}."
+        )
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            f"{path} must have at most {MAX_PIXELS:,} pixels. Received {width} x {height}."
+        )
+
+
+def _in_colour(photo: Image.Image) -> Image.Image:
+    if photo.mode.startswith("I"):  # 16 bits a pixel, which Pillow would cut off at 255
+        photo = Image.fromarray(np.uint8(np.asarray(photo, float).clip(0, 65535) / 257))
+    if photo.has_transparency_data:
+        photo = photo.convert("RGBA")
+        white = Image.new("RGBA", photo.size, "white")
+        photo = Image.alpha_composite(white, photo)
+    return photo.convert("RGB")

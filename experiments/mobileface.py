@@ -1,0 +1,28 @@
+"""Stage of MobileFace: train it on the images, then its predictions of the test images."""
+
+from __future__ import annotations
+
+import tensorflow as tf
+
+from experiments.faces import load_images
+from experiments.predictions import write_prediction
+from experiments.recipes import mobileface
+from experiments.run import parse_run, stage
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    # A layer of this net is too small to be shared between threads; two layers' gradients are not.
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    tf.config.threading.set_inter_op_parallelism_threads(2)
+    with stage(run, "mobileface") as record:
+        test = load_images(run, "test")  # a damaged file is to be reported before the long work
+        model = mobileface(run)
+        record["final_rms_error_mm"] = {
+            mode: round(losses[-1] ** 0.5, 6) for mode, losses in model.history_.items()
+        }
+        write_prediction(run, "mobileface", model, test)
+
+
+if __name__ == "__main__":
+    main()
