@@ -37,7 +37,7 @@ _STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 # Drawn in the figures; the others differ from these in training or test views only.
 _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
 _MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
-_RENDERS = 32
+_RENDERS = 24
 
 
 def evaluate(

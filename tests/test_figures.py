@@ -6,11 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data_gen.dataset import make_dataset
+from data_gen.images import make_scene, render
 from data_gen.landmarks import load_scheme
+from data_gen.openhead import load_openhead
 from experiments.figures import style
 from experiments.figures.curves import batchnorm_lag, learning_curves
 from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
+from experiments.figures.renders import renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
 
@@ -19,7 +23,7 @@ SCHEME = load_scheme("bfm72")
 N_LANDMARKS = 72
 PAPER_METHODS = (
     *("mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian"),
-    *("ours", "ours_released", "ours_stable", "authors_weights"),
+    *("mobileface", "ours", "ours_released", "ours_stable", "authors_weights"),
 )
 
 
@@ -230,7 +234,7 @@ def test_no_two_methods_look_the_same():
 
 
 @pytest.mark.skipif(not OPEN_HEAD.exists(), reason="the open head is not in ../shared")
-def test_ten_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
+def test_eleven_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
     rng = np.random.default_rng(0)
     with np.load(OPEN_HEAD, allow_pickle=False) as head:
         mean = head["mean"][head["L72"]]
@@ -239,3 +243,17 @@ def test_ten_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
     figure = draw_qualitative(shapes / 207, PAPER_METHODS, rng)
     png, _ = style.save(figure, tmp_path, "qualitative")
     assert png.stat().st_size < 300_000
+
+
+def test_contact_sheet_of_real_renders_is_small_and_has_their_landmarks(tmp_path):
+    model = load_openhead()
+    faces = make_dataset(model, 24, np.random.default_rng(0))
+    scene = make_scene(model, "bfm72", 96)
+    images, landmarks = render(scene, faces, range(24), np.random.default_rng(0))
+    figure = renders(images, landmarks, SCHEME)
+    assert len(figure.axes) == 24
+    assert not figure.axes[11].lines
+    assert np.array_equal(figure.axes[12].lines[-1].get_xydata(), landmarks[12])
+    assert np.array_equal(figure.axes[23].images[0].get_array(), images[23])
+    for path in style.save(figure, tmp_path, "renders"):
+        assert path.stat().st_size < 300_000, path

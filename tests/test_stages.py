@@ -15,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 STAGES = ("faces", "networks", "predictions", "bfm")
+MOBILEFACE = ("images", "mobileface", "bfm")
 RELEASED = ROOT.parent / "shared" / "released" / "bfm"
 # `make` sets the same; a stage that runs alone is as deterministic as its threads.
 ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
@@ -39,18 +40,22 @@ def results(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A run that nothing disturbed."""
+    """A run that nothing disturbed: without MobileFace, whose table is kept apart, then with it."""
     folder = tmp_path_factory.mktemp("whole")
-    for stage in STAGES:
-        done = run(stage, folder)
-        assert done.returncode == 0, done.stderr
+    for stages in (STAGES, MOBILEFACE):
+        for stage in stages:
+            done = run(stage, folder)
+            assert done.returncode == 0, done.stderr
+        if stages == STAGES:
+            shutil.copy(results(folder) / "table.csv", folder / "without_mobileface.csv")
     return folder
 
 
 def test_everything_is_written(whole):
     names = {str(p.relative_to(results(whole))) for p in results(whole).rglob("*") if p.is_file()}
     assert {"metrics.csv", "table.csv", "table.tex", "wilcoxon.csv", "manifest.json"} <= names
-    figures = {"summary", "learning_curves", "qualitative", "error_per_landmark", "error_per_pose"}
+    figures = {"summary", "learning_curves", "qualitative", "error_per_landmark", "error_per_pose",
+               "renders"}  # fmt: skip
     assert {f"figures/{name}.{kind}" for name in figures for kind in ("png", "pdf")} <= names
     assert (results(whole).parent / "parameters" / "table.csv").is_file()
 
@@ -61,7 +66,8 @@ def test_manifest_says_what_made_the_results(whole):
         manifest["command"]
         == "make reproduce-bfm MODEL=openhead PRESET=smoke SEED=0 PROTOCOL=paper"
     )
-    assert [record["stage"] for record in manifest["stages"]] == [*STAGES[:3]]
+    stages = [record["stage"] for record in manifest["stages"]]
+    assert stages == ["faces", "images", "networks", "predictions", "mobileface"]
     assert {"numpy", "keras", "scikit-learn"} <= manifest["packages"].keys()
     assert len(manifest["model_sha256"]) == 64
 
@@ -70,11 +76,43 @@ def test_table_has_every_method_with_a_number_or_a_reason(whole):
     table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
     mse = table.xs("mse", level="metric")
     measured = ["mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian",
-                "ours", "ours_released", "ours_stable"]  # fmt: skip
+                "mobileface", "ours", "ours_released", "ours_stable"]  # fmt: skip
     assert [*mse.index[mse["mean"].notna()]] == measured
-    assert mse.loc[["mobileface", "authors_weights"], "note"].str.len().min() > 10
+    assert mse.loc["authors_weights", "note"].startswith("their weight files were not given")
+    assert "20 steps of 16 images" in mse.loc["mobileface", "note"]
     assert mse.loc["ours", "paper_mean"] == 1.4e-4
     assert mse.loc["linear", "mean"] < mse.loc["mean_shape", "mean"]
+
+
+def test_without_mobileface_the_rest_is_the_same(whole):
+    without, table = (
+        pd.read_csv(path).set_index(["method", "metric"])
+        for path in (whole / "without_mobileface.csv", results(whole) / "table.csv")
+    )
+    assert without.loc["mobileface", "mean"].isna().all()
+    assert without.loc[("mobileface", "mse"), "note"] == "left out (MOBILEFACE=no)"
+    rest = without.drop("mobileface")
+    pd.testing.assert_frame_equal(rest, table.loc[rest.index], check_exact=True)
+
+
+def test_the_released_evaluator_scores_the_same_predictions(whole):
+    done = run("bfm", whole, "--evaluator", "released")
+    assert done.returncode == 0, done.stderr
+    folder = results(whole).with_name("bfm-evaluator-released")
+    released, paper = (
+        pd.read_csv(path / "table.csv").set_index(["method", "metric"])
+        for path in (folder, results(whole))
+    )
+    cell = released.loc[("zhao_true_depth", "mse")]
+    assert 1.8e-3 < cell["mean"] < 2.6e-3
+    assert "rescaled by itself to [0, 1]" in cell["note"]
+    # The paper's number stands beside the views that the authors gave to the net.
+    assert released.loc[("zhao_frontal", "mse"), "paper_mean"] == 22e-4
+    assert paper.loc[("zhao", "mse"), "paper_mean"] == 22e-4
+    others = ["mean_shape", "linear", "aldrian", "mobileface", "ours"]
+    pd.testing.assert_frame_equal(released.loc[others], paper.loc[others], check_exact=True)
+    shown = run("show", whole, "--evaluator", "released")
+    assert "True depth in Zhao's place" in shown.stdout
 
 
 def test_show_prints_the_papers_number_beside_ours(whole):
@@ -92,6 +130,8 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_tables(whole, t
         ("faces", "train.npz"),
         ("networks", "autoencoder-constant.npz"),
         ("predictions", "linear.npz"),
+        ("images", "0000.npy"),
+        ("mobileface", "mobileface.npz"),
         ("bfm", "metrics.csv"),
     ):
         process = subprocess.Popen(
@@ -104,7 +144,8 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_tables(whole, t
         kills[stage] = process.wait() == -signal.SIGKILL
         done = run(stage, tmp_path)
         assert done.returncode == 0, done.stderr
-    assert kills["networks"] and kills["predictions"], "the stages ended before they were killed"
+    long = ("networks", "predictions", "mobileface")
+    assert all(kills[stage] for stage in long), "the stages ended before they were killed"
     for name in ("metrics.csv", "table.csv", "wilcoxon.csv"):
         first, second = (pd.read_csv(results(folder) / name) for folder in (whole, tmp_path))
         if "metric" in first:  # how long it took is the one thing that differs
@@ -132,6 +173,19 @@ def test_a_damaged_cache_is_reported(whole, tmp_path):
     assert "linear.npz must be an npz" in refused.stderr
 
 
+def test_a_changed_image_is_reported(whole, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(whole / "build", folder / "build")
+    path = next((folder / "build").rglob("images/test/0000.npy"))
+    content = bytearray(path.read_bytes())
+    content[5000] ^= 1
+    path.write_bytes(content)
+    refused = run("mobileface", folder)
+    assert refused.returncode == 2
+    assert "0000.npy was changed since it was made" in refused.stderr.splitlines()[-1]
+    assert "Traceback" not in refused.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -140,6 +194,7 @@ def test_a_damaged_cache_is_reported(whole, tmp_path):
         (["--model", "bfm2017", "--data", __file__], "test_stages.py"),
         (["--model", "flame"], "invalid choice: 'flame'"),
         (["--seed", "-1"], "--seed must not be negative"),
+        (["--evaluator", "mine"], "invalid choice: 'mine'"),
         (["--authors", "/nowhere"], "--authors must be a folder with AE_occ2orth_BFM.h5"),
     ],
 )

@@ -136,6 +136,8 @@ def test_unusable_metrics_are_refused(metrics):
 def test_parameters_are_counted_from_the_networks(metrics):
     table = parameters.parameter_table(metrics).set_index("method")
     assert [*table.loc["ours_released", ["trainable", "total"]]] == ["27303", "28209"]
+    mobileface = table.loc["mobileface", ["trainable", "total", "paper"]]
+    assert [*mobileface] == ["900979", "907819", "900,979"]
     assert [*table.loc["ours", ["trainable", "total", "paper"]]] == ["27323", "28229", "27505"]
     assert [*table.loc["mediapipe", ["trainable", "paper"]]] == ["", "Not found"]
     row = line(parameters.latex(table.reset_index()), "MediaPipe")

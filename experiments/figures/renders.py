@@ -12,12 +12,13 @@ from experiments.figures.style import styled
 if TYPE_CHECKING:
     from data_gen.landmarks import LandmarkScheme
 
-_COLUMNS = 8
+_COLUMNS = 6
+_INCHES = 0.6  # 96 pixels at the resolution of `style.PNG_DPI`: every pixel is one of the image
 
 
 @styled
 def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -> Figure:
-    """Images in rows of eight; in the lower half of the rows the landmarks are drawn in.
+    """Images in rows of six; in the lower half of the rows the landmarks are drawn in.
 
     Args:
         images: `(n, size, size, 3)` uint8.
@@ -26,13 +27,13 @@ def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -
     """
     size = images.shape[1]
     rows = -(-len(images) // _COLUMNS)
-    figure = Figure(figsize=(7.2, 7.2 * rows / _COLUMNS))
+    figure = Figure(figsize=(_COLUMNS * _INCHES, rows * _INCHES))
     panels = figure.subplots(rows, _COLUMNS, squeeze=False)
-    figure.subplots_adjust(0, 0, 1, 1, 0.02, 0.02)
+    figure.subplots_adjust(0, 0, 1, 1, 0, 0)
     for axes in panels.flat:
         axes.set_axis_off()
     for number, axes in enumerate(panels.flat[: len(images)]):
-        axes.imshow(images[number], extent=(0, size, size, 0), interpolation="antialiased")
+        axes.imshow(images[number], extent=(0, size, size, 0), interpolation="nearest")
         if number >= len(images) // 2:
             for line in scheme.polylines:
                 axes.plot(*landmarks[number, list(line)].T, color="#00A0FF", lw=0.4)

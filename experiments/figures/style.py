@@ -112,7 +112,8 @@ def _small_png(figure: Figure) -> bytes:
     # A palette of 256 colours looks the same for line drawings and takes a third of the room.
     full = _render(figure, "png", dpi=PNG_DPI, metadata={"Software": None})
     image = Image.open(io.BytesIO(full)).convert("RGB")
-    palette = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    if not any(axes.images for axes in figure.axes):  # photographs need their colours
+        image = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     buffer = io.BytesIO()
-    palette.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
+    image.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
     return buffer.getvalue()
