@@ -37,7 +37,7 @@ class Scene:
     model: MorphableModel
     albedo: Albedo
     size: int
-    stretched: bool = False
+    stretched: bool
 
 
 def make_scene(model: MorphableModel, scheme: str, size: int, protocol: str = "paper") -> Scene:
@@ -52,9 +52,9 @@ def make_scene(model: MorphableModel, scheme: str, size: int, protocol: str = "p
     Raises:
         DataError: The libraries that draw are missing, or the model cannot be coloured.
     """
-    vertices = seen_vertices(model, scheme)
-    visible = part_of(model, vertices)
-    return Scene(visible, Albedo(model, vertices), size, stretched=protocol == "released")
+    stretched = protocol == "released"
+    vertices = seen_vertices(model, scheme, whole=stretched)
+    return Scene(part_of(model, vertices), Albedo(model, vertices), size, stretched)
 
 
 def render(

@@ -107,6 +107,12 @@ def _choose_window() -> None:
     """Tell VTK not to look for a display, which on Linux it does first."""
     if sys.platform != "linux":
         return
+    if "tensorflow" in sys.modules:
+        # Each brings an LLVM of its own, and Mesa's calls would end up in TensorFlow's.
+        raise DataError(
+            "Rendering must be done in a process that has not loaded TensorFlow. "
+            "Received one that has, in which Mesa's drawing would crash."
+        )
     found = [window for library, window in _WINDOWS.items() if ctypes.util.find_library(library)]
     if not found:
         raise DataError(

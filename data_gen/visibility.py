@@ -7,7 +7,7 @@ import numpy as np
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import Cameras, project, project_with_depth
 from data_gen.rasteriser import Rasteriser
-from data_gen.rendering import square_frames
+from data_gen.rendering import square_frames, stretched_frames
 
 # Views in which the model is looked at, a little beyond those of the data sets.
 _YAWS, _PITCHES = (-50.0, -25.0, 0.0, 25.0, 50.0), (-35.0, -15.0, 0.0, 10.0)
@@ -15,12 +15,13 @@ _FACES_PER_VIEW = 3
 _PIXELS = 512
 
 
-def seen_vertices(model: MorphableModel, scheme: str) -> np.ndarray:
+def seen_vertices(model: MorphableModel, scheme: str, *, whole: bool = False) -> np.ndarray:
     """Vertices of the triangles seen in some view of some random faces, and of their neighbours.
 
     Args:
         model: Morphable model.
         scheme: Landmark scheme by which images are framed.
+        whole: Whether images show the whole model instead of a square about the landmarks.
 
     Returns:
         Sorted 0-based vertex numbers.
@@ -41,7 +42,11 @@ def seen_vertices(model: MorphableModel, scheme: str) -> np.ndarray:
             face = model.shape(coefficients)[None]
             landmarks = face[:, model.landmarks[scheme]]
             points = project_with_depth(face, landmarks, camera)
-            frame = square_frames(project(landmarks, camera), _PIXELS)
+            frame = (
+                stretched_frames(points[..., :2], _PIXELS)
+                if whole
+                else square_frames(project(landmarks, camera), _PIXELS)
+            )
             image = rasteriser.draw(frame.pixels(points[..., :2])[0], points[0, :, 2], colours)
             found = np.zeros((*image.shape[:2], 4), np.uint8)
             found[..., :3] = image

@@ -94,11 +94,13 @@ def draw(
     """Write every figure."""
     scheme = load_scheme(SCHEME)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    mobileface = None
     if "mobileface" in scores:
         files, shown = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
         figure = renders(files[slice(len(shown))], files.landmarks(shown), scheme)
         save(figure, folder, "renders")
-    save(learning_curves(histories(run)), folder, "learning_curves")
+        mobileface = read_arrays(run.network_file("mobileface"))[1]["history"]
+    save(learning_curves(histories(run), mobileface), folder, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
     figure = qualitative(
@@ -175,7 +177,10 @@ def main(arguments: list[str] | None = None) -> None:
             draw(run, test, scores, predictions, folder / "figures")
             write_parameter_table(run, metrics)
         done = [name for name in _STAGES if (run.work / f"{name}.json").exists()]
-        write_manifest(run, "reproduce-bfm", [load_record(run, name) for name in done], folder)
+        records = [load_record(run, name) for name in done]
+        for record in records:
+            record.pop("checksums", None)  # of the images, which nobody else has
+        write_manifest(run, "reproduce-bfm", records, folder)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,8 @@ RECORD = {"train": [2e-4, 1e-4], "inference": [9e-4, 4e-4]}
 
 
 def draw_learning(rng):
-    return learning_curves({"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}})
+    histories = {"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
+    return learning_curves(histories, mobileface={"train": [9.0, 2.0], "inference": [7.0, 3.0]})
 
 
 def draw_lag(rng):
@@ -134,7 +135,7 @@ def test_the_pdf_holds_no_date(tmp_path):
 
 @pytest.mark.parametrize("draw", PLOTS)
 def test_every_quantity_on_a_value_axis_has_its_unit(draw):
-    units = ("(mm)", "units)", "(°)", "epochs)", "steps)", "(no unit)")
+    units = ("(mm)", "(mm²)", "units)", "(°)", "epochs)", "steps)", "(no unit)")
     for axes in draw(np.random.default_rng(0)).axes:
         if not axes.axison:
             continue
@@ -245,11 +246,15 @@ def test_eleven_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
     assert png.stat().st_size < 300_000
 
 
-def test_contact_sheet_of_real_renders_is_small_and_has_their_landmarks(tmp_path):
+def rendered():
     model = load_openhead()
     faces = make_dataset(model, 24, np.random.default_rng(0))
     scene = make_scene(model, "bfm72", 96)
-    images, landmarks = render(scene, faces, range(24), np.random.default_rng(0))
+    return render(scene, faces, range(24), np.random.default_rng(0))
+
+
+def test_contact_sheet_of_real_renders_is_small_and_has_their_landmarks(apart, tmp_path):
+    images, landmarks = apart(rendered)
     figure = renders(images, landmarks, SCHEME)
     assert len(figure.axes) == 24
     assert not figure.axes[11].lines

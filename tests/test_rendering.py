@@ -1,6 +1,7 @@
 """Renders: the image is the same view as the landmarks, the right way round, every time alike."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,14 +22,36 @@ SIZE = 96
 NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN = 28, 6, 50, 33
 
 
+# What draws does so in a process of its own (`apart`), where it is kept for the next call.
+open_head = cache(load_openhead)
+open_head_part = cache(lambda: part_of(open_head(), seen_vertices(open_head(), "bfm72")))
+scene_of = cache(lambda protocol: make_scene(open_head(), "bfm72", SIZE, protocol))
+renderer_of = cache(lambda whole: Renderer(open_head() if whole else open_head_part(), SIZE))
+
+
+def rendered(faces, chosen, seed, protocol="paper"):
+    return render(scene_of(protocol), faces, chosen, np.random.default_rng(seed))
+
+
+def projected_vertices(faces, protocol="paper"):
+    """Where the vertices that are drawn lie in the images: `(n, V, 2)` pixels."""
+    scene = scene_of(protocol)
+    shapes = scene.model.shape(faces.identity)
+    seen = project_with_depth(shapes, faces.landmarks.astype(float), faces.cameras)
+    return frames_of(scene, faces.views.astype(float), seen).pixels(seen[..., :2])
+
+
+def open_head_part_as_it_is():
+    return open_head_part()
+
+
+def highest(protocol):
+    return scene_of(protocol).model.mean[:, 1].max()
+
+
 @pytest.fixture(scope="module")
 def model():
     return load_openhead()
-
-
-@pytest.fixture(scope="module")
-def scene(model):
-    return make_scene(model, "bfm72", SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -36,26 +59,20 @@ def faces(model):
     return make_dataset(model, 12, np.random.default_rng(3))
 
 
-@pytest.fixture(scope="module")
-def renderer(model):
-    renderer = Renderer(model, SIZE)
-    yield renderer
-    renderer.close()
-
-
 def camera(**angles):
     values = {name: np.array([angles.get(name, 0.0)]) for name in Cameras.__dataclass_fields__}
     return Cameras(**values | {"projection": np.array([int("field_of_view" in angles)])})
 
 
-def painted(renderer, model, colours, pose, light=None):
-    """One image of the mean face in the colours given, and its frame."""
-    face, landmarks = model.mean[None], model.mean[None, model.landmarks["bfm72"]]
-    seen = project_with_depth(face, landmarks, pose)
-    frames = square_frames(project(landmarks, pose), SIZE)
+def painted(colours, pose, light=None, whole=True):
+    """One image of the mean face in the colours given, all of it or what can be seen."""
+    model, part = open_head(), open_head() if whole else open_head_part()
+    landmarks = model.mean[None, model.landmarks["bfm72"]]
+    seen = project_with_depth(part.mean[None], landmarks, pose)
     light = light or Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
-    posed = in_camera_frame(face, pose)
-    return renderer.draw(seen, posed, colours[None], frames, light)[0], frames
+    posed = in_camera_frame(part.mean[None], pose)
+    frames = square_frames(project(landmarks, pose), SIZE)
+    return renderer_of(whole).draw(seen, posed, colours[None], frames, light)[0]
 
 
 def redness(image):
@@ -73,7 +90,7 @@ POSES = [
 
 
 @pytest.mark.parametrize("landmark", [NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN])
-def test_a_landmark_lies_on_what_is_painted_there(renderer, model, landmark):
+def test_a_landmark_lies_on_what_is_painted_there(apart, model, landmark):
     vertex = model.landmarks["bfm72"][landmark]
     near = np.linalg.norm(model.mean - model.mean[vertex], axis=1) < 6
     colours = np.where(near[:, None], (1.0, 0, 0), (0.5, 0.5, 0.5))
@@ -85,52 +102,49 @@ def test_a_landmark_lies_on_what_is_painted_there(renderer, model, landmark):
     ]
     assert len(facing) >= 4
     for pose in facing:
-        image, frames = painted(renderer, model, colours, pose)
-        red = redness(image).clip(0)
+        red = redness(apart(painted, colours, pose)).clip(0)
         assert red.max() > 200
         rows, columns = np.indices(red.shape) + 0.5  # middles of the pixels
         middle = np.array([(red * axis).sum() for axis in (columns, rows)]) / red.sum()
         view = project(model.mean[None, model.landmarks["bfm72"]], pose)
-        assert np.linalg.norm(middle - frames.pixels(view)[0, landmark]) < 2
+        place = square_frames(view, SIZE).pixels(view)[0, landmark]
+        assert np.linalg.norm(middle - place) < 2
 
 
-def test_left_is_left_and_up_is_up(renderer, model):
+def test_left_is_left_and_up_is_up(apart, model):
     left = np.where(model.mean[:, :1] > 0, (1.0, 0, 0), (0.5, 0.5, 0.5))
-    red = redness(painted(renderer, model, left, camera())[0]) > 100
+    red = redness(apart(painted, left, camera())) > 100
     # The subject's left is on the right of the image.
     assert red[:, SIZE // 2 + 2 :].mean() > 0.5
     assert not red[:, : SIZE // 2 - 2].any()
     high = np.where(model.mean[:, 1:2] > 0, (1.0, 0, 0), (0.5, 0.5, 0.5))
-    red = redness(painted(renderer, model, high, camera())[0]) > 100
+    red = redness(apart(painted, high, camera())) > 100
     assert np.flatnonzero(red.any(1)).mean() < np.flatnonzero(~red.any(1)).mean()
 
 
-def test_what_lies_behind_is_hidden(renderer, model):
+def test_what_lies_behind_is_hidden(apart, model):
     back = (model.mean[:, 2] < 0) & (np.abs(model.mean[:, 0]) < 40)
     colours = np.where(back[:, None], (1.0, 0, 0), (0.5, 0.5, 0.5))
-    assert redness(painted(renderer, model, colours, camera())[0]).max() < 30
+    assert redness(apart(painted, colours, camera())).max() < 30
     # Turned to its own left, the face shows its right cheek and hides its left ear.
     ear = model.landmarks["ibug68"][[0, 16]]
     for yaw, vertex, seen in ((45.0, ear[0], True), (45.0, ear[1], False), (-45.0, ear[1], True)):
         near = np.linalg.norm(model.mean - model.mean[vertex], axis=1) < 10
         colours = np.where(near[:, None], (1.0, 0, 0), (0.5, 0.5, 0.5))
-        red = redness(painted(renderer, model, colours, camera(yaw=yaw))[0])
+        red = redness(apart(painted, colours, camera(yaw=yaw)))
         assert (red.max() > 100) == seen
 
 
-def test_the_silhouette_is_that_of_the_vertices(model, scene, faces):
-    stretched = replace(scene, stretched=True)
-    images, landmarks = render(stretched, faces, range(4), np.random.default_rng(0))
-    drawn = (images < 250).any(-1)
+def test_the_silhouette_is_that_of_the_vertices(apart, model, faces):
     # Cut to the head's bounding box, the head touches every side of the image ...
+    assert apart(highest, "released") == model.mean[:, 1].max()  # from the crown on
+    images, _ = apart(rendered, faces, range(4), 0, "released")
+    drawn = (images < 250).any(-1)
     for side in (drawn[:, 0], drawn[:, -1], drawn[:, :, 0], drawn[:, :, -1]):
         assert side.any(1).all()
     # ... and square frames show it where its vertices are.
-    images, landmarks = render(scene, faces, range(12), np.random.default_rng(0))
-    shapes = scene.model.shape(faces.identity)
-    seen = project_with_depth(shapes, faces.landmarks.astype(float), faces.cameras)
-    pixels = frames_of(scene, faces.views.astype(float), seen).pixels(seen[..., :2])
-    for image, places in zip(images, pixels, strict=True):
+    images, landmarks = apart(rendered, faces, range(12), 0)
+    for image, places in zip(images, apart(projected_vertices, faces), strict=True):
         columns = np.flatnonzero((image < 250).any((0, 2)))
         assert abs(columns[0] - max(places[:, 0].min(), 0)) < 1.5
         assert abs(columns[-1] + 1 - min(places[:, 0].max(), SIZE)) < 1.5
@@ -139,8 +153,8 @@ def test_the_silhouette_is_that_of_the_vertices(model, scene, faces):
     assert on_face.mean() > 0.98  # all but some on the very outline
 
 
-def test_landmark_pixels_are_those_of_the_views(scene, faces):
-    _, landmarks = render(scene, faces, range(12), np.random.default_rng(0))
+def test_landmark_pixels_are_those_of_the_views(apart, faces):
+    _, landmarks = apart(rendered, faces, range(12), 0)
     low, high = landmarks.min(1), landmarks.max(1)
     assert np.allclose((low + high) / 2, SIZE / 2, atol=1e-3)
     assert np.allclose((high - low).max(1), SIZE / 1.4, atol=1e-3)
@@ -149,19 +163,17 @@ def test_landmark_pixels_are_those_of_the_views(scene, faces):
     assert np.allclose(scale[:, 0], scale[:, 1], rtol=1e-4)
 
 
-def test_same_random_numbers_same_bytes(scene, faces):
-    first = render(scene, faces, range(5), np.random.default_rng(1))
-    again = render(scene, faces, range(5), np.random.default_rng(1))
-    other = render(scene, faces, range(5), np.random.default_rng(2))
+def test_same_random_numbers_same_bytes(apart, faces):
+    first, again, other = (apart(rendered, faces, range(5), seed) for seed in (1, 1, 2))
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first[0], other[0])
     assert np.array_equal(first[1], other[1])  # only colours and light are drawn anew
 
 
-def test_light_falls_from_where_the_lamp_is(renderer, model):
+def test_light_falls_from_where_the_lamp_is(apart, model):
     grey = np.full((model.n_vertices, 3), 0.6)
     lamp = Lights(np.array([[0.9, 0, 0.44]]), np.array([0.3]), np.ones((1, 3)))
-    image, _ = painted(renderer, model, grey, camera(), lamp)
+    image = apart(painted, grey, camera(), lamp)
     face = image[30:60].astype(float).mean((0, 2))
     assert face[60:75].mean() > face[21:36].mean() + 20
     lights = draw_lights(500, np.random.default_rng(0))
@@ -169,24 +181,15 @@ def test_light_falls_from_where_the_lamp_is(renderer, model):
     assert (lights.direction[:, 2] > 0).all()
 
 
-def test_what_cannot_be_seen_need_not_be_drawn(model):
-    vertices = seen_vertices(model, "bfm72")
-    part = part_of(model, vertices)
+def test_what_cannot_be_seen_need_not_be_drawn(apart, model):
+    part = apart(open_head_part_as_it_is)
     assert len(part.triangles) < len(model.triangles)
-    assert {*model.landmarks["bfm72"]} <= {*vertices}
-    whole = Renderer(model, SIZE)
-    fewer = Renderer(part, SIZE)
     for pose in POSES[:4]:
-        grey = np.full((model.n_vertices, 3), 0.6)
-        image, frames = painted(whole, model, grey, pose)
-        landmarks = model.mean[None, model.landmarks["bfm72"]]
-        seen = project_with_depth(part.mean[None], landmarks, pose)
-        light = Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
-        posed = in_camera_frame(part.mean[None], pose)
-        again = fewer.draw(seen, posed, grey[None, vertices], frames, light)[0]
-        assert (np.abs(image.astype(int) - again) > 8).mean() < 1e-3
-    whole.close()
-    fewer.close()
+        whole, fewer = (
+            apart(painted, np.full((n, 3), 0.6), pose, None, all_of_it)
+            for n, all_of_it in ((model.n_vertices, True), (part.n_vertices, False))
+        )
+        assert (np.abs(whole.astype(int) - fewer) > 8).mean() < 1e-3
 
 
 def test_painted_faces_have_features_and_differ(model):
@@ -223,8 +226,12 @@ def test_a_model_that_cannot_be_coloured_is_refused():
         Albedo(bare)
 
 
-def test_a_machine_that_cannot_draw_is_told_what_to_install(model, monkeypatch):
+def test_a_process_that_cannot_draw_is_told_why(model, monkeypatch):
     monkeypatch.setattr(rasteriser.sys, "platform", "linux")
+    monkeypatch.setitem(rasteriser.sys.modules, "tensorflow", None)
+    with pytest.raises(DataError, match="in a process that has not loaded TensorFlow"):
+        Renderer(model, SIZE)
+    monkeypatch.delitem(rasteriser.sys.modules, "tensorflow")
     monkeypatch.setattr(rasteriser.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(DataError, match="libEGL or libOSMesa"):
         Renderer(model, SIZE)

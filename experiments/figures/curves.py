@@ -24,19 +24,23 @@ _SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine-decayed le
 
 
 @styled
-def learning_curves(histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> Figure:
-    """Loss against training time, the autoencoder beside the dissimilarity net.
+def learning_curves(
+    histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
+    mobileface: Mapping[str, Sequence[float]] | None = None,
+) -> Figure:
+    """Loss against training time, the autoencoder beside the dissimilarity net, and MobileFace.
 
     Args:
         histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
             each a record with one mean squared error an epoch, in squared normalised units:
             `"train"` as seen by the optimiser, `"inference"` of the network after the epoch,
             `"test"` on test faces. What a record lacks is not drawn.
+        mobileface: Such a record in square millimetres; None leaves its panel out.
     """
     figure = Figure(figsize=(7.2, 3.1), layout="constrained")
-    panels = figure.subplots(1, 2)
+    panels = figure.subplots(1, 2 if mobileface is None else 3)
     shown = set()
-    for axes, (network, name) in zip(panels, _NETWORKS.items(), strict=True):
+    for axes, (network, name) in zip(panels[:2], _NETWORKS.items(), strict=True):
         # Methods may share a network: the one named first is drawn last, on top.
         for method, networks in reversed(histories.items()):
             for mode, losses in networks.get(network, {}).items():
@@ -47,8 +51,17 @@ def learning_curves(histories: Mapping[str, Mapping[str, Mapping[str, Sequence[f
         axes.set(yscale="log", title=name)
         _time_axis(axes)
     panels[0].set_ylabel("Mean squared error\n(squared normalised units)")
+    methods = [*histories]
+    if mobileface is not None:
+        methods.append("mobileface")
+        for mode, losses in mobileface.items():
+            line = {"color": colour("mobileface"), "linestyle": _MODES[mode][0], "lw": 1.1}
+            panels[2].plot(_epochs(losses), losses, **line)
+        panels[2].set(yscale="log", title=title("mobileface"))
+        panels[2].set_ylabel("Mean squared error of the mesh (mm²)")
+        _time_axis(panels[2])
     figure.legend(
-        handles=[Line2D([], [], color=colour(m), label=title(m)) for m in histories],
+        handles=[Line2D([], [], color=colour(m), label=title(m)) for m in methods],
         loc="outside upper center",
         ncols=4,
     )
