@@ -91,7 +91,7 @@ def test_without_mobileface_the_rest_is_the_same(whole):
     )
     assert without.loc["mobileface", "mean"].isna().all()
     assert without.loc[("mobileface", "mse"), "note"] == "left out (MOBILEFACE=no)"
-    rest = without.drop("mobileface")
+    rest = without.drop("mobileface", level="method")
     pd.testing.assert_frame_equal(rest, table.loc[rest.index], check_exact=True)
 
 
