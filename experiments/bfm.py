@@ -37,6 +37,7 @@ _STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 # Drawn in the figures; the others differ from these in training or test views only.
 _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
 _MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
+_NOT_SHOWN = ("ours_released",)  # beside whole faces: to the eye they are those of `ours`
 _RENDERS = 24
 
 
@@ -96,21 +97,22 @@ def draw(
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
     mobileface = None
     if "mobileface" in scores:
-        files, shown = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
-        figure = renders(files[slice(len(shown))], files.landmarks(shown), scheme)
+        files, first = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
+        figure = renders(files[slice(len(first))], files.landmarks(first), scheme)
         save(figure, folder, "renders")
         mobileface = read_arrays(run.network_file("mobileface"))[1]["history"]
     save(learning_curves(histories(run), mobileface), folder, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
+    shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
     figure = qualitative(
         test.views[faces],
         predictions["ours"]["frontal"][faces],
         test.shapes[faces],
-        {method: own.aligned[faces] for method, own in drawn.items()},
+        {method: own.aligned[faces] for method, own in shown.items()},
         scheme,
         titles,
-        {method: own.mse[faces] for method, own in drawn.items()},
+        {method: own.mse[faces] for method, own in shown.items()},
     )
     save(figure, folder, "qualitative")
 

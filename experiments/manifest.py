@@ -57,9 +57,20 @@ def environment() -> dict:
     return {
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "processor": _processor(),
         "packages": dict(sorted(packages.items())),
         "commit": _commit(),
     }
+
+
+def _processor() -> str:
+    """Model of the processor, as far as the system tells: rounding differs between them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
 
 
 def _commit() -> str | None:
