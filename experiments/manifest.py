@@ -74,12 +74,17 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """Commit of the code, with a `+` if files that git knows were changed since."""
+    """Commit of the code, with a `+` if files that git knows, results aside, were changed since."""
     try:
-        git = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
-            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
-        )  # fmt: skip
+        commit = _git("rev-parse", "--short=12", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results")
     except (OSError, subprocess.CalledProcessError):
         return None
-    return git.stdout.strip()
+    return commit + "+" * bool(changed)
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(
+        ["git", *arguments],
+        capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+    ).stdout.strip()  # fmt: skip
