@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.errors import DataError
+from data_gen.model_files import sha256_of
 
 FACES_PER_FILE = 500
 
@@ -61,10 +61,11 @@ class ImageFiles:
             os.replace(partial, path)
 
     def landmarks(self, faces: range) -> np.ndarray:
-        """Pixel positions of the landmarks of the first faces, `(n, L, 2)`."""
-        files = range(faces.stop // FACES_PER_FILE + 1)
-        rows = [np.load(self.paths(k)[1], allow_pickle=False) for k in files]
-        return np.concatenate(rows)[faces.start : faces.stop]
+        """Pixel positions of the landmarks of some faces, `(n, L, 2)`."""
+        first, last = faces.start // FACES_PER_FILE, (faces.stop - 1) // FACES_PER_FILE
+        rows = [_read(self.paths(file)[1]) for file in range(first, last + 1)]
+        start = first * FACES_PER_FILE
+        return np.concatenate(rows)[faces.start - start : faces.stop - start]
 
     def checksums(self) -> dict[str, str]:
         """sha256 of every file of images, by name."""
@@ -72,8 +73,7 @@ class ImageFiles:
         for file in range(len(self.ranges())):
             path = self.paths(file)[0]
             try:
-                with open(path, "rb") as opened:
-                    digests[path.name] = hashlib.file_digest(opened, "sha256").hexdigest()
+                digests[path.name] = sha256_of([path])
             except OSError as error:
                 raise DataError(f"{path} must hold images. Received {error.strerror}.") from None
         return digests
@@ -95,10 +95,7 @@ class ImageFiles:
         if file not in self._arrays:
             path = self.paths(file)[0]
             needed = (len(self.ranges()[file]), self.size, self.size, 3)
-            try:
-                array = np.load(path, mmap_mode="r", allow_pickle=False)
-            except (OSError, ValueError, EOFError) as error:
-                raise DataError(f"{path} must hold images. Received {error}.") from None
+            array = _read(path)
             if array.shape != needed or array.dtype != np.uint8:
                 raise DataError(
                     f"{path} must hold images, uint8 {needed}. "
@@ -106,3 +103,10 @@ class ImageFiles:
                 )
             self._arrays[file] = array
         return self._arrays[file]
+
+
+def _read(path: Path) -> np.ndarray:
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(f"{path} must hold images or their landmarks. Received {error}.") from None
