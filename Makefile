@@ -4,8 +4,6 @@ SHELL := bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce-bfm seeds pretrained openhead test lint clean
-# Records of stages are results, not intermediate files to be deleted.
-.SECONDARY:
 
 PYTHON ?= python3
 VENV ?= .venv
