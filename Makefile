@@ -50,7 +50,7 @@ $(READY): setup.cfg constraints.txt
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
 	@touch $@
 
-reproduce-bfm: $(TABLE) ## the paper's BFM table, ours beside it   (75 min; 15 with MOBILEFACE=no)
+reproduce-bfm: $(TABLE) ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
 	@$(STAGE).show $(RUN)
 
 $(BUILD)/faces.json: | $(READY)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from data_gen.errors import DataError
 from data_gen.model_files import UNREADABLE_NPZ
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import PROJECTIONS, Cameras, draw_cameras, project
+from data_gen.writing import whole_file
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
 
@@ -92,11 +92,8 @@ def make_dataset(
 
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
     """Write an npz, under a temporary name until it is complete."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
-    with open(partial, "wb") as file:
+    with whole_file(Path(path)) as file:
         np.savez(
             file,
             identity=dataset.identity,
@@ -105,7 +102,6 @@ def save_dataset(path: str | Path, dataset: Dataset) -> None:
             description=np.array(json.dumps(dataset.description)),
             **cameras,
         )
-    os.replace(partial, path)
 
 
 def load_dataset(path: str | Path) -> Dataset:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.errors import DataError
 from data_gen.model_files import sha256_of
+from data_gen.writing import whole_file
 
 FACES_PER_FILE = 500
 
@@ -54,11 +54,8 @@ class ImageFiles:
         """Write one file of images, after their landmarks, each whole or not at all."""
         images_path, landmarks_path = self.paths(file)
         for path, array in ((landmarks_path, landmarks), (images_path, images)):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-            with open(partial, "wb") as opened:
+            with whole_file(path) as opened:
                 np.save(opened, array)
-            os.replace(partial, path)
 
     def landmarks(self, faces: range) -> np.ndarray:
         """Pixel positions of the landmarks of some faces, `(n, L, 2)`."""

@@ -77,13 +77,13 @@ def render(
     for start in range(faces.start, faces.stop, _FACES_AT_A_TIME):
         rows = slice(start, min(start + _FACES_AT_A_TIME, faces.stop))
         cameras = dataset.cameras[rows]
-        shapes = scene.model.shape(dataset.identity[rows])
-        seen = project_with_depth(shapes, dataset.landmarks[rows].astype(float), cameras)
+        posed = in_camera_frame(scene.model.shape(dataset.identity[rows]), cameras)
+        landmarks = in_camera_frame(dataset.landmarks[rows].astype(float), cameras)
+        seen = project_with_depth(posed, landmarks, cameras)
         views = dataset.views[rows].astype(float)
         frames = frames_of(scene, views, seen)
         n = len(cameras)
         albedo, lights = scene.albedo.sample(n, rng), draw_lights(n, rng)
-        posed = in_camera_frame(shapes, cameras)
         images.append(renderer.draw(seen, posed, albedo, frames, lights))
         pixels.append(np.float32(frames.pixels(views)))
     renderer.close()

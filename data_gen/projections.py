@@ -116,26 +116,26 @@ def project(points: np.ndarray, cameras: Cameras) -> np.ndarray:
         points: `(n, L, 3)` millimetres.
         cameras: One for each face.
     """
-    return project_with_depth(points, points, cameras)[..., :2]
+    posed = in_camera_frame(points, cameras)
+    return project_with_depth(posed, posed, cameras)[..., :2]
 
 
-def project_with_depth(points: np.ndarray, landmarks: np.ndarray, cameras: Cameras) -> np.ndarray:
+def project_with_depth(posed: np.ndarray, landmarks: np.ndarray, cameras: Cameras) -> np.ndarray:
     """Any points of the faces, such as all vertices, by the cameras that see their landmarks.
 
     Args:
-        points: `(n, V, 3)` millimetres.
-        landmarks: `(n, L, 3)` that each camera is set up by, see `project`.
+        posed: `(n, V, 3)` points as from `in_camera_frame`.
+        landmarks: `(n, L, 3)` likewise, that each camera is set up by, see `project`.
         cameras: One for each face.
 
     Returns:
         `(n, V, 3)` x and y as from `project`, and a depth that grows towards the viewer. The map is
         projective: planes stay planes, so that what hides what can be told from the depth.
     """
-    seen = in_camera_frame(landmarks, cameras)
-    middle = (seen.max(1, keepdims=True) + seen.min(1, keepdims=True)) / 2
-    radius = np.linalg.norm(seen - middle, axis=-1).max(1)
+    middle = (landmarks.max(1, keepdims=True) + landmarks.min(1, keepdims=True)) / 2
+    radius = np.linalg.norm(landmarks - middle, axis=-1).max(1)
     inverse_distance = np.sin(np.deg2rad(cameras.field_of_view) / 2) / radius
-    centred = in_camera_frame(points, cameras) - middle
+    centred = posed - middle
     nearness = 1 - centred[..., 2:] * inverse_distance[:, None, None]
     return centred / nearness + middle
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data_gen.morphable_model import MorphableModel
-from data_gen.projections import Cameras, project, project_with_depth
+from data_gen.projections import Cameras, in_camera_frame, project_with_depth
 from data_gen.rasteriser import Rasteriser
 from data_gen.rendering import square_frames, stretched_frames
 
@@ -39,15 +39,16 @@ def seen_vertices(model: MorphableModel, scheme: str, *, whole: bool = False) ->
         identity = rng.standard_normal((len(yaw), model.n_identity))
         for k, coefficients in enumerate(identity):
             camera = cameras[k : k + 1]
-            face = model.shape(coefficients)[None]
-            landmarks = face[:, model.landmarks[scheme]]
-            points = project_with_depth(face, landmarks, camera)
+            face = in_camera_frame(model.shape(coefficients)[None], camera)
+            landmarks = model.landmarks[scheme]
+            points = project_with_depth(face, face[:, landmarks], camera)
+            views = points[..., :2]
             frame = (
-                stretched_frames(points[..., :2], _PIXELS)
+                stretched_frames(views, _PIXELS)
                 if whole
-                else square_frames(project(landmarks, camera), _PIXELS)
+                else square_frames(views[:, landmarks], _PIXELS)
             )
-            image = rasteriser.draw(frame.pixels(points[..., :2])[0], points[0, :, 2], colours)
+            image = rasteriser.draw(frame.pixels(views)[0], points[0, :, 2], colours)
             found = np.zeros((*image.shape[:2], 4), np.uint8)
             found[..., :3] = image
             seen[np.minimum(found.view("<u4"), len(numbers))] = True

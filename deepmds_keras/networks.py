@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import keras
 import numpy as np
 from keras import layers
@@ -67,15 +70,21 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
     return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
 
 
-def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
+def count_trainable(*networks: keras.Model) -> int:
+    """Numbers that training changes, of all the networks together."""
+    weights = (weight for network in networks for weight in network.trainable_weights)
+    return sum(math.prod(weight.shape) for weight in weights)
+
+
+def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
     """Outputs of a network in inference mode.
 
     The network is called as it is: `Model.predict` would compile a graph for every network and
     every new shape, which takes a second each.
 
     Args:
-        network: Model of one input and one output.
-        inputs: `(n, d)`.
+        network: Model of one input and one output, or what is called like one.
+        inputs: `(n, d)`, or `(n, …)` if the network takes that.
         batch_size: Rows at a time, which bounds the memory.
 
     Returns:

@@ -10,11 +10,15 @@ from PIL import Image, ImageOps
 
 from deepmds_keras.errors import InputError
 
+IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 64_000_000
 
 
 def read_photo(
-    path: str | Path, box: tuple[float, float, float, float] | None = None, *, size: int = 96
+    path: str | Path,
+    box: tuple[float, float, float, float] | None = None,
+    *,
+    size: int = IMAGE_SIZE,
 ) -> np.ndarray:
     """The face in a photo, in colour, upright and of the size that the network takes.
 

@@ -13,7 +13,12 @@ from deepmds_keras import weights
 from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
+from deepmds_keras.networks import (
+    build_autoencoder,
+    build_dissimilarity_net,
+    count_trainable,
+    forward,
+)
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
@@ -252,8 +257,7 @@ class DeepMDS(BaseEstimator):
 
     @property
     def n_parameters(self) -> int:
-        networks = (self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
-        return sum(int(np.prod(w.shape)) for n in networks for w in n.trainable_weights)
+        return count_trainable(self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
 
     def _matrices(self, frontal: np.ndarray) -> np.ndarray:
         network = self._trained("dissimilarity_net_")

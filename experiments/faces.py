@@ -12,11 +12,11 @@ from data_gen.image_files import ImageFiles
 from data_gen.models import load_model
 from data_gen.projections import Cameras, in_camera_frame
 from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.run import Run, load_record, parse_run, stage
 
 SCHEME = "bfm72"
-IMAGE_SIZE = 96
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ from tqdm import tqdm
 from data_gen.dataset import Dataset, load_dataset
 from data_gen.images import Scene, make_scene, render
 from data_gen.models import load_model
-from experiments.faces import IMAGE_SIZE, SCHEME, image_files
+from deepmds_keras.photos import IMAGE_SIZE
+from experiments.faces import SCHEME, image_files
 from experiments.run import Run, parse_run, stage
 
 PARTS = ("train", "test")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import keras
 import pandas as pd
 
 from deepmds_keras.baselines.mobileface import build_mobileface_net
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, count_trainable
 from experiments.faces import load_landmark_model
 from experiments.methods import BY_ID, METHODS
 from experiments.published import printed
@@ -82,9 +80,7 @@ def parameter_table(
         nets = _networks(method.id, n_landmarks, n_coefficients)
         if nets:
             total = sum(net.count_params() for net in nets)
-            trainable = sum(
-                math.prod(weight.shape) for net in nets for weight in net.trainable_weights
-            )
+            trainable = count_trainable(*nets)
         time = times.get(method.id)
         rows.append(
             {

@@ -7,7 +7,6 @@ import datetime
 import fcntl
 import json
 import logging
-import os
 import resource
 import shlex
 import sys
@@ -20,6 +19,7 @@ from pathlib import Path
 from data_gen.errors import DataError
 from data_gen.models import MODELS
 from data_gen.projections import PROTOCOLS
+from data_gen.writing import whole_file
 from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
@@ -167,11 +167,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name until it is complete."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_bytes(content)
-    os.replace(partial, path)
+    """Write a file, under a temporary name until it is complete."""
+    with whole_file(path) as file:
+        file.write(content)
 
 
 @contextmanager

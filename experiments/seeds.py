@@ -6,7 +6,6 @@ run of `make reproduce-bfm SEED=…` cut down to two methods, whose files that c
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 
@@ -22,7 +21,7 @@ from experiments.figures.summary import seed_spread
 from experiments.manifest import write_manifest
 from experiments.methods import DEEP_MDS, network_names, title
 from experiments.networks import train_chain
-from experiments.run import Run, parse_run, stage, write_text
+from experiments.run import Run, load_record, parse_run, stage, write_text
 from experiments.scores import load_prediction, score
 from experiments.tables import to_csv
 
@@ -104,7 +103,7 @@ def main(arguments: list[str] | None = None) -> None:
             with stage(run, "seeds") as record:
                 record["rows"] = run_seed(run)
         for name in ("faces", "seeds"):
-            records.append(json.loads((run.work / f"{name}.json").read_text(encoding="utf-8")))
+            records.append(load_record(run, name))
         rows = pd.DataFrame(records[-1].pop("rows"), columns=["method", "metric", "value"])
         frames.append(rows.assign(seed=run.seed))
     metrics = pd.concat(frames, ignore_index=True)[["method", "seed", "metric", "value"]]

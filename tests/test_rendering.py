@@ -36,8 +36,11 @@ def rendered(faces, chosen, seed, protocol="paper"):
 def projected_vertices(faces, protocol="paper"):
     """Where the vertices that are drawn lie in the images: `(n, V, 2)` pixels."""
     scene = scene_of(protocol)
-    shapes = scene.model.shape(faces.identity)
-    seen = project_with_depth(shapes, faces.landmarks.astype(float), faces.cameras)
+    posed, landmarks = (
+        in_camera_frame(points, faces.cameras)
+        for points in (scene.model.shape(faces.identity), faces.landmarks.astype(float))
+    )
+    seen = project_with_depth(posed, landmarks, faces.cameras)
     return frames_of(scene, faces.views.astype(float), seen).pixels(seen[..., :2])
 
 
@@ -68,9 +71,9 @@ def painted(colours, pose, light=None, whole=True):
     """One image of the mean face in the colours given, all of it or what can be seen."""
     model, part = open_head(), open_head() if whole else open_head_part()
     landmarks = model.mean[None, model.landmarks["bfm72"]]
-    seen = project_with_depth(part.mean[None], landmarks, pose)
-    light = light or Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
     posed = in_camera_frame(part.mean[None], pose)
+    seen = project_with_depth(posed, in_camera_frame(landmarks, pose), pose)
+    light = light or Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
     frames = square_frames(project(landmarks, pose), SIZE)
     return renderer_of(whole).draw(seen, posed, colours[None], frames, light)[0]
 

@@ -13,11 +13,11 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import forward
+from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 from deepmds_keras.weights import read_keras2_weights
 
-IMAGE_SIZE = 96
 STANDARDISED = ("face", "batch")
 _WIDTH = 0.3125  # MobileNet's alpha
 _IMAGES_PER_CALL = 250
@@ -156,7 +156,7 @@ class MobileFace(BaseEstimator):
         check = np.arange(min(n, _CHECK_FACES))
 
         def inference() -> float:
-            raw = self._raw(network, images[check])
+            raw = _raw_coefficients(network, images[check])
             return float(np.mean(loss(coefficients[check], raw)))
 
         label = {"network": network.name, "faces": n, "standardise": self.standardise}
@@ -190,7 +190,7 @@ class MobileFace(BaseEstimator):
             InputError: Not trained, or images of another kind or size.
         """
         network = check_fitted(self, "network_", "fit or load_released")
-        raw = self._raw(network, check_images(images))
+        raw = _raw_coefficients(network, check_images(images))
         return np.asarray(_standardised(raw, "face"))
 
     def predict(self, images: np.ndarray) -> np.ndarray:
@@ -212,7 +212,7 @@ class MobileFace(BaseEstimator):
     def n_parameters(self) -> int:
         """Trainable parameters."""
         network = check_fitted(self, "network_", "fit or load_released")
-        return sum(int(np.prod(weight.shape)) for weight in network.trainable_weights)
+        return count_trainable(network)
 
     def _loss(self) -> Callable:
         """Mean squared error over all coordinates of the mesh, from coefficients."""
@@ -228,12 +228,6 @@ class MobileFace(BaseEstimator):
             return ops.sum(ops.matmul(difference, gram) * difference, axis=1)
 
         return mean_squared_error_of_shapes
-
-    def _raw(self, network: keras.Model, images: np.ndarray) -> np.ndarray:
-        chunks = range(0, len(images), _IMAGES_PER_CALL)
-        return np.concatenate(
-            [forward(network, _scaled(images[i : i + _IMAGES_PER_CALL])) for i in chunks]
-        )
 
 
 def check_images(images: np.ndarray) -> np.ndarray:
@@ -255,6 +249,13 @@ def check_images(images: np.ndarray) -> np.ndarray:
             f"Received {images.dtype} of shape {images.shape}."
         )
     return images
+
+
+def _raw_coefficients(network: keras.Model, images: np.ndarray) -> np.ndarray:
+    def on_scaled(batch, training):
+        return network(_scaled(batch), training=training)
+
+    return forward(on_scaled, images, _IMAGES_PER_CALL)
 
 
 def _scaled(images):
