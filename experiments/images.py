@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.dataset import Dataset, load_dataset
@@ -29,7 +30,8 @@ def make_file(run: Run, part: str, file: int, scene: Scene, dataset: Dataset) ->
     files = image_files(run, part)
     faces = files.ranges()[file]
     rng = np.random.default_rng([run.seed, _STREAM, PARTS.index(part), file])
-    files.save(file, *render(scene, dataset, faces, rng))
+    with threadpool_limits(1):  # sums in one order, however many cores there are
+        files.save(file, *render(scene, dataset, faces, rng))
     return len(faces)
 
 
