@@ -1,4 +1,4 @@
-"""The data set of the BFM experiment: landmarks of random faces and one view of each, as a file."""
+"""A data set: landmarks of faces and one view of each, as a file."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Random neutral faces and one view of each.
+    """Faces and one view of each.
 
     Attributes:
-        identity: `(n, K)` float32, coefficients of the morphable model.
+        identity: `(n, K)` float32, coefficients of the morphable model; K is 0 where the faces are
+            not of one.
+        expression: `(n, E)` float32, its expression weights; E is 0 where the faces are neutral, or
+            not of a model.
         landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
         views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
         cameras: Pose and projection of each face.
@@ -31,6 +34,7 @@ class Dataset:
     """
 
     identity: np.ndarray
+    expression: np.ndarray
     landmarks: np.ndarray
     views: np.ndarray
     cameras: Cameras
@@ -87,7 +91,8 @@ def make_dataset(
         "scheme": scheme,
         "protocol": protocol,
     }
-    return Dataset(identity, landmarks, views, cameras, description)
+    neutral = np.empty((n, 0), np.float32)
+    return Dataset(identity, neutral, landmarks, views, cameras, description)
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
@@ -97,6 +102,7 @@ def save_dataset(path: str | Path, dataset: Dataset) -> None:
         np.savez(
             file,
             identity=dataset.identity,
+            expression=dataset.expression,
             landmarks=dataset.landmarks,
             views=dataset.views,
             description=np.array(json.dumps(dataset.description)),
@@ -120,6 +126,7 @@ def load_dataset(path: str | Path) -> Dataset:
     n, n_landmarks = (*arrays.get("landmarks", np.empty(0)).shape, 0, 0)[:2]
     needed = {
         "identity": (n, *arrays.get("identity", np.empty(0)).shape[-1:]),
+        "expression": (n, *arrays.get("expression", np.empty(0)).shape[-1:]),
         "landmarks": (n, n_landmarks, 3),
         "views": (n, n_landmarks, 2),
         "description": (),
@@ -139,6 +146,5 @@ def load_dataset(path: str | Path) -> Dataset:
         description = json.loads(str(arrays["description"]))
     except ValueError as error:
         raise DataError(f"{path}: description must be JSON. Received {error}.") from None
-    return Dataset(
-        arrays["identity"], arrays["landmarks"], arrays["views"], Cameras(**angles), description
-    )
+    kept = (arrays[key] for key in ("identity", "expression", "landmarks", "views"))
+    return Dataset(*kept, Cameras(**angles), description)

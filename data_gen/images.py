@@ -11,6 +11,7 @@ from data_gen.dataset import Dataset
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import in_camera_frame, project_with_depth
 from data_gen.rendering import (
+    MARGIN,
     Frames,
     Renderer,
     draw_lights,
@@ -30,6 +31,7 @@ class Scene:
         model: Morphable model of the vertices that can be seen.
         albedo: Colours of those.
         size: Width and height of the images in pixels.
+        margin: Of a square image about the landmarks, as for `rendering.square_frames`.
         stretched: Whether images are cut to the head's bounding box, whatever its aspect, as the
             authors' are, instead of to a square about the landmarks.
     """
@@ -37,10 +39,18 @@ class Scene:
     model: MorphableModel
     albedo: Albedo
     size: int
+    margin: float
     stretched: bool
 
 
-def make_scene(model: MorphableModel, scheme: str, size: int, protocol: str = "paper") -> Scene:
+def make_scene(
+    model: MorphableModel,
+    scheme: str,
+    size: int,
+    protocol: str = "paper",
+    *,
+    margin: float = MARGIN,
+) -> Scene:
     """The scene for a model.
 
     Args:
@@ -48,13 +58,14 @@ def make_scene(model: MorphableModel, scheme: str, size: int, protocol: str = "p
         scheme: Landmark scheme by which images are framed.
         size: Width and height of the images in pixels.
         protocol: As for `projections.draw_cameras`; `"released"` stretches the images.
+        margin: As for `rendering.square_frames`.
 
     Raises:
         DataError: The libraries that draw are missing, or the model cannot be coloured.
     """
     stretched = protocol == "released"
-    vertices = seen_vertices(model, scheme, whole=stretched)
-    return Scene(part_of(model, vertices), Albedo(model, vertices), size, stretched)
+    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin)
+    return Scene(part_of(model, vertices), Albedo(model, vertices), size, margin, stretched)
 
 
 def render(
@@ -77,7 +88,9 @@ def render(
     for start in range(faces.start, faces.stop, _FACES_AT_A_TIME):
         rows = slice(start, min(start + _FACES_AT_A_TIME, faces.stop))
         cameras = dataset.cameras[rows]
-        posed = in_camera_frame(scene.model.shape(dataset.identity[rows]), cameras)
+        expression = dataset.expression[rows] if dataset.expression.shape[1] else None
+        shapes = scene.model.shape(dataset.identity[rows], expression)
+        posed = in_camera_frame(shapes, cameras)
         landmarks = in_camera_frame(dataset.landmarks[rows].astype(float), cameras)
         seen = project_with_depth(posed, landmarks, cameras)
         views = dataset.views[rows].astype(float)
@@ -100,4 +113,4 @@ def frames_of(scene: Scene, views: np.ndarray, seen: np.ndarray) -> Frames:
     """
     if scene.stretched:
         return stretched_frames(seen[..., :2], scene.size)
-    return square_frames(views, scene.size)
+    return square_frames(views, scene.size, scene.margin)

@@ -22,7 +22,7 @@ class MorphableModel:
         identity_basis_times_sd: `(K, V, 3)` float, offsets at one standard deviation, so that
             identity coefficients are standard normal.
         triangles: `(T, 3)` int, 0-based vertex numbers, counter-clockwise seen from outside.
-        landmarks: Scheme name (`"bfm72"`, `"ibug68"`) to `(L,)` 0-based vertex numbers.
+        landmarks: Scheme name (`"bfm72"`, `"ibug68"`, `"ibug51"`) to `(L,)` 0-based vertex numbers.
         expression_mean: `(V, 3)` float, added whenever an expression is asked for; zero for most.
         expression_basis: `(E, V, 3)` float, offsets at weight one, or None.
         expression_names: `E` names, empty where the file has none.

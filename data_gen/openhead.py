@@ -59,6 +59,7 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
         landmarks={
             "bfm72": arrays["landmarks72"].astype(int),
             "ibug68": arrays["landmarks68"].astype(int),
+            "ibug51": arrays["landmarks68"][17:].astype(int),
         },
         expression_basis=arrays["expression_basis"].astype(float),
         expression_names=tuple(arrays["expression_names"].tolist()),

@@ -10,7 +10,7 @@ from data_gen.mesh import triangle_corners, vertex_normals
 from data_gen.morphable_model import MorphableModel
 from data_gen.rasteriser import Rasteriser
 
-_MARGIN = 1.4  # side of a square image, in sizes of the landmarks' box
+MARGIN = 1.4  # side of a square image, in sizes of the landmarks' box
 _OVERSAMPLING = 2  # pixels are means of so many by so many
 
 
@@ -38,15 +38,16 @@ class Frames:
         return inside * self.size
 
 
-def square_frames(views: np.ndarray, size: int) -> Frames:
+def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frames:
     """Squares about the landmarks, as a face detector would cut them out.
 
     Args:
         views: `(n, L, 2)` landmarks, millimetres.
         size: Pixels of a side.
+        margin: Side of the square, in sizes of the landmarks' box.
     """
     low, high = views.min(1), views.max(1)
-    side = _MARGIN * (high - low).max(1, keepdims=True)
+    side = margin * (high - low).max(1, keepdims=True)
     return Frames((low + high - side) / 2, np.repeat(side, 2, axis=1), size)
 
 

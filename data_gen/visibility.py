@@ -7,7 +7,7 @@ import numpy as np
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import Cameras, in_camera_frame, project_with_depth
 from data_gen.rasteriser import Rasteriser
-from data_gen.rendering import square_frames, stretched_frames
+from data_gen.rendering import MARGIN, square_frames, stretched_frames
 
 # Views in which the model is looked at, a little beyond those of the data sets.
 _YAWS, _PITCHES = (-50.0, -25.0, 0.0, 25.0, 50.0), (-35.0, -15.0, 0.0, 10.0)
@@ -15,13 +15,16 @@ _FACES_PER_VIEW = 3
 _PIXELS = 512
 
 
-def seen_vertices(model: MorphableModel, scheme: str, *, whole: bool = False) -> np.ndarray:
+def seen_vertices(
+    model: MorphableModel, scheme: str, *, whole: bool = False, margin: float = MARGIN
+) -> np.ndarray:
     """Vertices of the triangles seen in some view of some random faces, and of their neighbours.
 
     Args:
         model: Morphable model.
         scheme: Landmark scheme by which images are framed.
         whole: Whether images show the whole model instead of a square about the landmarks.
+        margin: Of that square, as for `rendering.square_frames`.
 
     Returns:
         Sorted 0-based vertex numbers.
@@ -46,7 +49,7 @@ def seen_vertices(model: MorphableModel, scheme: str, *, whole: bool = False) ->
             frame = (
                 stretched_frames(views, _PIXELS)
                 if whole
-                else square_frames(views[:, landmarks], _PIXELS)
+                else square_frames(views[:, landmarks], _PIXELS, margin)
             )
             image = rasteriser.draw(frame.pixels(views)[0], points[0, :, 2], colours)
             found = np.zeros((*image.shape[:2], 4), np.uint8)
