@@ -24,6 +24,7 @@ _IRIS_MM, _PUPIL_MM, _BROW_MM, _LID_MM = 5.9, 2.2, 3.6, 1.6
 _EAR, _EAR_MM = np.array([0.0, 0.0, -16.0]), 26.0  # middle, from the jaw line beside it; radius
 _MOTTLE, _N_WAVES, _WAVE_MM = 0.03, 6, 60.0
 _SOURCES = ("skin", "lips", "brow", "lid", "hair", "sclera", "iris", "pupil", "teeth")
+_CAVITY, _CAVITY_MM = np.array([58, 24, 24]) / 255, 5.0  # so far behind the lips it begins
 
 
 class Albedo:
@@ -36,16 +37,23 @@ class Albedo:
     Args:
         model: Morphable model, with colours or with landmarks `"ibug68"`.
         vertices: `(v,)` the vertices wanted; all by default.
+        open_mouths: Whether the inside of the mouth is painted too, which closed lips hide.
 
     Raises:
         DataError: The model has neither.
     """
 
-    def __init__(self, model: MorphableModel, vertices: np.ndarray | None = None):
+    def __init__(
+        self,
+        model: MorphableModel,
+        vertices: np.ndarray | None = None,
+        *,
+        open_mouths: bool = False,
+    ):
         chosen = slice(None) if vertices is None else vertices
         self._mean_colour = self._basis = None
         if model.colour_mean is None:
-            self._cover = _cover(model)[:, chosen]
+            self._cover = _cover(model, open_mouths)[:, chosen]
             self._places = model.mean[chosen]
         else:
             self._mean_colour = np.float32(model.colour_mean[chosen])
@@ -61,7 +69,8 @@ class Albedo:
             weights = np.float32(rng.standard_normal((n, len(self._basis))))
             colours = self._mean_colour + np.tensordot(weights, self._basis, 1)
             return colours.clip(0, 1)
-        colours = np.einsum("nsc,sv->nvc", _palette(n, rng), self._cover)
+        palette = _palette(n, rng)[:, : len(self._cover)]
+        colours = np.einsum("nsc,sv->nvc", palette, self._cover)
         return np.float32((colours * (1 + self._mottling(n, rng))[..., None]).clip(0, 1))
 
     def _mottling(self, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -73,7 +82,7 @@ class Albedo:
 
 
 def _palette(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Colours of the materials of n faces, `(n, len(_SOURCES), 3)`."""
+    """Colours of the materials of n faces, and of the mouth inside: `(n, len(_SOURCES) + 1, 3)`."""
     tone = rng.random(n)
     skin = _along(_SKIN, tone) * rng.normal(1, 0.015, (n, 3))
     red = rng.uniform(0.35, 1, (n, 1))
@@ -92,7 +101,8 @@ def _palette(n: int, rng: np.random.Generator) -> np.ndarray:
         "pupil": np.broadcast_to(_PUPIL, (n, 3)),
         "teeth": np.broadcast_to(_TEETH, (n, 3)),
     }
-    return np.stack([colours[source] for source in _SOURCES], axis=1)
+    ordered = [colours[source] for source in _SOURCES]
+    return np.stack([*ordered, np.broadcast_to(_CAVITY, (n, 3))], axis=1)
 
 
 def _along(ramp: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -101,8 +111,11 @@ def _along(ramp: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(place, stops, channel) for channel in ramp.T], axis=-1)
 
 
-def _cover(model: MorphableModel) -> np.ndarray:
-    """How much of each vertex each material covers, `(len(_SOURCES), V)`, 1 in sum."""
+def _cover(model: MorphableModel, open_mouths: bool) -> np.ndarray:
+    """How much of each vertex each material covers, `(len(_SOURCES), V)`, 1 in sum.
+
+    With open mouths there is a last row for the inside of the mouth.
+    """
     if "ibug68" not in model.landmarks:
         raise DataError(
             f"{model.name} must have colours, or the landmarks ibug68 to be painted by. "
@@ -138,6 +151,10 @@ def _cover(model: MorphableModel) -> np.ndarray:
         layers["sclera"][own] = 1
         layers["iris"] = np.maximum(layers["iris"], ahead * _soft(off_axis, _IRIS_MM))
         layers["pupil"] = np.maximum(layers["pupil"], ahead * _soft(off_axis, _PUPIL_MM))
+    if open_mouths:
+        depth = mouth[KDTree(mouth[:, :2]).query(front)[1], 2] - mean[:, 2]
+        layers["cavity"] = skin * Polygon(mouth[:, :2]).contains_points(front, radius=3.0)
+        layers["cavity"] = layers["cavity"] * np.clip(depth / _CAVITY_MM - 1, 0, 1) * (depth < 60)
     return _stacked(layers)
 
 

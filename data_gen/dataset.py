@@ -95,6 +95,34 @@ def make_dataset(
     return Dataset(identity, neutral, landmarks, views, cameras, description)
 
 
+def dataset_of(
+    landmarks: np.ndarray,
+    cameras: Cameras,
+    description: dict,
+    *,
+    identity: np.ndarray | None = None,
+    expression: np.ndarray | None = None,
+) -> Dataset:
+    """Project given landmarks, in chunks.
+
+    Args:
+        landmarks: `(n, L, 3)` millimetres.
+        cameras: One for each face.
+        description: What the landmarks were made of.
+        identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, where they have some.
+    """
+    n = len(landmarks)
+    views = np.empty((*landmarks.shape[:2], 2), np.float32)
+    for start in range(0, n, _FACES_PER_CHUNK):
+        faces = slice(start, start + _FACES_PER_CHUNK)
+        views[faces] = project(landmarks[faces].astype(float), cameras[faces])
+    identity, expression = (
+        np.empty((n, 0), np.float32) if coefficients is None else np.float32(coefficients)
+        for coefficients in (identity, expression)
+    )
+    return Dataset(identity, expression, np.float32(landmarks), views, cameras, description)
+
+
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
     """Write an npz, under a temporary name until it is complete."""
     cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}

@@ -50,6 +50,7 @@ def make_scene(
     protocol: str = "paper",
     *,
     margin: float = MARGIN,
+    expressions: np.ndarray | None = None,
 ) -> Scene:
     """The scene for a model.
 
@@ -59,13 +60,15 @@ def make_scene(
         size: Width and height of the images in pixels.
         protocol: As for `projections.draw_cameras`; `"released"` stretches the images.
         margin: As for `rendering.square_frames`.
+        expressions: As for `visibility.seen_vertices`.
 
     Raises:
         DataError: The libraries that draw are missing, or the model cannot be coloured.
     """
     stretched = protocol == "released"
-    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin)
-    return Scene(part_of(model, vertices), Albedo(model, vertices), size, margin, stretched)
+    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin, expressions=expressions)
+    albedo = Albedo(model, vertices, open_mouths=expressions is not None)
+    return Scene(part_of(model, vertices), albedo, size, margin, stretched)
 
 
 def render(

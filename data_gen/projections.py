@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from data_gen.errors import DataError
 
@@ -93,6 +94,16 @@ def rotations(cameras: Cameras) -> np.ndarray:
     """Rotation matrices of the faces, `(n, 3, 3)`, to be multiplied from the left."""
     yaw, pitch, roll = (np.deg2rad(a) for a in (cameras.yaw, cameras.pitch, cameras.roll))
     return _about(2, roll) @ _about(0, -pitch) @ _about(1, yaw)
+
+
+def camera_angles(rotation: np.ndarray) -> np.ndarray:
+    """Yaw, pitch and roll of rotation matrices, the inverse of `rotations`: `(n, 3, 3)` → `(3, n)`.
+
+    Args:
+        rotation: From the frame of the face to the camera's, to be multiplied from the left.
+    """
+    yaw, minus_pitch, roll = Rotation.from_matrix(rotation).as_euler("yxz", degrees=True).T
+    return np.stack([yaw, -minus_pitch, roll])
 
 
 def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:

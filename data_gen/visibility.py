@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import numpy as np
 
 from data_gen.morphable_model import MorphableModel
@@ -16,7 +18,12 @@ _PIXELS = 512
 
 
 def seen_vertices(
-    model: MorphableModel, scheme: str, *, whole: bool = False, margin: float = MARGIN
+    model: MorphableModel,
+    scheme: str,
+    *,
+    whole: bool = False,
+    margin: float = MARGIN,
+    expressions: np.ndarray | None = None,
 ) -> np.ndarray:
     """Vertices of the triangles seen in some view of some random faces, and of their neighbours.
 
@@ -25,6 +32,8 @@ def seen_vertices(
         scheme: Landmark scheme by which images are framed.
         whole: Whether images show the whole model instead of a square about the landmarks.
         margin: Of that square, as for `rendering.square_frames`.
+        expressions: `(m, E)` weights of expressions that the faces take in turn, at least those
+            that show what a neutral face hides, such as the teeth; None for neutral faces.
 
     Returns:
         Sorted 0-based vertex numbers.
@@ -38,11 +47,12 @@ def seen_vertices(
     colours = numbers[:, None].view(np.uint8)[:, :3]
     seen = np.zeros(len(numbers) + 1, bool)
     rng = np.random.default_rng(0)
+    taken = cycle([None] if expressions is None else expressions)
     for _ in range(_FACES_PER_VIEW):
         identity = rng.standard_normal((len(yaw), model.n_identity))
         for k, coefficients in enumerate(identity):
             camera = cameras[k : k + 1]
-            face = in_camera_frame(model.shape(coefficients)[None], camera)
+            face = in_camera_frame(model.shape(coefficients, next(taken))[None], camera)
             landmarks = model.landmarks[scheme]
             points = project_with_depth(face, face[:, landmarks], camera)
             views = points[..., :2]
