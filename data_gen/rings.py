@@ -1,0 +1,84 @@
+"""Several views of each of some subjects: what a ring of images is drawn from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_gen.dataset import Dataset
+from data_gen.errors import DataError
+from data_gen.morphable_model import MorphableModel
+from data_gen.projections import draw_cameras, project
+
+_FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
+
+
+def make_rings(
+    model: MorphableModel,
+    n_subjects: int,
+    images_per_subject: int,
+    expression: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    scheme: str = "ibug51",
+    protocol: str = "paper",
+) -> Dataset:
+    """Sample subjects of standard-normal identity, each in some expressions and views.
+
+    Sanyal et al. 2019 (RingNet, arXiv:1905.06817) learn from rings of photos, all but one of which
+    show the same person: the identity is what they share, expression and pose are what they do not.
+
+    Args:
+        model: Morphable model with landmarks of the scheme and expressions.
+        n_subjects: Number of different identities.
+        images_per_subject: Faces of each.
+        expression: `(n, E)` expression weights, n the product of the two numbers.
+        rng: Source of the random numbers.
+        scheme: Landmark scheme.
+        protocol: As for `projections.draw_cameras`.
+
+    Returns:
+        n faces; face i is of subject i // images_per_subject.
+
+    Raises:
+        DataError: No subjects or images, weights of another shape, a model without expressions or
+            without landmarks of that scheme, or an unknown protocol.
+    """
+    if min(n_subjects, images_per_subject) < 1:
+        raise DataError(
+            "n_subjects and images_per_subject must be at least 1. "
+            f"Received {n_subjects} and {images_per_subject}."
+        )
+    if scheme not in model.landmarks:
+        raise DataError(
+            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
+            f"Received {scheme!r}."
+        )
+    if model.expression_basis is None:
+        raise DataError(f"{model.name} must have an expression basis. Received none.")
+    n = n_subjects * images_per_subject
+    expression = np.asarray(expression, np.float32)
+    if expression.shape != (n, len(model.expression_basis)):
+        raise DataError(
+            f"expression must have shape ({n}, {len(model.expression_basis)}), a row for each "
+            f"image. Received {expression.shape}."
+        )
+    if not np.isfinite(expression).all():
+        raise DataError("expression must be finite. Received NaN or infinity.")
+    cameras = draw_cameras(n, rng, protocol)
+    of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
+    identity = np.repeat(of_subjects, images_per_subject, axis=0)
+    model_of_landmarks = model.restrict(model.landmarks[scheme])
+    landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)
+    views = np.empty((n, model_of_landmarks.n_vertices, 2), np.float32)
+    for start in range(0, n, _FACES_PER_CHUNK):
+        faces = slice(start, min(start + _FACES_PER_CHUNK, n))
+        points = model_of_landmarks.shape(identity[faces], expression[faces])
+        landmarks[faces], views[faces] = points, project(points, cameras[faces])
+    description = {
+        "model": model.name,
+        "model_sha256": model.sha256,
+        "scheme": scheme,
+        "protocol": protocol,
+        "images_per_subject": images_per_subject,
+    }
+    return Dataset(identity, expression, landmarks, views, cameras, description)

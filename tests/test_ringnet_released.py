@@ -1,0 +1,171 @@
+"""The released RingNet: a checkpoint of its tensors' names is run as it is; others are refused."""
+
+import numpy as np
+import pytest
+import tensorflow as tf
+from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
+
+from deepmds_keras import InputError
+from deepmds_keras.baselines.ringnet_released import ReleasedRingNet, prepare_image
+
+v1 = tf.compat.v1
+TRIANGLES = np.array([[0, 1, 2], [10, 20, 30], [5020, 5021, 5022]])
+WEIGHTS = np.array([[1.0, 0.0, 0.0], [0.2, 0.3, 0.5], [0.0, 0.5, 0.5]])
+
+
+def write_checkpoint(
+    prefix, *, image="input_images_1", camera=3, scope="Flamenetnormal_2", python=False
+):
+    """A graph of TensorFlow 1 whose outputs are linear in the mean colours, and its weights."""
+    rng = np.random.default_rng(0)
+    with tf.Graph().as_default():
+        placeholder = v1.placeholder(tf.float32, (1, 224, 224, 3), name=image)
+        colours = tf.reduce_mean(placeholder, (1, 2))
+        if python:
+            colours = tf.reshape(v1.py_func(np.sin, [colours], tf.float32), (1, 3))
+        arrays = {
+            name: rng.normal(0, 0.1, (camera, n)).astype("f4")
+            for name, n in (("to_parameters", 159), ("to_vertices", 3 * 5023))
+        }
+        to_parameters, to_vertices = (
+            v1.get_variable(name, initializer=array, use_resource=False)
+            for name, array in arrays.items()
+        )
+        for name in ("add", "add_1", "add_2"):
+            parameters = v1.add(tf.matmul(colours, to_parameters), 0.0, name=name)
+        with v1.name_scope(scope):
+            flat = tf.reshape(tf.matmul(colours, to_vertices), (1, 5023, 3))
+            v1.add(flat, tf.reshape(parameters[:, :3], (1, 1, 3)), name="Add_9")
+        saver = v1.train.Saver()
+        with v1.Session() as session:
+            session.run(v1.global_variables_initializer())
+            saver.save(session, str(prefix))
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def released(tmp_path_factory):
+    prefix = tmp_path_factory.mktemp("ringnet") / "ring_6_68641"
+    return prefix, write_checkpoint(prefix)
+
+
+@pytest.fixture
+def images():
+    return np.random.default_rng(1).integers(0, 256, (3, 224, 224, 3), np.uint8)
+
+
+def test_outputs_are_those_of_the_graph(released, images):
+    prefix, arrays = released
+    model = ReleasedRingNet(prefix, TRIANGLES, WEIGHTS)
+    colours = (images / 127.5 - 1).mean((1, 2))
+    parameters = colours @ arrays["to_parameters"]
+    metres = (colours @ arrays["to_vertices"]).reshape(3, 5023, 3) + parameters[:, None, :3]
+    assert np.allclose(model.parameters(images), parameters, atol=1e-5)
+    assert model.vertices(images).shape == (3, 5023, 3)
+    assert np.allclose(model.vertices(images), 1000 * metres, atol=1e-2)
+    assert model.n_parameters == 3 * (159 + 3 * 5023)
+    landmarks = model.predict(images)
+    assert landmarks.shape == (3, 3, 3)
+    assert np.allclose(landmarks[:, 0], 1000 * metres[:, 0], atol=1e-2)
+    second = 0.2 * metres[:, 10] + 0.3 * metres[:, 20] + 0.5 * metres[:, 30]
+    assert np.allclose(landmarks[:, 1], 1000 * second, atol=1e-2)
+    assert tf.executing_eagerly()
+
+
+def test_input_has_either_of_its_names(released, images, tmp_path):
+    write_checkpoint(tmp_path / "ring", image="input_images")
+    models = [
+        ReleasedRingNet(path, TRIANGLES, WEIGHTS) for path in (released[0], tmp_path / "ring")
+    ]
+    assert np.array_equal(*(model.vertices(images[:1]) for model in models))
+
+
+@pytest.mark.parametrize("suffix", [".meta", ".index", ".data-00000-of-00001"])
+def test_missing_and_damaged_files_are_named(released, tmp_path, suffix):
+    for file in released[0].parent.glob("ring_6_68641.*"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    path = tmp_path / f"ring_6_68641{suffix}"
+    path.write_bytes(b"\xff" + path.read_bytes()[:50])
+    with pytest.raises(InputError, match=r"ring_6_68641.* must be .* Received"):
+        ReleasedRingNet(tmp_path / "ring_6_68641", TRIANGLES, WEIGHTS)
+    path.unlink()
+    with pytest.raises(InputError, match=r"ring_6_68641\.[a-z]+.* does not exist"):
+        ReleasedRingNet(tmp_path / "ring_6_68641", TRIANGLES, WEIGHTS)
+
+
+def test_another_graph_is_refused_with_what_it_has(tmp_path):
+    write_checkpoint(tmp_path / "other", scope="Flame")
+    with pytest.raises(InputError, match=r"none called Flamenetnormal_2/Add_9:0 .*Flame/Add_9:0"):
+        ReleasedRingNet(tmp_path / "other", TRIANGLES, WEIGHTS)
+    write_checkpoint(tmp_path / "functions", python=True)
+    with pytest.raises(InputError, match=r"PyFunc.*Python function, which the file does not hold"):
+        ReleasedRingNet(tmp_path / "functions", TRIANGLES, WEIGHTS)
+
+
+def test_unknown_operations_and_other_shapes_are_refused(released, tmp_path):
+    def with_changed_graph(name, change):
+        for file in released[0].parent.glob("ring_6_68641.*"):
+            (tmp_path / f"{name}{file.suffix}").write_bytes(file.read_bytes())
+        meta = MetaGraphDef.FromString((tmp_path / f"{name}.meta").read_bytes())
+        change(meta.graph_def)
+        (tmp_path / f"{name}.meta").write_bytes(meta.SerializeToString())
+        return tmp_path / name
+
+    def custom(graph):
+        graph.node.add(name="custom", op="RenderFace")
+
+    with pytest.raises(
+        InputError, match=r"operations that TensorFlow .* has\. Received .*RenderFace"
+    ):
+        ReleasedRingNet(with_changed_graph("custom", custom), TRIANGLES, WEIGHTS)
+
+    def small(graph):
+        placeholder = next(node for node in graph.node if node.name == "input_images_1")
+        for dim in placeholder.attr["shape"].shape.dim[1:3]:
+            dim.size = 96
+        del placeholder.attr["_output_shapes"]
+
+    with pytest.raises(InputError, match=r"input_images_1:0 must be float32 of shape \(1, 224"):
+        ReleasedRingNet(with_changed_graph("small", small), TRIANGLES, WEIGHTS)
+
+
+def test_landmarks_and_images_of_another_kind_are_refused(released, images):
+    with pytest.raises(InputError, match=r"must have one shape \(L, 3\)"):
+        ReleasedRingNet(released[0], TRIANGLES, WEIGHTS[:2])
+    with pytest.raises(InputError, match="landmark_vertices must be whole numbers below 5023"):
+        ReleasedRingNet(released[0], TRIANGLES + 1, WEIGHTS)
+    model = ReleasedRingNet(released[0], TRIANGLES, WEIGHTS)
+    for wrong in (images[0], images.astype(float), images[:, :96], images[:0]):
+        with pytest.raises(InputError, match=r"images must be uint8 of shape .* Received"):
+            model.predict(wrong)
+
+
+def test_the_longest_side_fills_the_image_and_edges_fill_the_rest():
+    image = np.zeros((100, 50, 3), np.uint8)
+    image[:, :25], image[:, 25:] = (200, 0, 0), (0, 0, 100)
+    found = prepare_image(image)
+    assert found.shape == (224, 224, 3)
+    assert (found[:, :108] == (200, 0, 0)).all()
+    assert (found[:, 116:] == (0, 0, 100)).all()
+
+
+def test_a_loose_crop_has_the_landmarks_in_its_middle():
+    image = np.zeros((300, 400, 3), np.uint8)
+    image[100:200, 250:350] = 255
+    corners = np.array([[250, 100], [350, 200]])
+    found = prepare_image(image, corners)
+    assert (found[58:166, 58:166] == 255).all()
+    assert (found[:54] == 0).all() and (found[170:] == 0).all()
+    # Beyond the image its edge goes on.
+    image[:, -1] = 77
+    assert (prepare_image(image, corners, margin=4)[:, -40:] == 77).all()
+
+
+def test_images_and_landmarks_that_cannot_be_cropped_are_refused():
+    image = np.zeros((30, 30, 3), np.uint8)
+    with pytest.raises(InputError, match=r"image must be uint8 of shape \(H, W, 3\)"):
+        prepare_image(image[..., 0])
+    with pytest.raises(InputError, match="landmarks must span at least a pixel"):
+        prepare_image(image, np.ones((51, 2)))
+    with pytest.raises(InputError, match="landmarks must be finite"):
+        prepare_image(image, np.full((51, 2), np.nan))
