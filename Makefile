@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce-bfm seeds pretrained openhead test lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame seeds pretrained openhead test lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -15,18 +15,33 @@ PROTOCOL ?= paper
 AUTHORS ?=
 EVALUATOR ?= paper
 MOBILEFACE ?= yes
+COMA ?=
+CASIA ?=
+RINGNET ?= yes
+MEDIAPIPE ?= yes
 JOBS ?= -1
 
 ifeq ($(filter yes no,$(MOBILEFACE)),)
 $(error MOBILEFACE must be yes or no. Received $(MOBILEFACE))
 endif
+ifeq ($(filter yes no,$(MEDIAPIPE)),)
+$(error MEDIAPIPE must be yes or no. Received $(MEDIAPIPE))
+endif
 
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
+MEDIAPIPE_VENV ?= .venv-mediapipe
+MEDIAPIPE_READY := $(MEDIAPIPE_VENV)/.ready
 # One folder for everything that would change its arrays; experiments/run.py names it the same.
-BUILD := build/$(MODEL)/bfm-$(PRESET)-$(PROTOCOL)-seed$(SEED)
+SIZES := $(PRESET)-$(PROTOCOL)-seed$(SEED)
+BUILD := build/$(MODEL)/bfm-$(SIZES)
+FLAME := build/$(MODEL)/flame-$(SIZES)$(if $(COMA),-coma)$(if $(CASIA),-casia)
 RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS)
+# RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.
+RINGNET_FILE := $(filter-out yes no,$(RINGNET))
+RUN_FLAME := $(RUN) --track flame --coma '$(COMA)' --casia '$(CASIA)' --ringnet '$(RINGNET_FILE)' \
+             --mediapipe $(MEDIAPIPE_VENV)/bin/python
 # The table is another one by the authors' evaluator, of the same predictions.
 TABLE := $(BUILD)/bfm$(if $(filter released,$(EVALUATOR)),-evaluator-released).json
 # No start-up notices, and sums in one order whatever the processor offers.
@@ -36,8 +51,10 @@ STAGE := $(PY) -m experiments
 
 help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
-	@echo '            [SEED=0] [PROTOCOL=paper|released] [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
-	@echo '            [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
+	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
+	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
+	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [MEDIAPIPE=yes|no]'
+	@echo '                      [RINGNET=yes|no|prefix of the licensed checkpoint]'
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 setup: $(READY) ## make the virtual environment in .venv
@@ -45,9 +62,21 @@ $(READY): setup.cfg constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 10) <= v <= (3, 13) else \
 	  "Python 3.10 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,test]'
+	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,detectors,test]'
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
+	@touch $@
+
+setup-mediapipe: $(MEDIAPIPE_READY) ## make the one of MediaPipe in .venv-mediapipe
+# It excludes what TensorFlow needs (numpy 2, protobuf 5), and has no wheel for Python 3.13.
+$(MEDIAPIPE_READY): constraints-mediapipe.txt
+	@for python in $(PYTHON) python3.12 python3.11 python3.10; do \
+	  $$python -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))' 2> /dev/null \
+	    && exec $$python -m venv $(MEDIAPIPE_VENV); \
+	done; echo 'MediaPipe 0.10.21 needs Python 3.10 to 3.12. Name one: make PYTHON=python3.12,' \
+	  'or go without: make MEDIAPIPE=no' >&2; exit 1
+	$(MEDIAPIPE_VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps \
+	  --only-binary=:all: -r constraints-mediapipe.txt
 	@touch $@
 
 reproduce-bfm: $(TABLE) ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
@@ -66,7 +95,33 @@ $(BUILD)/mobileface.json: $(BUILD)/images.json
 	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).mobileface $(RUN)
 $(TABLE): $(BUILD)/predictions.json $(if $(filter-out no,$(MOBILEFACE)),$(BUILD)/mobileface.json)
 	@$(STAGE).bfm $(RUN)
+reproduce-flame: $(FLAME)/flame.json ## the paper's CASIA-3D table, ours beside it   (RINGNET=no: 40 min)
+	@$(STAGE).show $(RUN_FLAME)
+
+$(FLAME)/frames.json: | $(READY)
+	@$(STAGE).frames $(RUN_FLAME)
+$(FLAME)/scans.json: | $(READY)
+	@$(STAGE).scans $(RUN_FLAME)
+$(FLAME)/networks.json: $(FLAME)/frames.json
+	@$(STAGE).networks $(RUN_FLAME)
+$(FLAME)/predictions.json: $(FLAME)/networks.json $(FLAME)/scans.json
+	@$(STAGE).predictions $(RUN_FLAME)
+$(FLAME)/mediapipe.json: $(FLAME)/scans.json | $(MEDIAPIPE_READY)
+	@$(STAGE).mediapipe $(RUN_FLAME)
+$(FLAME)/rings.json: | $(READY)
+	@$(STAGE).rings $(RUN_FLAME)
+$(FLAME)/ringnet.json: $(FLAME)/rings.json $(FLAME)/scans.json
+	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).ringnet $(RUN_FLAME)
+$(FLAME)/ringnet-licensed.json: $(FLAME)/scans.json
+	@$(STAGE).ringnet $(RUN_FLAME)
+$(FLAME)/flame.json: $(FLAME)/predictions.json \
+    $(if $(filter-out no,$(MEDIAPIPE)),$(FLAME)/mediapipe.json) \
+    $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json)
+	@$(STAGE).flame $(RUN_FLAME)
 ifneq ($(AUTHORS),)
+$(FLAME)/flame.json: $(FLAME)/predictions/authors_weights.npz
+$(FLAME)/predictions/authors_weights.npz: | $(FLAME)/predictions.json
+	@$(STAGE).predictions $(RUN_FLAME)
 $(TABLE): $(BUILD)/predictions/authors_weights.npz
 $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
 	@$(STAGE).predictions $(RUN)

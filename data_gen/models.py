@@ -37,9 +37,7 @@ _LOADERS: dict[str, Callable[[Path], MorphableModel]] = {
 }
 
 
-def load_model(
-    name: str, path: str | Path | None = None, scheme: str = "bfm72"
-) -> MorphableModel:
+def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72") -> MorphableModel:
     """Loads a face model on which the landmarks of a scheme are known.
 
     With the landmarks `"ibug51"`, which are FLAME's, the model is shifted so that the tip of its

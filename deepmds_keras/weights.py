@@ -34,13 +34,20 @@ _UNREADABLE = (
 PRETRAINED = Path(__file__).with_name("pretrained")
 
 
-def write_arrays(path: str | Path, arrays: dict[str, np.ndarray], description: dict) -> None:
+def write_arrays(
+    path: str | Path,
+    arrays: dict[str, np.ndarray],
+    description: dict,
+    *,
+    compressed: bool = True,
+) -> None:
     """Write arrays and a JSON description into one npz, under a temporary name until complete."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with open(partial, "wb") as file:
-        np.savez_compressed(file, description=np.array(json.dumps(description)), **arrays)
+        save = np.savez_compressed if compressed else np.savez
+        save(file, description=np.array(json.dumps(description)), **arrays)
     os.replace(partial, path)
 
 
@@ -120,7 +127,8 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
 def write_checkpoint(path: str | Path, network: keras.Model, description: dict) -> None:
     """Everything that training needs to go on: weights, optimiser state, and a description."""
     state = {f"optimizer/{i}": v.numpy() for i, v in enumerate(network.optimizer.variables)}
-    write_arrays(path, network_arrays(network) | state, description)
+    # Floats hardly get smaller, and to press those of a large network takes longer than an epoch.
+    write_arrays(path, network_arrays(network) | state, description, compressed=False)
 
 
 def read_checkpoint(path: str | Path, network: keras.Model) -> dict:

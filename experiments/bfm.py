@@ -11,15 +11,21 @@ import pandas as pd
 from data_gen.landmarks import load_scheme
 from data_gen.projections import PROJECTIONS
 from deepmds_keras.weights import read_arrays
-from experiments.faces import SCHEME, Faces, image_files, load_faces, load_landmark_model
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
 from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.figures.summary import summary
+from experiments.inputs import (
+    Faces,
+    image_files,
+    load_faces,
+    load_histories,
+    load_landmark_model,
+)
 from experiments.manifest import write_manifest
-from experiments.methods import DEEP_MDS, network_names
+from experiments.methods import DEEP_MDS
 from experiments.parameters import write_parameter_table
 from experiments.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
 from experiments.run import Run, load_record, parse_run, stage, write_text
@@ -45,7 +51,7 @@ def evaluate(
     run: Run, test: Faces, predictions: dict[str, dict], descriptions: dict[str, dict]
 ) -> tuple[pd.DataFrame, dict[str, Scores]]:
     """Long table as in `metrics.csv`, and scores by method, of the predictions' arrays."""
-    chosen = subsets(run)
+    chosen = subsets(run, len(test.views))
     scores = {method: score(arrays["shapes"], test) for method, arrays in predictions.items()}
     rows = [subset_metrics(method, own, test, chosen) for method, own in scores.items()]
     metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
@@ -74,17 +80,6 @@ def notes(run: Run, methods: Container[str]) -> dict[str, str]:
     return found
 
 
-def histories(run: Run) -> dict[str, dict[str, dict]]:
-    """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
-    return {
-        method: {
-            network: read_arrays(run.network_file(name))[1]["history"]
-            for network, name in network_names(method).items()
-        }
-        for method in DEEP_MDS
-    }
-
-
 def draw(
     run: Run,
     test: Faces,
@@ -93,7 +88,7 @@ def draw(
     folder: Path,
 ) -> None:
     """Write every figure."""
-    scheme = load_scheme(SCHEME)
+    scheme = load_scheme(run.scheme)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
     mobileface = None
     if "mobileface" in scores:
@@ -101,7 +96,7 @@ def draw(
         figure = renders(files[slice(len(first))], files.landmarks(first), scheme)
         save(figure, folder, "renders")
         mobileface = read_arrays(run.network_file("mobileface"))[1]["history"]
-    save(learning_curves(histories(run), mobileface), folder, "learning_curves")
+    save(learning_curves(load_histories(run), mobileface), folder, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
     shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -10,53 +11,84 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.dataset import Dataset, load_dataset
+from data_gen.image_files import ImageFiles
 from data_gen.images import Scene, make_scene, render
 from data_gen.models import load_model
 from deepmds_keras.photos import IMAGE_SIZE
-from experiments.faces import SCHEME, image_files
+from experiments.inputs import image_files
 from experiments.run import Run, parse_run, stage
 
 PARTS = ("train", "test")
 _STREAM = 3  # of random numbers of a run, beside those of its faces and its subsets
 
 
-def make_file(run: Run, part: str, file: int, scene: Scene, dataset: Dataset) -> int:
+def make_file(
+    files: ImageFiles, file: int, scene: Scene, dataset: Dataset, seed: tuple[int, ...]
+) -> int:
     """Write one file of images, the same whichever process does it and when.
 
     Returns:
         Number of images.
     """
     os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's software renderer: a process, a core
-    files = image_files(run, part)
     faces = files.ranges()[file]
-    rng = np.random.default_rng([run.seed, _STREAM, PARTS.index(part), file])
+    rng = np.random.default_rng([*seed, file])
     with threadpool_limits(1):  # sums in one order, however many cores there are
         files.save(file, *render(scene, dataset, faces, rng))
     return len(faces)
 
 
+def make_images(
+    run: Run,
+    parts: dict[str, ImageFiles],
+    seed_of: Callable[[str], tuple[int, ...]],
+    make: Callable[[], Scene],
+) -> dict[str, dict[str, str]]:
+    """Write the images of data sets of the run that are not there yet.
+
+    Args:
+        run: The run.
+        parts: Name of a data set, which lies in `<name>.npz`, to its files of images.
+        seed_of: From that name to the seed of its images.
+        make: Makes the scene.
+
+    Returns:
+        Checksums of all files, by data set.
+    """
+    wanted = [
+        (part, file)
+        for part, files in parts.items()
+        for file in range(len(files.ranges()))
+        if not files.paths(file)[0].exists()
+    ]
+    if wanted:
+        scene = make()
+        datasets = {part: load_dataset(run.work / f"{part}.npz") for part in parts}
+        tasks = (
+            delayed(make_file)(parts[part], file, scene, datasets[part], seed_of(part))
+            for part, file in wanted
+        )
+        total = sum(len(files) for files in parts.values())
+        done = total - sum(len(parts[part].ranges()[file]) for part, file in wanted)
+        with tqdm(total=total, initial=done, desc="images", unit="image") as bar:
+            for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
+                bar.update(n)
+    return {part: files.checksums() for part, files in parts.items()}
+
+
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
+
+    def scene() -> Scene:
+        return make_scene(load_model(run.model, run.data), run.scheme, IMAGE_SIZE, run.protocol)
+
     with stage(run, "images") as record:
-        parts = {part: image_files(run, part) for part in PARTS}
-        wanted = [
-            (part, file)
-            for part, files in parts.items()
-            for file in range(len(files.ranges()))
-            if not files.paths(file)[0].exists()
-        ]
-        if wanted:
-            scene = make_scene(load_model(run.model, run.data), SCHEME, IMAGE_SIZE, run.protocol)
-            datasets = {part: load_dataset(run.work / f"{part}.npz") for part in PARTS}
-            tasks = (
-                delayed(make_file)(run, part, file, scene, datasets[part]) for part, file in wanted
-            )
-            total = sum(len(files) for files in parts.values())
-            done = total - sum(len(parts[part].ranges()[file]) for part, file in wanted)
-            with tqdm(total=total, initial=done, desc="images", unit="image") as bar:
-                for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
-                    bar.update(n)
-        record["checksums"] = {part: files.checksums() for part, files in parts.items()}
+        record["checksums"] = make_images(
+            run,
+            {part: image_files(run, part) for part in PARTS},
+            lambda part: (run.seed, _STREAM, PARTS.index(part)),
+            scene,
+        )
 
 
 if __name__ == "__main__":

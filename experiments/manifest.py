@@ -12,8 +12,8 @@ from pathlib import Path
 from experiments.run import Run, write_json
 
 _PACKAGES = (
-    "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy",
-    "tensorflow", "tensorflow-cpu", "vtk",
+    "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
+    "scipy", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
 
 
@@ -33,6 +33,9 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "SEED": str(run.seed),
         "PROTOCOL": run.protocol,
         "AUTHORS": run.authors,
+        "COMA": run.coma,
+        "CASIA": run.casia,
+        "RINGNET": run.ringnet,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
     given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)

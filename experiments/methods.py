@@ -61,8 +61,38 @@ METHODS = (
         "MobileNet from an image to coefficients of the face model",
         "mobileface",
     ),
-    Method("ringnet", "RingNet", "pretrained network from an image to a FLAME mesh", "ringnet"),
-    Method("mediapipe", "MediaPipe", "pretrained face mesh of an image", "mediapipe"),
+    Method(
+        "true_landmarks",
+        "True landmarks",
+        "no method: what the faces' own landmarks score against the truth found on their scans",
+    ),
+    Method(
+        "scan_landmarks",
+        "Truth found on scans",
+        "no method: what the paper's pipeline takes for the truth, scored against the true one",
+    ),
+    Method(
+        "model_fit",
+        "Model fit",
+        "the fit of the face model to the view, which the truth found on scans starts from",
+    ),
+    Method(
+        "ringnet",
+        "RingNet",
+        "network from an image to coefficients of the face model, or of FLAME",
+        "ringnet",
+    ),
+    Method(
+        "mediapipe",
+        "MediaPipe",
+        "pretrained face mesh of an image, by the authors' list of points",
+        "mediapipe",
+    ),
+    Method(
+        "mediapipe_corrected",
+        "MediaPipe, corrected list",
+        "the same with the left brow's points where they should be",
+    ),
     Method(
         "ours",
         "Deep-MDS",

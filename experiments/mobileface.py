@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tensorflow as tf
 
-from experiments.faces import load_images
+from experiments.inputs import load_images
 from experiments.predictions import write_prediction
 from experiments.recipes import mobileface
 from experiments.run import parse_run, stage

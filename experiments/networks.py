@@ -7,20 +7,24 @@ import os
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
 
-from experiments.faces import load_faces
+from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
 from experiments.run import Run, parse_run, peak_memory_mb, quiet_tensorflow, stage
 
 # What is trained one after the other in one process: a step keeps about one core busy. `ours` and
 # `ours_released` share the autoencoder, which is the same in both variants.
-_CHAINS = (("ours", "ours_released"), ("ours_stable", "zhao", "zhao_authors"))
+_CHAINS = {
+    "bfm": (("ours", "ours_released"), ("ours_stable", "zhao", "zhao_authors")),
+    "flame": (("ours", "ours_released"), ("ours_stable", "zhao")),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "networks") as record:
-        jobs = min(len(_CHAINS), effective_n_jobs(run.jobs))
-        done = Parallel(jobs)(delayed(train_chain)(run, chain, os.getpid()) for chain in _CHAINS)
+        chains = _CHAINS[run.track]
+        jobs = min(len(chains), effective_n_jobs(run.jobs))
+        done = Parallel(jobs)(delayed(train_chain)(run, chain, os.getpid()) for chain in chains)
         if jobs > 1:
             record["processes_mb"] = [memory for _, memory in done]
         record["final_rms_error"] = {k: v for errors, _ in done for k, v in errors.items()}

@@ -6,8 +6,9 @@ import keras
 import pandas as pd
 
 from deepmds_keras.baselines.mobileface import build_mobileface_net
+from deepmds_keras.baselines.ringnet_net import build_ringnet
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, count_trainable
-from experiments.faces import load_landmark_model
+from experiments.inputs import load_landmark_model
 from experiments.methods import BY_ID, METHODS
 from experiments.published import printed
 from experiments.run import Run, write_text
@@ -21,6 +22,8 @@ _VARIANTS = {
     "ours_released": "released",
     "authors_weights": "released",
 }
+
+_RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
 
 # Time of one prediction in the number of landmarks n, derived from the algorithms: the widths of
 # Zhao's net and of the ends of our autoencoder grow with n; embedding starts from an eigenvalue
@@ -129,6 +132,8 @@ def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
 def _networks(method: str, n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
     if method == "mobileface":
         return [build_mobileface_net(n_coefficients)]
+    if method == "ringnet":
+        return [build_ringnet(*_RINGNET)]
     if method in _VARIANTS:
         return [build_autoencoder(n_landmarks), build_dissimilarity_net(_VARIANTS[method])]
     return []

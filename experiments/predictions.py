@@ -9,17 +9,23 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from data_gen.landmarks import load_scheme
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
-from experiments.faces import Faces, load_faces, load_landmark_model
+from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
 from experiments.recipes import deep_mds, zhao
 from experiments.run import AUTHORS_FILES, Run, parse_run, stage
 
+# Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.
+_METHODS = {
+    "bfm": ("mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian"),
+    "flame": ("mean_shape", "linear", "zhao"),
+}
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
 
@@ -40,13 +46,14 @@ def fitted(run: Run, train: Faces, method: str):
 
 def authors_weights(run: Run) -> DeepMDS:
     """The authors' released networks."""
-    model = DeepMDS.from_released(*(Path(run.authors, name) for name in AUTHORS_FILES))
+    files = (Path(run.authors, name) for name in AUTHORS_FILES[run.track])
+    model = DeepMDS.from_released(*files, n_landmarks=len(load_scheme(run.scheme)))
     return model.set_params(n_jobs=run.jobs)
 
 
 def methods_of(run: Run) -> list[str]:
     """Methods that can be run here, in the order of the table."""
-    methods = ["mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian", *DEEP_MDS]
+    methods = [*_METHODS[run.track], *DEEP_MDS]
     return methods + ["authors_weights"] * (run.authors is not None)
 
 
@@ -78,6 +85,11 @@ def write_prediction(run: Run, method: str, model, inputs) -> None:
         "n_parameters": int(model.n_parameters),
         "ms_per_face": milliseconds_per_face(model, inputs[: run.preset.timed_faces]),
     }
+    write_shapes(run, method, arrays, described)
+
+
+def write_shapes(run: Run, method: str, arrays: dict[str, np.ndarray], described: dict) -> None:
+    """Write a method's predictions, `shapes` `(n, L, 3)`; NaN for a face that it did not find."""
     path = run.prediction_file(method)
     write_arrays(path, {k: np.float32(a) for k, a in arrays.items()}, described)
 

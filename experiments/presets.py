@@ -5,18 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Sizes of the BFM experiment.
+    """Sizes of the experiments.
 
     Attributes:
-        train_faces, test_faces: Sizes of the two sets (paper, section "Datasets").
+        train_faces, test_faces: Faces of the BFM track (paper, section "Datasets").
+        frame_subjects, frames: Training set of the FLAME track where it is made here (as many as
+            CoMA has).
+        scan_subjects, scans: Test set of the FLAME track where it is made here (as many as the
+            paper takes from CASIA-3D).
         autoencoder_epochs: Passes over the training faces. The paper and its code leave the total
             open; 30 is where the training error of the autoencoder no longer falls by much.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
         zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
         train_images: Training faces of which MobileFace sees an image.
         mobileface_epochs: Epochs of MobileFace (released code: 200 × 500 steps).
+        ring_subjects, ring_images: People whom RingNet is trained on, and images of each.
+        ringnet_epochs: Epochs of RingNet, of `ringnet_steps` mini-batches each.
         n_subsets, subset_size: Random subsets of the test set (paper, "Evaluation Criteria").
         timed_faces: Test faces over which the time of a prediction is taken.
         n_seeds: Repetitions of `make seeds`.
@@ -25,6 +31,10 @@ class Preset:
     name: str
     train_faces: int
     test_faces: int
+    frame_subjects: int
+    frames: int
+    scan_subjects: int
+    scans: int
     autoencoder_epochs: int
     dissimilarity_epochs: int
     dissimilarity_steps: int
@@ -33,6 +43,10 @@ class Preset:
     train_images: int
     mobileface_epochs: int
     mobileface_steps: int
+    ring_subjects: int
+    ring_images: int
+    ringnet_epochs: int
+    ringnet_steps: int
     n_subsets: int
     subset_size: int
     timed_faces: int
@@ -40,7 +54,53 @@ class Preset:
 
 
 PAPER = Preset(
-    "paper", 20_000, 5_000, 30, 30, 1000, 10, 1000, 20_000, 200, 500, 10, 500, 200, 5
-)  # fmt: skip
-SMOKE = Preset("smoke", 4_800, 20, 6, 3, 400, 2, 100, 160, 2, 10, 10, 10, 2, 2)
+    name="paper",
+    train_faces=20_000,
+    test_faces=5_000,
+    frame_subjects=12,
+    frames=20_466,
+    scan_subjects=123,
+    scans=3_937,
+    autoencoder_epochs=30,
+    dissimilarity_epochs=30,
+    dissimilarity_steps=1000,
+    zhao_epochs=10,
+    zhao_steps=1000,
+    train_images=20_000,
+    mobileface_epochs=200,
+    mobileface_steps=500,
+    ring_subjects=2_000,
+    ring_images=10,
+    ringnet_epochs=20,
+    ringnet_steps=200,
+    n_subsets=10,
+    subset_size=500,
+    timed_faces=200,
+    n_seeds=5,
+)
+SMOKE = Preset(
+    name="smoke",
+    train_faces=4_800,
+    test_faces=20,
+    frame_subjects=3,
+    frames=4_800,
+    scan_subjects=4,
+    scans=24,
+    autoencoder_epochs=6,
+    dissimilarity_epochs=3,
+    dissimilarity_steps=400,
+    zhao_epochs=2,
+    zhao_steps=100,
+    train_images=160,
+    mobileface_epochs=2,
+    mobileface_steps=10,
+    ring_subjects=8,
+    ring_images=6,
+    ringnet_epochs=2,
+    ringnet_steps=3,
+    n_subsets=10,
+    subset_size=10,
+    timed_faces=2,
+    n_seeds=2,
+)
 PRESETS = {preset.name: preset for preset in (PAPER, SMOKE)}

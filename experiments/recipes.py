@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import keras
 from tqdm import tqdm
 
 from data_gen.dataset import load_dataset
+from data_gen.flame import read_flame
+from data_gen.flame_embedding import find_embedding, load_embedding
 from deepmds_keras.baselines.mobileface import MobileFace
+from deepmds_keras.baselines.ringnet import RingNet
+from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 from deepmds_keras.baselines.zhao import Zhao
 from deepmds_keras.networks import forward
 from deepmds_keras.orientation import front_landmark
+from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
-from experiments.faces import Faces, load_images, load_landmark_model, load_shape_gram
+from deepmds_keras.weights import read_arrays
+from experiments.inputs import Faces, load_images, load_landmark_model, load_rings, load_shape_gram
 from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run
 
@@ -113,8 +120,35 @@ def mobileface(run: Run) -> MobileFace:
         )
 
 
+def ringnet(run: Run) -> RingNet:
+    """RingNet on the run's images of people."""
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    preset = run.preset
+    model = RingNet(
+        arrays["mean"],
+        arrays["identity_basis_times_sd"],
+        arrays["expression_basis"],
+        image_size=IMAGE_SIZE,
+        epochs=preset.ringnet_epochs,
+        steps_per_epoch=preset.ringnet_steps,
+        seed=run.seed,
+    )
+    with EpochBar("ringnet", preset.ringnet_epochs) as bar:
+        return model.fit(
+            *load_rings(run), checkpoint=run.network_file("ringnet"), progress=bar.sums
+        )
+
+
+def released_ringnet(run: Run) -> ReleasedRingNet:
+    """The licensed RingNet; FLAME's landmarks on its meshes."""
+    near = Path(run.data or run.ringnet).absolute()
+    embedding = load_embedding(find_embedding(near, *near.parents[:2]))
+    corners = read_flame(run.data).triangles[embedding.triangles]
+    return ReleasedRingNet(run.ringnet, corners, embedding.weights)
+
+
 class EpochBar(tqdm):
-    """A progress bar over epochs that shows the root of the mean squared errors.
+    """A progress bar over epochs that shows the losses.
 
     Attributes:
         parent: Process on whose behalf this one trains; training stops after an epoch when it is
@@ -128,7 +162,12 @@ class EpochBar(tqdm):
         super().__init__(total=epochs, desc=name, unit="epoch", delay=2)
 
     def losses(self, losses: dict[str, float]) -> None:
+        """Show mean squares as their roots."""
+        self.sums({f"{name} r.m.s.": value**0.5 for name, value in losses.items()})
+
+    def sums(self, losses: dict[str, float]) -> None:
+        """Show losses as they are."""
         if self.parent not in (os.getpid(), os.getppid()):
             raise SystemExit("The run that this process trained for is gone.")
-        self.set_postfix({f"{k} r.m.s.": f"{v**0.5:.4f}" for k, v in losses.items()}, refresh=False)
+        self.set_postfix({k: f"{v:.4f}" for k, v in losses.items()}, refresh=False)
         self.update()

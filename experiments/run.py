@@ -24,7 +24,16 @@ from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
 EVALUATORS = ("paper", "released")
-AUTHORS_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
+# The paper's two halves, each with landmarks of its own; also the folders of the authors' release.
+SCHEMES = {"bfm": "bfm72", "flame": "ibug51"}
+AUTHORS_FILES = {
+    "bfm": ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5"),
+    "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
+}
+_DATASETS = {
+    "coma": "CoMA's registered meshes (https://coma.is.tue.mpg.de, after registration)",
+    "casia": "CASIA-3D FaceV1 (http://biometrics.idealtest.org, after registration)",
+}
 
 
 @dataclass(frozen=True)
@@ -33,23 +42,34 @@ class Run:
 
     Attributes:
         model: Name of the morphable model.
-        data: File or folder of a model that is not embedded, or None.
         preset: Sizes.
+        track: Which of the paper's halves, one of `SCHEMES`.
         seed: Of faces, views, initial weights, mini-batches and test subsets.
         protocol: How faces are projected, see `data_gen.projections.draw_cameras`.
+        data: File or folder of a model that is not embedded, or None.
+        coma, casia: Folders of the data sets CoMA and CASIA-3D, or None: in `data`, if there, and
+            otherwise the open stand-ins.
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
+        mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
+            `make setup-mediapipe` makes.
+        ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
         jobs: Processes for the embedding and for rendering.
         build: Folder of arrays and weights; results: folder of tables and figures.
     """
 
     model: str
     preset: Preset
+    track: str = "bfm"
     seed: int = 0
     protocol: str = "paper"
     data: str | None = None
+    coma: str | None = None
+    casia: str | None = None
     authors: str | None = None
     evaluator: str = "paper"
+    mediapipe: str | None = None
+    ringnet: str | None = None
     jobs: int = -1
     build: Path = Path("build")
     results: Path = Path("results")
@@ -57,20 +77,34 @@ class Run:
     @property
     def work(self) -> Path:
         """Folder of the run's arrays and weights: one for everything that would change them."""
-        return self.build / self.model / f"bfm-{self.preset.name}-{self.protocol}-seed{self.seed}"
+        name = f"{self.track}-{self.preset.name}-{self.protocol}-seed{self.seed}"
+        return self.build / self.model / f"{name}{self._given}"
+
+    @property
+    def scheme(self) -> str:
+        """Landmark scheme of the track."""
+        return SCHEMES[self.track]
 
     def network_file(self, name: str) -> Path:
         """Checkpoint of a network, which is also the trained network once its epochs are done."""
         return self.work / "networks" / f"{name}.npz"
 
     def prediction_file(self, method: str) -> Path:
-        """What a method made of the test views."""
+        """What a method made of the test views, or photos."""
+        if method == "ringnet" and self.ringnet is not None:
+            method = self.ringnet_stage
         return self.work / "predictions" / f"{method}.npz"
+
+    @property
+    def ringnet_stage(self) -> str:
+        """Name of the stage, and of its files, that runs the licensed RingNet or trains ours."""
+        return "ringnet" if self.ringnet is None else "ringnet-licensed"
 
     @property
     def evaluation(self) -> str:
         """Name of the stage that scores, of its record and of its folder of results."""
-        return "bfm" if self.evaluator == "paper" else f"bfm-evaluator-{self.evaluator}"
+        released = "" if self.evaluator == "paper" else f"-evaluator-{self.evaluator}"
+        return f"{self.track}{released}"
 
     @property
     def model_results(self) -> Path:
@@ -82,7 +116,27 @@ class Run:
         """`results/<model>/<name>`, with the protocol and seed after it if not the default."""
         protocol = "" if self.protocol == "paper" else f"-{self.protocol}"
         seed = "" if self.seed == 0 else f"-seed{self.seed}"
-        return self.model_results / f"{name}{protocol}{seed}"
+        return self.model_results / f"{name}{protocol}{seed}{self._given}"
+
+    def folder_of(self, dataset: str) -> Path | None:
+        """Folder of `"coma"` or `"casia"`: as named, or in `data` under its usual name, or None."""
+        if getattr(self, dataset):
+            return Path(getattr(self, dataset))
+        inside = sorted(Path(self.data).glob("*")) if self.data else []
+        names = (path for path in inside if path.is_dir())
+        found = next((path for path in names if path.name.lower().startswith(dataset)), None)
+        if found is None and self.model == "flame":
+            # Its expressions have no names by which a stand-in could be made.
+            raise DataError(
+                f"{dataset.upper()}= must be the folder of {_DATASETS[dataset]}, or DATA= must "
+                f"hold one that begins with {dataset}. Received neither."
+            )
+        return found
+
+    @property
+    def _given(self) -> str:
+        """Which data sets were named, for folders: others hold what stands in for them."""
+        return "".join(f"-{name}" for name in ("coma", "casia") if getattr(self, name))
 
 
 def parse_run(description: str, arguments: list[str] | None = None) -> Run:
@@ -91,13 +145,18 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     add = parser.add_argument
+    add("--track", choices=tuple(SCHEMES), default="bfm", help="half of the paper's experiments")
     add("--model", choices=MODELS, default="openhead", help="morphable model of the faces")
     add("--data", metavar="PATH", help="file or folder of a model that is not embedded")
     add("--preset", choices=tuple(PRESETS), default="paper", help="sizes of the experiment")
     add("--seed", type=int, default=0, help="of everything random")
     add("--protocol", choices=PROTOCOLS, default="paper", help="how faces are projected")
-    add("--authors", metavar="DIR", help="folder of the authors' released BFM weights (*.h5)")
+    add("--authors", metavar="DIR", help="folder of the authors' released weights (*.h5)")
+    add("--coma", metavar="DIR", help="folder of the data set CoMA, instead of its stand-in")
+    add("--casia", metavar="DIR", help="folder of the data set CASIA-3D, instead of its stand-in")
     add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
+    add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
+    add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
     add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
     add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
     add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
@@ -105,8 +164,12 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     if values["seed"] < 0:
         parser.error(f"--seed must not be negative. Received {values['seed']}.")
     values["preset"] = PRESETS[values["preset"]]
-    values["data"], values["authors"] = values["data"] or None, values["authors"] or None
-    for name in AUTHORS_FILES if values["authors"] else ():
+    for name in ("data", "authors", "coma", "casia", "mediapipe", "ringnet"):
+        values[name] = values[name] or None
+    if values["track"] == "flame" and values["evaluator"] != "paper":
+        parser.error("--evaluator must be paper on the FLAME track: no script of the authors "
+                     f"scores it. Received {values['evaluator']}.")  # fmt: skip
+    for name in AUTHORS_FILES[values["track"]] if values["authors"] else ():
         if not Path(values["authors"], name).is_file():
             parser.error(f"--authors must be a folder with {name}. Received {values['authors']}.")
     return Run(**values)

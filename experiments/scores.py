@@ -9,8 +9,9 @@ import pandas as pd
 
 from deepmds_keras import metrics
 from deepmds_keras.alignment import align, is_mirrored
+from deepmds_keras.errors import InputError
 from deepmds_keras.weights import read_arrays
-from experiments.faces import Faces
+from experiments.inputs import Faces
 from experiments.run import Run, load_record
 
 # Streams of random numbers of a run beside those of its two data sets.
@@ -20,7 +21,9 @@ _SUBSETS = 2
 def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
     """Arrays and description of the predictions of every method whose stage is complete."""
     methods = load_record(run, "predictions")["methods"]
-    methods = methods + ["mobileface"] * (run.work / "mobileface.json").exists()
+    for name in ("mobileface", "mediapipe", run.ringnet_stage):
+        if (run.work / f"{name}.json").exists():
+            methods = methods + load_record(run, name).get("methods", [name])
     return {method: load_prediction(run, method) for method in methods}
 
 
@@ -35,6 +38,7 @@ def costs(descriptions: dict[str, dict]) -> pd.DataFrame:
         (method, metric, described[metric])
         for method, described in descriptions.items()
         for metric in ("ms_per_face", "n_parameters")
+        if metric in described
     ]
     return pd.DataFrame(rows, columns=["method", "metric", "value"])
 
@@ -43,12 +47,14 @@ def costs(descriptions: dict[str, dict]) -> pd.DataFrame:
 class Scores:
     """One method on all test faces, after Procrustes with scale and reflection onto the truth.
 
+    Numbers of a face that the method did not find are NaN.
+
     Attributes:
         aligned: `(n, L, 3)` predictions in the frame and unit of the truth.
         mse: `(n,)` mean squared error over all coordinates, in the unit of `normalise`.
         mse_mm2: `(n,)` the same in square millimetres.
         depth_corr: `(n,)` trace depth correlation, at most L.
-        mirrored: `(n,)` whether the alignment had to reflect the prediction.
+        mirrored: `(n,)` 1 where the alignment had to reflect the prediction, else 0.
     """
 
     aligned: np.ndarray
@@ -60,36 +66,50 @@ class Scores:
 
 def score(shapes: np.ndarray, test: Faces) -> Scores:
     """Align predictions `(n, L, 3)` to the truth and measure what is left."""
-    truth = test.shapes.astype(float)
-    aligned = align(shapes, truth)
+    found = np.isfinite(shapes).all((1, 2))
+    truth = test.shapes[found].astype(float)
+    aligned = align(shapes[found], truth)
     mse = metrics.mse(aligned, truth)
+
+    def of_all(values: np.ndarray) -> np.ndarray:
+        everywhere = np.full((len(shapes), *values.shape[1:]), np.nan)
+        everywhere[found] = values
+        return everywhere
+
     return Scores(
-        aligned=aligned,
-        mse=mse,
-        mse_mm2=mse * test.unit_mm**2,
-        depth_corr=metrics.depth_corr(aligned, truth),
-        mirrored=is_mirrored(shapes, truth),
+        aligned=of_all(aligned),
+        mse=of_all(mse),
+        mse_mm2=of_all(mse) * test.unit_mm**2,
+        depth_corr=of_all(metrics.depth_corr(aligned, truth)),
+        mirrored=of_all(is_mirrored(shapes[found], truth)),
     )
 
 
-def subsets(run: Run) -> np.ndarray:
-    """Random test faces, `(n_subsets, subset_size)`: without repetition within a subset."""
-    rng = np.random.default_rng([run.seed, _SUBSETS])
-    n, preset = run.preset.test_faces, run.preset
+def subsets(run: Run, n: int) -> np.ndarray:
+    """Random ones of n test faces, `(n_subsets, subset_size)`, none twice in a subset."""
+    rng, preset = np.random.default_rng([run.seed, _SUBSETS]), run.preset
+    if n < preset.subset_size:
+        raise InputError(
+            f"There must be at least {preset.subset_size} test faces to draw a subset from. "
+            f"Received {n}."
+        )
     return np.array([rng.choice(n, preset.subset_size, False) for _ in range(preset.n_subsets)])
 
 
 def subset_metrics(method: str, scores: Scores, test: Faces, chosen: np.ndarray) -> pd.DataFrame:
-    """Long table `method, metric, subset, value` of one method."""
+    """Long table `method, metric, subset, value` of one method, over the faces that it found."""
+    found = np.isfinite(scores.mse)
+    groups = [faces[found[faces]] for faces in chosen]
     values = {
-        "mse": scores.mse[chosen].mean(1),
-        "mse_mm2": scores.mse_mm2[chosen].mean(1),
-        "depth_corr": scores.depth_corr[chosen].mean(1),
+        metric: [getattr(scores, metric)[faces].mean() for faces in groups]
+        for metric in ("mse", "mse_mm2", "depth_corr")
+    }
+    values |= {
         "depth_corr_across_faces": [
             metrics.depth_corr_across_faces(scores.aligned[faces], test.shapes[faces])
-            for faces in chosen
+            for faces in groups
         ],
-        "mirrored_fraction": scores.mirrored[chosen].mean(1),
+        "mirrored_fraction": [scores.mirrored[faces].mean() for faces in groups],
     }
     rows = [
         (method, metric, subset, value)

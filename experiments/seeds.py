@@ -14,10 +14,11 @@ import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 
 from deepmds_keras.weights import read_arrays
-from experiments.faces import Faces, load_faces, make_faces
+from experiments.faces import make_faces
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
+from experiments.inputs import Faces, load_faces
 from experiments.manifest import write_manifest
 from experiments.methods import DEEP_MDS, network_names, title
 from experiments.networks import train_chain

@@ -1,4 +1,4 @@
-"""Print the BFM table of a run that is done, and where its files are."""
+"""Print the table of a run that is done, and where its files are."""
 
 from __future__ import annotations
 
@@ -9,21 +9,35 @@ import pandas as pd
 from experiments.run import parse_run
 from experiments.typesetting import text
 
+# By the truth that a table is against, where there are two.
+_TRUTHS = {
+    "flame": "against the landmarks found on the scans, as in the paper",
+    "flame-true-landmarks": "against the true landmarks, which the stand-in knows",
+}
+
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    path = run.experiment_results(run.evaluation) / "table.csv"
-    if not path.is_file():
+    names = [run.evaluation, *(["flame-true-landmarks"] if run.track == "flame" else [])]
+    paths = {name: run.experiment_results(name) / "table.csv" for name in names}
+    first = paths[run.evaluation]
+    if not first.is_file():
         print(
-            f"error: {path} does not exist; delete {run.work}/{run.evaluation}.json and make it "
+            f"error: {first} does not exist; delete {run.work}/{run.evaluation}.json and make it "
             "again.",
             file=sys.stderr,
         )
         raise SystemExit(2)
-    table = pd.read_csv(path, dtype={"n_subsets": "Int64", "subset_size": "Int64"})
-    print(f"\n{run.model}, {run.preset.test_faces} test faces, seed {run.seed}\n")
-    print(text(table, "bfm"))
-    print(f"Tables, figures and manifest: {path.parent}/")
+    for name, path in paths.items():
+        if not path.is_file():
+            continue
+        table = pd.read_csv(path, dtype={"n_subsets": "Int64", "subset_size": "Int64"})
+        truth = f", {_TRUTHS[name]}" if name in _TRUTHS else ""
+        print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}{truth}\n")
+        print(text(table, run.track))
+    for path in paths.values():
+        if path.is_file():
+            print(f"Tables, figures and manifest: {path.parent}/")
 
 
 if __name__ == "__main__":

@@ -12,8 +12,9 @@ from data_gen.landmarks import load_scheme
 from data_gen.openhead import load_openhead
 from experiments.figures import style
 from experiments.figures.curves import batchnorm_lag, learning_curves
-from experiments.figures.errors import error_per_landmark, error_per_pose
-from experiments.figures.qualitative import qualitative
+from experiments.figures.errors import error_per_condition, error_per_landmark, error_per_pose
+from experiments.figures.ground_truth import Example, ground_truth
+from experiments.figures.qualitative import Photos, qualitative
 from experiments.figures.renders import renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
@@ -44,7 +45,8 @@ RECORD = {"train": [2e-4, 1e-4], "inference": [9e-4, 4e-4]}
 
 def draw_learning(rng):
     histories = {"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
-    return learning_curves(histories, mobileface={"train": [9.0, 2.0], "inference": [7.0, 3.0]})
+    record = {"train": [9.0, 2.0], "inference": [7.0, 3.0]}
+    return learning_curves(histories, mobileface=record, ringnet=record)
 
 
 def draw_lag(rng):
@@ -72,6 +74,40 @@ def pose_errors(rng, n=60):
 
 def draw_poses(rng):
     return error_per_pose(pose_errors(rng))
+
+
+def condition_errors(rng, n=60):
+    return pd.DataFrame(
+        {
+            "method": np.repeat(["ours", "linear"], n // 2),
+            "condition": np.resize(["neutral", "eyes_closed"], n),
+            "mse": rng.uniform(1e-5, 1e-3, n),
+        }
+    )
+
+
+def draw_conditions(rng):
+    return error_per_condition(condition_errors(rng))
+
+
+IBUG = load_scheme("ibug51")
+
+
+def draw_ground_truth(rng):
+    truth = rng.normal(0, 30, (6, 51, 3))
+    found = truth + rng.normal(0, 2, truth.shape)
+    examples = [
+        Example(
+            image=rng.integers(0, 255, (32, 32, 3), np.uint8),
+            detected=rng.uniform(0, 32, (51, 2)),
+            points=rng.normal(0, 40, (500, 3)),
+            fitted=face,
+            found=face,
+            truth=face,
+        )
+        for face in truth[:2]
+    ]
+    return ground_truth(examples, IBUG, found, truth)
 
 
 def draw_seeds(rng):
@@ -106,7 +142,10 @@ def draw_small_qualitative(rng):
     return draw_qualitative(np.stack([random_face(rng)]), ("ours", "linear"), rng)
 
 
-PLOTS = [draw_learning, draw_lag, draw_landmarks, draw_poses, draw_seeds, draw_summary]
+PLOTS = [
+    *(draw_learning, draw_lag, draw_landmarks, draw_poses, draw_conditions, draw_seeds),
+    *(draw_summary, draw_ground_truth),
+]
 
 
 def texts(axes):
@@ -135,7 +174,7 @@ def test_the_pdf_holds_no_date(tmp_path):
 
 @pytest.mark.parametrize("draw", PLOTS)
 def test_every_quantity_on_a_value_axis_has_its_unit(draw):
-    units = ("(mm)", "(mm²)", "units)", "(°)", "epochs)", "steps)", "(no unit)")
+    units = ("(mm)", "(mm²)", "(%)", "units)", "(°)", "epochs)", "steps)", "(no unit)")
     for axes in draw(np.random.default_rng(0)).axes:
         if not axes.axison:
             continue
@@ -177,6 +216,48 @@ def test_qualitative_prints_each_score_and_marks_the_best():
     assert weights["1.42"] == "normal"
     assert weights["0.0300"] == "bold"
     assert "Frontal" in weights
+
+
+def test_a_face_that_a_method_did_not_find_is_marked():
+    rng = np.random.default_rng(0)
+    faces = np.stack([random_face(rng)])
+    predictions = {"ours": faces, "mediapipe": np.full_like(faces, np.nan)}
+    scores = {"ours": np.array([1.42e-4]), "mediapipe": np.array([np.nan])}
+    photos = Photos(np.zeros((1, 20, 20, 3), np.uint8), rng.uniform(0, 20, (1, 72, 2)))
+    figure = qualitative(
+        faces[..., :2], faces[..., :2], faces, predictions, SCHEME, ["Frontal"], scores, photos
+    )
+    written = texts(figure.axes[0])
+    assert written.count("N/A") == 2  # from the front and the side
+    assert "nan" not in written
+    weights = {text.get_text(): text.get_weight() for text in figure.axes[0].texts}
+    assert weights["1.42"] == "bold"
+    assert len(figure.axes[0].images) == 1
+
+
+def test_landmarks_lie_on_the_photo_where_they_were_found():
+    rng = np.random.default_rng(0)
+    faces = np.stack([random_face(rng)])
+    corners = np.zeros((1, 72, 2))
+    corners[0, 1] = (20, 0)
+    photos = Photos(np.zeros((1, 20, 20, 3), np.uint8), corners)
+    figure = qualitative(faces[..., :2], faces[..., :2], faces, {}, SCHEME, ["Frontal"], {}, photos)
+    left, right, _, top = figure.axes[0].images[0].get_extent()
+    dots = next(c for c in figure.axes[0].collections if len(c.get_offsets()) > 1).get_offsets()
+    np.testing.assert_allclose(dots[:2], [[left, top], [right, top]])
+
+
+def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
+    rng = np.random.default_rng(0)
+    truth = rng.normal(0, 30, (40, 51, 3))
+    found = truth + [3.0, 0.0, 4.0]
+    example = Example(np.zeros((8, 8, 3), np.uint8), truth[0, :, :2], truth[0], *truth[:2], None)
+    figure = ground_truth([example], IBUG, found, truth)
+    shares = next(axes for axes in figure.axes if "share" in axes.get_ylabel())
+    for line in shares.lines:
+        np.testing.assert_allclose(line.get_xdata(), 5.0)
+    unknown = ground_truth([example], IBUG, found, None)
+    assert not any("share" in axes.get_ylabel() for axes in unknown.axes)
 
 
 def test_truth_lies_beneath_a_frontal_view_normalised_by_itself():

@@ -16,14 +16,17 @@ def would_run(tmp_path):
         (tmp_path / f"{record}.json").touch()
     (tmp_path / "venv" / ".ready").touch()
 
-    def run(*variables):
-        command = ["make", "-n", "reproduce-bfm", f"BUILD={tmp_path}", f"VENV={tmp_path}/venv"]
-        done = subprocess.run([*command, *variables], cwd=ROOT, capture_output=True, text=True)
-        words = done.stdout.split()
-        stages = [w.split(".")[1] for w in words if w.startswith("experiments.")]
-        return stages if done.returncode == 0 else done.stderr
+    return lambda *variables: stages_of(tmp_path, "reproduce-bfm", "BUILD", *variables)
 
-    return run
+
+def stages_of(folder, target, build, *variables):
+    """Stages in the order of `make -n`, or what it complains of."""
+    command = ["make", "-n", target, f"{build}={folder}", f"VENV={folder}/venv"]
+    command += [f"MEDIAPIPE_VENV={folder}/venv", *variables]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    words = done.stdout.split()
+    stages = [w.split(".")[1] for w in words if w.startswith("experiments.")]
+    return stages if done.returncode == 0 else done.stderr
 
 
 def test_only_what_is_missing_is_run(would_run, tmp_path):
@@ -37,3 +40,23 @@ def test_only_what_is_missing_is_run(would_run, tmp_path):
 
 def test_a_word_that_is_neither_yes_nor_no_is_refused(would_run):
     assert "MOBILEFACE must be yes or no. Received nein" in would_run("MOBILEFACE=nein")
+
+
+def test_the_flame_track_runs_what_is_missing(tmp_path):
+    (tmp_path / "venv").mkdir()
+    (tmp_path / "venv" / ".ready").touch()
+
+    def would_run(*variables):
+        return stages_of(tmp_path, "reproduce-flame", "FLAME", *variables)
+
+    assert {*would_run()} == {
+        *("frames", "networks", "scans", "predictions", "mediapipe", "rings", "ringnet"),
+        *("flame", "show"),
+    }
+    for record in ("frames", "networks", "scans", "predictions", "flame"):
+        (tmp_path / f"{record}.json").touch()
+    assert would_run("RINGNET=no", "MEDIAPIPE=no") == ["show"]
+    assert would_run("RINGNET=no") == ["mediapipe", "flame", "show"]
+    assert would_run("MEDIAPIPE=no") == ["rings", "ringnet", "flame", "show"]
+    assert would_run("MEDIAPIPE=no", "RINGNET=x/ring_6_68641") == ["ringnet", "flame", "show"]
+    assert "MEDIAPIPE must be yes or no. Received x" in would_run("MEDIAPIPE=x")

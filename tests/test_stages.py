@@ -192,7 +192,7 @@ def test_a_changed_image_is_reported(whole, tmp_path):
         (["--model", "bfm2009"], "DATA= must be the file or folder of bfm2009"),
         (["--model", "ict", "--data", "/nowhere"], "/nowhere"),
         (["--model", "bfm2017", "--data", __file__], "test_stages.py"),
-        (["--model", "flame"], "invalid choice: 'flame'"),
+        (["--model", "nobody"], "invalid choice: 'nobody'"),
         (["--seed", "-1"], "--seed must not be negative"),
         (["--evaluator", "mine"], "invalid choice: 'mine'"),
         (["--authors", "/nowhere"], "--authors must be a folder with AE_occ2orth_BFM.h5"),

@@ -139,6 +139,9 @@ def test_parameters_are_counted_from_the_networks(metrics):
     mobileface = table.loc["mobileface", ["trainable", "total", "paper"]]
     assert [*mobileface] == ["900979", "907819", "900,979"]
     assert [*table.loc["ours", ["trainable", "total", "paper"]]] == ["27323", "28229", "27505"]
+    # ResNet-50 without its head has 23,534,592 trainable parameters.
+    ringnet = table.loc["ringnet", ["trainable", "paper"]]
+    assert int(ringnet["trainable"]) > 23_534_592 and ringnet["paper"] == "> 23000000"
     assert [*table.loc["mediapipe", ["trainable", "paper"]]] == ["", "Not found"]
     row = line(parameters.latex(table.reset_index()), "MediaPipe")
     assert row == r"MediaPipe & -- & -- & Not found & O(1) & O(1) & -- \\"

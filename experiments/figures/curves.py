@@ -27,8 +27,9 @@ _SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine-decayed le
 def learning_curves(
     histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
     mobileface: Mapping[str, Sequence[float]] | None = None,
+    ringnet: Mapping[str, Sequence[float]] | None = None,
 ) -> Figure:
-    """Loss against training time, the autoencoder beside the dissimilarity net, and MobileFace.
+    """Loss against training time, the autoencoder beside the dissimilarity net, and others.
 
     Args:
         histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
@@ -36,9 +37,18 @@ def learning_curves(
             `"train"` as seen by the optimiser, `"inference"` of the network after the epoch,
             `"test"` on test faces. What a record lacks is not drawn.
         mobileface: Such a record in square millimetres; None leaves its panel out.
+        ringnet: Such a record of the sum of RingNet's losses; likewise.
     """
+    others = {
+        method: (losses, unit)
+        for method, losses, unit in (
+            ("mobileface", mobileface, "Mean squared error of the mesh (mm²)"),
+            ("ringnet", ringnet, "Sum of the losses (no unit)"),
+        )
+        if losses is not None
+    }
     figure = Figure(figsize=(7.2, 3.1), layout="constrained")
-    panels = figure.subplots(1, 2 if mobileface is None else 3)
+    panels = figure.subplots(1, 2 + len(others))
     shown = set()
     for axes, (network, name) in zip(panels[:2], _NETWORKS.items(), strict=True):
         # Methods may share a network: the one named first is drawn last, on top.
@@ -51,15 +61,13 @@ def learning_curves(
         axes.set(yscale="log", title=name)
         _time_axis(axes)
     panels[0].set_ylabel("Mean squared error\n(squared normalised units)")
-    methods = [*histories]
-    if mobileface is not None:
-        methods.append("mobileface")
-        for mode, losses in mobileface.items():
-            line = {"color": colour("mobileface"), "linestyle": _MODES[mode][0], "lw": 1.1}
-            panels[2].plot(_epochs(losses), losses, **line)
-        panels[2].set(yscale="log", title=title("mobileface"))
-        panels[2].set_ylabel("Mean squared error of the mesh (mm²)")
-        _time_axis(panels[2])
+    methods = [*histories, *others]
+    for axes, (method, (record, unit)) in zip(panels[2:], others.items(), strict=True):
+        for mode, losses in record.items():
+            line = {"color": colour(method), "linestyle": _MODES[mode][0], "lw": 1.1}
+            axes.plot(_epochs(losses), losses, **line)
+        axes.set(yscale="log", title=title(method), ylabel=unit)
+        _time_axis(axes)
     figure.legend(
         handles=[Line2D([], [], color=colour(m), label=title(m)) for m in methods],
         loc="outside upper center",

@@ -191,6 +191,44 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
     return figure
 
 
+@styled
+def error_per_condition(errors: pd.DataFrame) -> Figure:
+    """Mean error of a face by what its scan shows, with 95 % confidence intervals of the mean.
+
+    Args:
+        errors: One row a face and method: `method` (id), `condition` (name), `mse` in squared
+            normalised units, NaN where the method found no face.
+    """
+    methods = list(dict.fromkeys(errors["method"]))
+    conditions = list(dict.fromkeys(errors["condition"]))
+    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
+    axes = figure.subplots()
+    groups = errors.dropna().groupby(["method", "condition"])["mse"]
+    means, halves = groups.mean(), groups.agg(_half_interval)
+    offsets = np.linspace(-0.32, 0.32, len(methods)) if len(methods) > 1 else [0.0]
+    for offset, method in zip(offsets, methods, strict=True):
+        axes.errorbar(
+            np.arange(len(conditions)) + offset,
+            means[method].reindex(conditions),
+            yerr=halves[method].reindex(conditions),
+            fmt=marker(method),
+            color=colour(method),
+            markersize=4,
+            markeredgewidth=0,
+            elinewidth=0.7,
+            label=title(method),
+        )
+    for edge in np.arange(len(conditions) - 1) + 0.5:
+        axes.axvline(edge, color="#E3E3E3", linewidth=0.5)
+    axes.set(yscale="log", xlim=(-0.5, len(conditions) - 0.5))
+    axes.set_ylabel("MSE of a face\n(squared normalised units)")
+    axes.set_xticks(range(len(conditions)), [name.replace("_", " ") for name in conditions])
+    axes.tick_params(axis="x", length=0)
+    axes.grid(axis="y")
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.2)
+    return figure
+
+
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,14 @@ _HEAD = 0.42  # holds the column titles
 _MARGIN = 0.3  # holds the row titles, of up to two lines
 
 
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Photos `(R, S, S, 3)` uint8, and landmarks `(R, L, 2)` in their pixels, y down."""
+
+    images: np.ndarray
+    landmarks: np.ndarray
+
+
 @styled
 def qualitative(
     views: np.ndarray,
@@ -33,22 +42,24 @@ def qualitative(
     scheme: LandmarkScheme,
     row_titles: Sequence[str],
     scores: Mapping[str, np.ndarray],
+    photos: Photos | None = None,
 ) -> Figure:
     """Input view, frontal view, truth and every method's shape from the front and the side.
 
     Every shape is drawn to one scale; the input views are fitted to the same box. The truth is
     repeated in grey beneath each prediction, and beneath the frontal view after the shift and the
     scaling that fit it best, since a frontal view may be normalised by itself. The lowest error
-    of a row is bold.
+    of a row is bold. N/A stands for a face that a method did not find.
 
     Args:
         views: `(R, L, 2)`, one face a row.
         frontal: `(R, L, 2)`, the autoencoder's output for `views`.
         truth: `(R, L, 3)`, normalised.
-        predictions: Method id to `(R, L, 3)`, aligned to `truth`.
+        predictions: Method id to `(R, L, 3)`, aligned to `truth`; NaN where there is none.
         scheme: Landmark scheme, for its polylines.
         row_titles: `R` names of the projection types.
-        scores: Method id to `(R,)` mean squared errors in squared normalised units.
+        scores: Method id to `(R,)` mean squared errors in squared normalised units, or NaN.
+        photos: What the views were detected in, drawn in their place.
     """
     width, height, _ = np.ptp(truth, axis=1).max(axis=0)
     pitch_x, pitch_y = width + _GAP, 2 * height + _GAP + _ROW_GAP
@@ -81,7 +92,10 @@ def qualitative(
             axes.axhline(top + _ROW_GAP / 3, color="#DDDDDD", linewidth=0.5)
         write(extent[0] + 0.14, middle_y, row_title, rotation=90, va="center", size=7.5)
 
-        wire(np.add(_fit(views[row], width, height), (columns[0], middle_y)), colour=INK)
+        if photos is None:
+            wire(np.add(_fit(views[row], width, height), (columns[0], middle_y)), colour=INK)
+        else:
+            _draw_photo(axes, photos, row, (columns[0], middle_y), width + _GAP)
 
         beneath = _similar(front_view(truth[row]), frontal[row])
         scale = np.ptp(truth[row, :, 1]) / np.ptp(beneath[:, 1])
@@ -94,16 +108,30 @@ def qualitative(
             origin = _centre(true_points)
             wire(true_points - origin + (columns[2], y), colour=INK)
             for x, (method, shapes) in zip(columns[3:], predictions.items(), strict=True):
+                if np.isnan(shapes[row]).any():
+                    write(x, y, "N/A", va="center")
+                    continue
                 wire(true_points - origin + (x, y), colour=TRUTH_COLOUR)
                 wire(see(shapes[row]) - origin + (x, y), colour=colour(method))
 
         write(columns[2], score_y, "MSE ($10^{-4}$)", va="top")
-        best = min((scores[method][row] for method in predictions), default=None)
+        best = min((s for s in (scores[m][row] for m in predictions) if s == s), default=None)
         for x, method in zip(columns[3:], predictions, strict=True):
             score = scores[method][row]
+            if np.isnan(score):
+                continue
             digits = f"{score * 1e4:#.3g}".rstrip(".")
             write(x, score_y, digits, va="top", weight="bold" if score == best else "normal")
     return figure
+
+
+def _draw_photo(axes, photos: Photos, row: int, place: tuple[float, float], side: float) -> None:
+    image, pixels = photos.images[row], photos.landmarks[row]
+    left, bottom = np.subtract(place, side / 2)
+    extent = (left, left + side, bottom, bottom + side)
+    axes.imshow(image, extent=extent, interpolation="none", zorder=1)
+    points = pixels * (1, -1) * side / len(image) + (left, bottom + side)
+    axes.scatter(*points.T, s=0.8, c="#FFD000", linewidths=0, zorder=2)
 
 
 def _centre(points: np.ndarray) -> np.ndarray:

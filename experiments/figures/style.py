@@ -39,6 +39,7 @@ RC = {
 TRUTH_COLOUR = "#B4B4B4"
 INK = "#333333"
 PNG_DPI = 160
+_LARGEST = 300_000  # bytes of a picture that is committed
 
 # Okabe and Ito's palette (https://jfly.uni-koeln.de/color/), whose hues stay apart for colour-blind
 # readers; the added ones differ from their neighbours in lightness and marker. Grey is the truth's.
@@ -56,6 +57,10 @@ _LOOKS = {
     "mobileface": ("#7B1FA2", "<"),
     "ringnet": ("#5F6B7A", ">"),
     "mediapipe": ("#00727A", "H"),
+    "mediapipe_corrected": ("#2AA198", "8"),
+    "model_fit": ("#6A7B00", "P"),
+    "true_landmarks": ("#777777", "+"),
+    "scan_landmarks": ("#777777", "x"),
 }
 
 
@@ -112,8 +117,17 @@ def _small_png(figure: Figure) -> bytes:
     # A palette of 256 colours looks the same for line drawings and takes a third of the room.
     full = _render(figure, "png", dpi=PNG_DPI, metadata={"Software": None})
     image = Image.open(io.BytesIO(full)).convert("RGB")
-    if not any(axes.images for axes in figure.axes):  # photographs need their colours
+    if not any(axes.images for axes in figure.axes):
         image = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        return _encoded(image)
+    # Photographs keep their colours, unless among many lines that makes the file large.
+    content = _encoded(image)
+    if len(content) > _LARGEST:
+        content = _encoded(image.quantize(256, method=Image.Quantize.FASTOCTREE))
+    return content
+
+
+def _encoded(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
     return buffer.getvalue()

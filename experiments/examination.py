@@ -1,0 +1,150 @@
+"""What is found in one scan after the other: landmarks in the photo, and from them on the scan."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from data_gen import casia
+from data_gen.crops import crop
+from data_gen.dlib_landmarks import DlibLandmarks
+from data_gen.errors import DataError
+from data_gen.ground_truth import GroundTruth
+from data_gen.scans import Scan
+from data_gen.writing import whole_file
+from deepmds_keras.weights import write_arrays
+from experiments.inputs import CROP_MARGIN, CROP_SIZE
+from experiments.run import Run
+
+USED = "used"
+_JAW = 17  # leading landmarks of the detector that the paper leaves out
+_EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
+
+
+class CasiaScans:
+    """The scans of CASIA-3D that the user's index names, by subject.
+
+    Args:
+        folder: Of the data set.
+        index: CSV that says which scans are used; written first if it is not there.
+    """
+
+    def __init__(self, folder: Path, index: Path):
+        found = casia.find_scans(folder)
+        if not index.exists():
+            casia.write_index(index, found)
+            print(f"  {index} lists the scans; edit it to choose among them")
+        chosen = casia.read_index(index, found)
+        self._subjects = sorted({scan.subject for scan in chosen})
+        self._scans = chosen
+        self.n_subjects, self.n_scans = len(self._subjects), len(chosen)
+
+    def scans_of(self, subject: int) -> int:
+        return sum(scan.subject == self._subjects[subject] for scan in self._scans)
+
+    def subject(self, subject: int) -> Iterator[Scan | tuple[str, str]]:
+        """Scans of one subject; for one that cannot be read its name and the reason."""
+        for scan in self._scans:
+            if scan.subject != self._subjects[subject]:
+                continue
+            name = f"{scan.subject}-{scan.scan:03}"
+            try:
+                image, points = casia.load_scan(scan)
+            except DataError as error:
+                yield name, f"unreadable: {error}"
+            else:
+                yield Scan(name, scan.condition, image, points)
+
+
+def examine(run: Run, source, finder: GroundTruth, subject: int) -> int:
+    """Write what was found in each scan of one subject.
+
+    Returns:
+        Number of scans.
+    """
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's software renderer: a process, a core
+    rows = []
+    with threadpool_limits(1):  # sums in one order, however many cores there are
+        for scan in source.subject(subject):
+            rows.append(_refused(*scan) if isinstance(scan, tuple) else _examined(scan, finder))
+    used = np.array([row["status"] == USED for row in rows])
+    images = [row.pop("image") for row in rows]
+    examples = [row.pop("points") for row in rows]
+    arrays = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    if subject < _EXAMPLES and used.any():
+        first = int(used.argmax())
+        arrays |= {"example": np.array([first]), "example_points": examples[first][None]}
+    with whole_file(images_file(run, subject)) as file:
+        np.save(file, np.array(images)[used])
+    write_arrays(subject_file(run, subject), arrays, {})  # last: it stands for both
+    return len(rows)
+
+
+def _examined(scan: Scan, finder: GroundTruth) -> dict:
+    row = _refused(scan.name, "no face found")
+    row["condition"] = np.array(scan.condition)
+    detected = _detector().detect(scan.image)
+    if detected is None:
+        return row
+    pixels = detected[_JAW:]
+    row["image"], row["crop_landmarks"] = crop(scan.image, pixels, CROP_SIZE, CROP_MARGIN)
+    row["detected"] = pixels
+    if scan.truth is not None:
+        row["truth"], row["true_pixels"] = scan.truth, scan.pixels
+    try:
+        found = finder.register(pixels, scan.points)
+    except DataError as error:
+        return row | {"status": np.array(str(error))}
+    rng = np.random.default_rng(len(scan.points))
+    chosen = rng.choice(len(scan.points), _EXAMPLE_POINTS, replace=True)
+    return row | {
+        "status": np.array(USED),
+        "landmarks": found.landmarks,
+        "fitted": found.fitted,
+        "gaps": found.gaps,
+        "rotation": found.fit.rotation,
+        "fit_rms": np.array(found.fit.rms),
+        "icp_rms": np.array(found.icp.rms),
+        "points": (scan.points[chosen] - found.model_to_scan[1]) @ found.model_to_scan[0],
+    }
+
+
+def _refused(name: str, status: str) -> dict:
+    """A row of a scan that gives no test face."""
+    unknown = np.full((51, 3), np.nan)
+    return {
+        "name": np.array(name),
+        "condition": np.array(""),
+        "status": np.array(status),
+        "image": np.zeros((CROP_SIZE, CROP_SIZE, 3), np.uint8),
+        "crop_landmarks": unknown[:, :2],
+        "detected": unknown[:, :2],
+        "true_pixels": unknown[:, :2],
+        "truth": unknown,
+        "landmarks": unknown,
+        "fitted": unknown,
+        "gaps": unknown[:, 0],
+        "rotation": np.full((3, 3), np.nan),
+        "fit_rms": np.array(np.nan),
+        "icp_rms": np.array(np.nan),
+        "points": np.full((_EXAMPLE_POINTS, 3), np.nan),
+    }
+
+
+@cache
+def _detector() -> DlibLandmarks:
+    """One for each process: its model is large."""
+    return DlibLandmarks()
+
+
+def subject_file(run: Run, subject: int) -> Path:
+    return run.work / "scans" / f"{subject:03}.npz"
+
+
+def images_file(run: Run, subject: int) -> Path:
+    return subject_file(run, subject).with_suffix(".npy")

@@ -1,0 +1,264 @@
+"""Last stage of the FLAME track: the paper's CASIA-3D table, ours beside it, figures, manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from data_gen.landmarks import load_scheme
+from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.weights import read_arrays
+from experiments.figures.curves import learning_curves
+from experiments.figures.errors import error_per_condition, error_per_landmark
+from experiments.figures.ground_truth import Example, ground_truth
+from experiments.figures.qualitative import Photos, qualitative
+from experiments.figures.style import save
+from experiments.figures.summary import summary
+from experiments.inputs import CROP_SIZE, Faces, crop_files, load_faces, load_histories
+from experiments.manifest import write_manifest
+from experiments.methods import DEEP_MDS
+from experiments.run import Run, load_record, parse_run, stage, write_text
+from experiments.scores import Scores, costs, load_predictions, score, subset_metrics, subsets
+from experiments.tables import to_csv, write_tables
+
+_STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
+_TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
+_DRAWN = (
+    "mean_shape",
+    "linear",
+    "zhao",
+    _FIT,
+    "ringnet",
+    "mediapipe",
+    "mediapipe_corrected",
+    *DEEP_MDS,
+    "authors_weights",
+)
+_MAPPED = ("mean_shape", "linear", "zhao", "mediapipe_corrected", "ours")
+_NOT_SHOWN = ("ours_released", "mediapipe")  # in the picture: to the eye they are their neighbours
+_SHOWN_FACES = 5
+_CUT = 32  # pixels that the picture leaves out at each edge of a photo
+
+
+def load_scans(run: Run) -> dict[str, np.ndarray]:
+    """What is known of every scan beside the test set, see `scans.examine`; also of the unused."""
+    return read_arrays(run.work / "scans.npz")[0]
+
+
+def of_used(scans: Mapping[str, np.ndarray], key: str) -> np.ndarray:
+    """An array of the scans that gave a test face."""
+    return scans[key][scans["status"] == "used"]
+
+
+def against(test: Faces, landmarks: np.ndarray) -> Faces:
+    """The test faces with other landmarks, `(n, L, 3)` millimetres, for their truth."""
+    return replace(
+        test, shapes=np.float32(normalise(landmarks)), unit_mm=unit(landmarks)[1].ravel()
+    )
+
+
+def evaluate(
+    run: Run, test: Faces, shapes: dict[str, np.ndarray], descriptions: dict[str, dict]
+) -> tuple[pd.DataFrame, dict[str, Scores]]:
+    """Long table as in `metrics.csv`, and scores by method."""
+    chosen = subsets(run, len(test.views))
+    scores = {method: score(own, test) for method, own in shapes.items()}
+    rows = []
+    for method, own in scores.items():
+        rows.append(subset_metrics(method, own, test, chosen))
+        found = np.isfinite(own.mse)[chosen].mean(1)
+        rows.append(
+            pd.DataFrame(
+                {
+                    "method": method,
+                    "metric": "found_fraction",
+                    "subset": range(len(found)),
+                    "value": found,
+                }
+            )
+        )
+    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
+    metrics["subset"] = metrics["subset"].astype("Int64")
+    return metrics, scores
+
+
+def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
+    """Criteria of the faces that every method found, for the tests over faces."""
+    found = np.all([np.isfinite(own.mse) for own in scores.values()], axis=0)
+    return {
+        metric: {method: getattr(own, metric)[found] for method, own in scores.items()}
+        for metric in ("mse", "depth_corr")
+    }
+
+
+def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
+    """What a reader must know of a method, or why it has no number of ours."""
+    found = {}
+    for method in ("mediapipe", "mediapipe_corrected"):
+        if method in scores:
+            lost = int(np.isnan(scores[method].mse).sum())
+            found[method] = (
+                f"no face found in {lost:,} of {len(scores[method].mse):,} photos (N/A), which are "
+                "left out"
+            )
+    if "mediapipe" not in scores:
+        found["mediapipe"] = "left out (MEDIAPIPE=no)"
+    if "ringnet" not in scores:
+        found["ringnet"] = "left out (RINGNET=no)"
+    elif run.ringnet is None:
+        steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
+        found["ringnet"] = (
+            f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
+            "paper's is the published one"
+        )
+    if "authors_weights" not in scores:
+        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
+    return found
+
+
+def write_results(
+    run: Run, folder: Path, metrics: pd.DataFrame, scores: dict[str, Scores]
+) -> pd.DataFrame:
+    """Write the metrics and every table into a folder of results."""
+    write_text(folder / "metrics.csv", to_csv(metrics))
+    table = write_tables(
+        folder,
+        metrics,
+        experiment="flame",
+        subset_size=run.preset.subset_size,
+        notes=notes(run, scores),
+        per_face=per_face(scores),
+    )
+    save(summary(table, len(load_scheme(run.scheme))), folder / "figures", "summary")
+    return table
+
+
+def draw(
+    run: Run,
+    test: Faces,
+    scans: dict[str, np.ndarray],
+    scores: dict[str, Scores],
+    frontal: np.ndarray,
+    folder: Path,
+) -> None:
+    """Write the figures that are of the methods and of the test set."""
+    scheme = load_scheme(run.scheme)
+    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    ringnet = None
+    if "ringnet" in scores and run.ringnet is None:
+        # The other record, of the landmarks' error alone, is in another unit.
+        ringnet = {"train": read_arrays(run.network_file("ringnet"))[1]["history"]["train"]}
+    save(learning_curves(load_histories(run), ringnet=ringnet), folder, "learning_curves")
+
+    conditions = of_used(scans, "condition")
+    faces = shown_faces(conditions, scores)
+    files = crop_files(run, len(test.views))
+    inner = slice(_CUT, CROP_SIZE - _CUT)
+    photos = Photos(
+        files[faces][:, inner, inner],
+        np.stack([files.landmarks(range(k, k + 1))[0] for k in faces]) - _CUT,
+    )
+    shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
+    figure = qualitative(
+        test.views[faces],
+        frontal[faces],
+        test.shapes[faces],
+        {method: own.aligned[faces] for method, own in shown.items()},
+        scheme,
+        [conditions[k].replace("_", " ") for k in faces],
+        {method: own.mse[faces] for method, own in shown.items()},
+        photos,
+    )
+    save(figure, folder, "casia")
+
+    distances = {
+        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
+        for method, own in drawn.items()
+    }
+    errors = {method: np.sqrt(np.nanmean(own**2, axis=0)) for method, own in distances.items()}
+    maps = [method for method in _MAPPED if method in errors]
+    save(
+        error_per_landmark(errors, scheme, test.shapes.mean(0), maps), folder, "error_per_landmark"
+    )
+    if len({*conditions}) > 1:
+        rows = [
+            pd.DataFrame({"method": method, "condition": conditions, "mse": own.mse})
+            for method, own in drawn.items()
+        ]
+        save(error_per_condition(pd.concat(rows)), folder, "error_per_expression")
+    save(ground_truth(examples(scans, files), scheme, *found_and_true(scans)), folder, "scans")
+
+
+def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
+    """A face of the median error of `ours` for each of some conditions, and one that is N/A."""
+    mse = scores["ours"].mse
+    faces = []
+    for condition in dict.fromkeys(conditions):
+        own = np.flatnonzero(conditions == condition)
+        faces.append(own[np.argsort(mse[own])[len(own) // 2]])
+    missing = [np.flatnonzero(np.isnan(own.mse)) for own in scores.values()]
+    missing = next((faces for faces in missing if len(faces)), [])
+    return np.array([*faces[: _SHOWN_FACES - bool(len(missing))], *missing[:1]])
+
+
+def examples(scans: dict[str, np.ndarray], files) -> list[Example]:
+    """The scans whose points were kept."""
+    used = np.flatnonzero(scans["status"] == "used")
+    found = []
+    for number, points in zip(scans["example"], scans["example_points"], strict=True):
+        face = int(np.searchsorted(used, number))
+        truth = scans["truth"][number]
+        found.append(
+            Example(
+                image=files[[face]][0],
+                detected=files.landmarks(range(face, face + 1))[0],
+                points=points,
+                fitted=scans["fitted"][number],
+                found=scans["landmarks"][number],
+                truth=None if np.isnan(truth).any() else truth,
+            )
+        )
+    return found
+
+
+def found_and_true(scans: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Landmarks found on the scans, and the true ones if they are known: `(n, 51, 3)` mm."""
+    truth = of_used(scans, "truth")
+    return of_used(scans, "landmarks"), None if np.isnan(truth).any() else truth
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "flame"):
+        test, scans = load_faces(run, "test"), load_scans(run)
+        loaded = load_predictions(run)
+        shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
+        descriptions = {method: described for method, (_, described) in loaded.items()}
+        shapes[_FIT] = of_used(scans, "fitted")
+        found, truth = found_and_true(scans)
+        here = shapes if truth is None else shapes | {_TRUE: truth}
+        folder = run.experiment_results("flame")
+        metrics, scores = evaluate(run, test, here, descriptions)
+        write_results(run, folder, metrics, scores)
+        draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder / "figures")
+        folders = [folder]
+        if truth is not None:
+            folders.append(run.experiment_results("flame-true-landmarks"))
+            true_test = against(test, truth)
+            metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
+            write_results(run, folders[1], metrics, scores)
+        stages = (*_STAGES, run.ringnet_stage)
+        done = [name for name in stages if (run.work / f"{name}.json").exists()]
+        records = [load_record(run, name) for name in done]
+        for record in records:
+            record.pop("checksums", None)  # of the images, which nobody else has
+        for own in folders:
+            write_manifest(run, "reproduce-flame", records, own)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""What the stages read of faces and images, in the paper's unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_gen.dataset import load_dataset
+from data_gen.image_files import ImageFiles
+from data_gen.projections import Cameras, in_camera_frame
+from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.photos import IMAGE_SIZE
+from deepmds_keras.weights import read_arrays
+from experiments.methods import DEEP_MDS, network_names
+from experiments.run import Run, load_record
+
+CROP_SIZE, CROP_MARGIN = 224, 2.0  # of the test photos: RingNet's size, about all of the face
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Training or test faces as the methods see them.
+
+    Attributes:
+        views: `(n, L, 2)` normalised views.
+        shapes: `(n, L, 3)` normalised true landmarks.
+        unit_mm: `(n,)` millimetres that 1 stands for in `shapes`.
+        posed: `(n, L, 3)` normalised view and, in its unit, depth towards the camera: what a
+            method that adds a depth to the view is trained on.
+        cameras: Pose and projection of each face.
+    """
+
+    views: np.ndarray
+    shapes: np.ndarray
+    unit_mm: np.ndarray
+    posed: np.ndarray
+    cameras: Cameras
+
+
+def load_faces(run: Run, part: str) -> Faces:
+    """Read `"train"` or `"test"` faces of a run."""
+    dataset = load_dataset(run.work / f"{part}.npz")
+    low, size = unit(dataset.views)
+    depth = in_camera_frame(dataset.landmarks.astype(float), dataset.cameras)[..., 2:] / size
+    views = (dataset.views - low) / size
+    return Faces(
+        views=np.float32(views),
+        shapes=np.float32(normalise(dataset.landmarks)),
+        unit_mm=unit(dataset.landmarks)[1].ravel(),
+        posed=np.float32(np.concatenate([views, depth], axis=-1)),
+        cameras=dataset.cameras,
+    )
+
+
+def image_files(run: Run, part: str) -> ImageFiles:
+    """Where the images of `"train"` or `"test"` faces are, or will be."""
+    n = {"train": run.preset.train_images, "test": run.preset.test_faces}[part]
+    return ImageFiles(run.work / "images" / part, n, IMAGE_SIZE)
+
+
+def crop_files(run: Run, n: int) -> ImageFiles:
+    """Where the photos of the n test faces of the FLAME track are, or will be."""
+    return ImageFiles(run.work / "images" / "test", n, CROP_SIZE)
+
+
+def ring_files(run: Run) -> ImageFiles:
+    """Where the images that RingNet is trained on are, or will be."""
+    n = run.preset.ring_subjects * run.preset.ring_images
+    return ImageFiles(run.work / "images" / "rings", n, IMAGE_SIZE)
+
+
+def load_rings(run: Run) -> tuple[ImageFiles, np.ndarray, np.ndarray]:
+    """Images that RingNet is trained on, landmarks `(n, L, 2)` in them, and who each is, `(n,)`.
+
+    Raises:
+        DataError: A file is missing or was changed.
+    """
+    files = ring_files(run)
+    files.check(load_record(run, "rings")["checksums"]["rings"])
+    subjects = np.arange(len(files)) // run.preset.ring_images
+    return files, files.landmarks(range(len(files))), subjects
+
+
+def load_crops(run: Run) -> ImageFiles:
+    """Photos of the test faces of the FLAME track.
+
+    Raises:
+        DataError: A file is missing or was changed.
+    """
+    files = crop_files(run, len(load_dataset(run.work / "test.npz")))
+    files.check(load_record(run, "scans")["checksums"]["test"])
+    return files
+
+
+def load_images(run: Run, part: str) -> ImageFiles:
+    """Images as their stage left them.
+
+    Raises:
+        DataError: A file is missing or was changed.
+    """
+    files = image_files(run, part)
+    files.check(load_record(run, "images")["checksums"][part])
+    return files
+
+
+def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Mean `(L, 3)` and identity basis times s.d. `(K, L, 3)` of the landmarks, millimetres."""
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    return arrays["mean"], arrays["identity_basis_times_sd"]
+
+
+def load_shape_gram(run: Run) -> np.ndarray:
+    """`(K, K)` mean product of two components' offsets over all coordinates of the mesh, mm²."""
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    return arrays["shape_gram"]
+
+
+def load_histories(run: Run) -> dict[str, dict[str, dict]]:
+    """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
+    return {
+        method: {
+            network: read_arrays(run.network_file(name))[1]["history"]
+            for network, name in network_names(method).items()
+        }
+        for method in DEEP_MDS
+    }

@@ -1,0 +1,103 @@
+"""Stage of the FLAME track: test faces, their landmarks detected in photos and found on scans."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from itertools import chain, islice
+
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from data_gen.dataset import Dataset, save_dataset
+from data_gen.errors import DataError
+from data_gen.ground_truth import GroundTruth
+from data_gen.models import load_model
+from data_gen.projections import Cameras, camera_angles
+from data_gen.scans_standin import ScansStandin
+from deepmds_keras.weights import read_arrays, write_arrays
+from experiments.examination import USED, CasiaScans, examine, images_file, subject_file
+from experiments.inputs import crop_files
+from experiments.run import Run, parse_run, stage
+
+_STREAM = 5  # of random numbers of a run: the stand-in's scans
+
+
+def collect(run: Run, n_subjects: int) -> dict:
+    """Join the subjects' files into the test set and its images.
+
+    Returns:
+        For the record: how many scans of which status, and the images' checksums.
+    """
+    parts: dict[str, list[np.ndarray]] = {}
+    n_scans = 0
+    for subject in range(n_subjects):
+        arrays, _ = read_arrays(subject_file(run, subject))
+        if "example" in arrays:
+            arrays["example"] += n_scans
+        n_scans += len(arrays["status"])
+        for key, array in arrays.items():
+            parts.setdefault(key, []).append(array)
+    table = {key: np.concatenate(arrays) for key, arrays in parts.items()}
+    used = table["status"] == USED
+    if not used.any():
+        raise DataError(
+            f"At least one scan must give a test face. Received {n_scans}, of which: "
+            + "; ".join(f"{n} {status}" for status, n in _counted(table["status"]).items())
+        )
+    files = crop_files(run, int(used.sum()))
+    images = chain.from_iterable(np.load(images_file(run, k)) for k in range(n_subjects))
+    landmarks = np.float32(table["crop_landmarks"][used])
+    for file, faces in enumerate(files.ranges()):
+        files.save(file, np.stack([*islice(images, len(faces))]), landmarks[faces])
+    save_dataset(run.work / "test.npz", _test_set(run, table, used))
+    write_arrays(run.work / "scans.npz", table, {})
+    return {"scans": _counted(table["status"]), "checksums": {"test": files.checksums()}}
+
+
+def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Dataset:
+    """Test faces: detected landmarks for views, landmarks found on scans for the truth."""
+    views = table["detected"][used] * (1, -1)
+    n = len(views)
+    angles = camera_angles(table["rotation"][used])
+    cameras = Cameras(np.zeros(n, int), *angles, np.zeros(n))
+    description = {"model": run.model, "scheme": run.scheme, "truth": "nearest scan points"}
+    none = np.empty((n, 0), np.float32)
+    landmarks = np.float32(table["landmarks"][used])
+    return Dataset(none, none, landmarks, np.float32(views), cameras, description)
+
+
+def _counted(status: np.ndarray) -> dict[str, int]:
+    """Scans by status, the details of each left out."""
+    return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "scans") as record:
+        model = load_model(run.model, run.data, run.scheme)
+        folder, preset = run.folder_of("casia"), run.preset
+        if folder is None:
+            record["source"] = f"stand-in, {model.name}"
+            seed = [run.seed, _STREAM]
+            source = ScansStandin(model, preset.scan_subjects, preset.scans, seed)
+        else:
+            record["source"] = "CASIA-3D"
+            source = CasiaScans(folder, run.work / "casia-index.csv")
+        finder = GroundTruth(model)
+        subjects = range(source.n_subjects)
+        missing = [k for k in subjects if not subject_file(run, k).exists()]
+        tasks = (delayed(examine)(run, source, finder, subject) for subject in missing)
+        done = source.n_scans - sum(source.scans_of(subject) for subject in missing)
+        with tqdm(total=source.n_scans, initial=done, desc="scans", unit="scan") as bar:
+            for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
+                bar.update(n)
+        record |= collect(run, source.n_subjects)
+        shutil.rmtree(run.work / "scans")
+        for status, n in record["scans"].items():
+            print(f"  {n} {status}")
+
+
+if __name__ == "__main__":
+    main()
