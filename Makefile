@@ -137,7 +137,8 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 	$(PY) -m data_gen.build_openhead
 
 test: | $(READY) ## all tests
-	$(PY) -m pytest
+	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
+	MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

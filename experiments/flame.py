@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from PIL import Image
 
+from data_gen.image_files import ImageFiles
 from data_gen.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise, unit
 from deepmds_keras.weights import read_arrays
@@ -40,8 +42,8 @@ _DRAWN = (
 )
 _MAPPED = ("mean_shape", "linear", "zhao", "mediapipe_corrected", "ours")
 _NOT_SHOWN = ("ours_released", "mediapipe")  # in the picture: to the eye they are their neighbours
-_SHOWN_FACES = 5
-_CUT = 32  # pixels that the picture leaves out at each edge of a photo
+_SHOWN_FACES = 4
+_CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it in the pictures
 
 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
@@ -157,11 +159,7 @@ def draw(
     conditions = of_used(scans, "condition")
     faces = shown_faces(conditions, scores)
     files = crop_files(run, len(test.views))
-    inner = slice(_CUT, CROP_SIZE - _CUT)
-    photos = Photos(
-        files[faces][:, inner, inner],
-        np.stack([files.landmarks(range(k, k + 1))[0] for k in faces]) - _CUT,
-    )
+    photos = Photos(*map(np.stack, zip(*(small_photo(files, k) for k in faces), strict=True)))
     shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
     figure = qualitative(
         test.views[faces],
@@ -190,32 +188,47 @@ def draw(
             for method, own in drawn.items()
         ]
         save(error_per_condition(pd.concat(rows)), folder, "error_per_expression")
-    save(ground_truth(examples(scans, files), scheme, *found_and_true(scans)), folder, "scans")
+    if kept := examples(scans, files):
+        save(ground_truth(kept, scheme, *found_and_true(scans)), folder, "scans")
 
 
 def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
-    """A face of the median error of `ours` for each of some conditions, and one that is N/A."""
+    """Faces of the median error of `ours` for each of some conditions, and one that is N/A.
+
+    Where the conditions are not known, faces from a small error of `ours` to a large one.
+    """
     mse = scores["ours"].mse
-    faces = []
-    for condition in dict.fromkeys(conditions):
-        own = np.flatnonzero(conditions == condition)
-        faces.append(own[np.argsort(mse[own])[len(own) // 2]])
+    names = [*dict.fromkeys(conditions)]
+    groups = [np.flatnonzero(conditions == name) for name in names]
+    if len(names) == 1:
+        groups = np.array_split(np.argsort(mse), min(_SHOWN_FACES, len(mse)))
+    faces = [own[np.argsort(mse[own])[len(own) // 2]] for own in groups]
     missing = [np.flatnonzero(np.isnan(own.mse)) for own in scores.values()]
     missing = next((faces for faces in missing if len(faces)), [])
     return np.array([*faces[: _SHOWN_FACES - bool(len(missing))], *missing[:1]])
 
 
-def examples(scans: dict[str, np.ndarray], files) -> list[Example]:
+def small_photo(files: ImageFiles, face: int) -> tuple[np.ndarray, np.ndarray]:
+    """The middle of a test photo, `(112, 112, 3)`, and the landmarks in its pixels."""
+    box = (_CUT, _CUT, CROP_SIZE - _CUT, CROP_SIZE - _CUT)
+    photo = Image.fromarray(files[[face]][0]).resize((_PHOTO, _PHOTO), box=box)
+    scale = _PHOTO / (CROP_SIZE - 2 * _CUT)
+    return np.asarray(photo), (files.landmarks(range(face, face + 1))[0] - _CUT) * scale
+
+
+def examples(scans: dict[str, np.ndarray], files: ImageFiles) -> list[Example]:
     """The scans whose points were kept."""
     used = np.flatnonzero(scans["status"] == "used")
     found = []
-    for number, points in zip(scans["example"], scans["example_points"], strict=True):
+    kept = (scans.get(key, ()) for key in ("example", "example_points"))
+    for number, points in zip(*kept, strict=True):
         face = int(np.searchsorted(used, number))
         truth = scans["truth"][number]
+        image, detected = small_photo(files, face)
         found.append(
             Example(
-                image=files[[face]][0],
-                detected=files.landmarks(range(face, face + 1))[0],
+                image=image,
+                detected=detected,
                 points=points,
                 fitted=scans["fitted"][number],
                 found=scans["landmarks"][number],

@@ -1,4 +1,4 @@
-"""The README's headline table is the committed results, and its commands exist."""
+"""The README's tables are the committed results, and its commands exist."""
 
 import re
 from pathlib import Path
@@ -10,22 +10,38 @@ from experiments.methods import METHODS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-ROWS = {
-    cells[0]: cells[1:]
-    for cells in re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", README, re.M)
-}
 
 
-@pytest.mark.parametrize(("model", "column"), [("ict", 1), ("openhead", 2)])
-def test_headline_numbers_are_those_of_the_results(model, column):
-    table = pd.read_csv(ROOT / "results" / model / "bfm" / "table.csv")
+def table_of(head):
+    """Cells of the README's table with that head, by the first of each row."""
+    start = README.index(f"\n| {head} |")
+    lines = README[start + 1 :].split("\n\n")[0].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {row[0]: row[1:] for row in rows}
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "folder", "column"),
+    [
+        ("MSE, in 10⁻⁴", 1e-4, "ict/bfm", 1),
+        ("MSE, in 10⁻⁴", 1e-4, "openhead/bfm", 2),
+        ("MSE, in 10⁻³", 1e-3, "openhead/flame", 1),
+        ("MSE, in 10⁻³", 1e-3, "openhead/flame-true-landmarks", 2),
+        ("MSE, in 10⁻³", 1e-3, "ict/flame", 3),
+        ("MSE, in 10⁻³", 1e-3, "ict/flame-true-landmarks", 4),
+    ],
+)
+def test_numbers_are_those_of_the_results(head, unit, folder, column):
+    table = pd.read_csv(ROOT / "results" / folder / "table.csv")
     mse = table[table["metric"] == "mse"].set_index("method")
-    shown = [method for method in METHODS if method.title in ROWS]
+    rows = table_of(head)
+    shown = [method for method in METHODS if method.title in rows and method.id in mse.index]
     assert {"ours", "ours_stable", "mean_shape", "linear"} <= {method.id for method in shown}
+    assert {*rows} <= {method.title for method in METHODS}
     for method in shown:
-        cells = ROWS[method.title]
-        measured, quoted = mse.loc[method.id, ["mean", "paper_mean"]] * 1e4
-        assert cells[column] == f"{measured:.2g}", method.id
+        cells = rows[method.title]
+        measured, quoted = mse.loc[method.id, ["mean", "paper_mean"]] / unit
+        assert cells[column] == ("–" if pd.isna(measured) else f"{measured:.2g}"), method.id
         assert cells[0] == ("–" if pd.isna(quoted) else f"{quoted:g}"), method.id
 
 

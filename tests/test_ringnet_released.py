@@ -6,7 +6,7 @@ import tensorflow as tf
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
 from deepmds_keras import InputError
-from deepmds_keras.baselines.ringnet_released import ReleasedRingNet, prepare_image
+from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 
 v1 = tf.compat.v1
 TRIANGLES = np.array([[0, 1, 2], [10, 20, 30], [5020, 5021, 5022]])
@@ -138,34 +138,3 @@ def test_landmarks_and_images_of_another_kind_are_refused(released, images):
     for wrong in (images[0], images.astype(float), images[:, :96], images[:0]):
         with pytest.raises(InputError, match=r"images must be uint8 of shape .* Received"):
             model.predict(wrong)
-
-
-def test_the_longest_side_fills_the_image_and_edges_fill_the_rest():
-    image = np.zeros((100, 50, 3), np.uint8)
-    image[:, :25], image[:, 25:] = (200, 0, 0), (0, 0, 100)
-    found = prepare_image(image)
-    assert found.shape == (224, 224, 3)
-    assert (found[:, :108] == (200, 0, 0)).all()
-    assert (found[:, 116:] == (0, 0, 100)).all()
-
-
-def test_a_loose_crop_has_the_landmarks_in_its_middle():
-    image = np.zeros((300, 400, 3), np.uint8)
-    image[100:200, 250:350] = 255
-    corners = np.array([[250, 100], [350, 200]])
-    found = prepare_image(image, corners)
-    assert (found[58:166, 58:166] == 255).all()
-    assert (found[:54] == 0).all() and (found[170:] == 0).all()
-    # Beyond the image its edge goes on.
-    image[:, -1] = 77
-    assert (prepare_image(image, corners, margin=4)[:, -40:] == 77).all()
-
-
-def test_images_and_landmarks_that_cannot_be_cropped_are_refused():
-    image = np.zeros((30, 30, 3), np.uint8)
-    with pytest.raises(InputError, match=r"image must be uint8 of shape \(H, W, 3\)"):
-        prepare_image(image[..., 0])
-    with pytest.raises(InputError, match="landmarks must span at least a pixel"):
-        prepare_image(image, np.ones((51, 2)))
-    with pytest.raises(InputError, match="landmarks must be finite"):
-        prepare_image(image, np.full((51, 2), np.nan))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import tensorflow as tf
 from google.protobuf.message import DecodeError
-from PIL import Image
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
 from deepmds_keras.baselines.ringnet_net import check_images
@@ -19,7 +18,6 @@ IMAGE_SIZE = 224
 N_VERTICES = 5023  # FLAME's
 N_PARAMETERS = 159  # camera 3, pose 6, shape 100, expression 50
 _MM = 1000.0  # the graph gives metres
-_LOOSE = 2.0
 # The authors load the file beside a placeholder of their own called `input_images`. TensorFlow
 # would then call the file's the same with `_1`, so that the file may have it under either name.
 _INPUTS = ("input_images_1:0", "input_images:0")
@@ -75,7 +73,7 @@ class ReleasedRingNet:
         """Camera (scale, x, y), pose (neck and jaw, axis-angle), shape and expression.
 
         Args:
-            images: `(n, 224, 224, 3)` uint8, as from `prepare_image`.
+            images: `(n, 224, 224, 3)` uint8, RGB, a loose square about each face.
 
         Returns:
             `(n, 159)`.
@@ -111,67 +109,6 @@ class ReleasedRingNet:
         except tf.errors.OpError as error:
             raise InputError(f"{self.checkpoint_prefix} cannot be run. {_line(error)}") from None
         return np.concatenate(found).astype(float)
-
-
-def prepare_image(
-    image: np.ndarray,
-    landmarks: np.ndarray | None = None,
-    *,
-    margin: float = _LOOSE,
-    size: int = IMAGE_SIZE,
-) -> np.ndarray:
-    """An image as RingNet takes it: a loose crop of the face, or the whole of a crop made before.
-
-    As in the authors' demo the longest side is scaled to `size` and the other is filled up on both
-    sides with the edge's colours; so is what the crop has beyond the image.
-
-    Args:
-        image: `(H, W, 3)` uint8, RGB.
-        landmarks: `(L, 2)` pixels of the face's landmarks, or two corners of a box; None takes the
-            whole image.
-        margin: Side of the square that is cut out, in sizes of the landmarks' box.
-        size: Width and height of the result.
-
-    Returns:
-        `(size, size, 3)` uint8.
-
-    Raises:
-        InputError: Another kind of image, or landmarks without extent.
-    """
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
-        raise InputError(
-            "image must be uint8 of shape (H, W, 3), RGB. "
-            f"Received {image.dtype} of shape {image.shape}."
-        )
-    if landmarks is not None:
-        image = _square_about(image, np.asarray(landmarks, float), margin)
-    height, width = image.shape[:2]
-    scaled = [max(int(side * size / max(height, width)), 1) for side in (width, height)]
-    small = np.asarray(Image.fromarray(image).resize(scaled, Image.Resampling.BILINEAR))
-    return _cut(small, (size - scaled[1]) // -2, (size - scaled[0]) // -2, size)
-
-
-def _square_about(image: np.ndarray, landmarks: np.ndarray, margin: float) -> np.ndarray:
-    if landmarks.ndim != 2 or landmarks.shape[1] != 2 or not np.isfinite(landmarks).all():
-        raise InputError(
-            f"landmarks must be finite, of shape (L, 2). Received shape {landmarks.shape}."
-        )
-    low, high = landmarks.min(0), landmarks.max(0)
-    side = round(margin * (high - low).max())
-    if side < 1:
-        raise InputError(f"landmarks must span at least a pixel. Received {low} to {high}.")
-    left, top = np.rint((low + high - side) / 2).astype(int)
-    return _cut(image, top, left, side)
-
-
-def _cut(image: np.ndarray, top: int, left: int, side: int) -> np.ndarray:
-    """A square of an image, whose edges go on for ever."""
-    rows, columns = (
-        np.arange(start, start + side).clip(0, length - 1)
-        for start, length in zip((top, left), image.shape[:2], strict=True)
-    )
-    return image[rows[:, None], columns]
 
 
 def _check_landmarks(vertices: np.ndarray, weights: np.ndarray) -> None:

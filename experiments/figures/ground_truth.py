@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FITTED, _FOUND, _TRUE, _DETECTED = "#0072B2", "#D55E00", "#009E73", "#FFD000"
 _PAD_MM = 14.0
-_CLOUD = 2500  # points of a scan that are drawn
+_CLOUD = 2000  # points of a scan that are drawn
 
 
 @dataclass(frozen=True, eq=False)

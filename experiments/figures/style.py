@@ -59,8 +59,8 @@ _LOOKS = {
     "mediapipe": ("#00727A", "H"),
     "mediapipe_corrected": ("#2AA198", "8"),
     "model_fit": ("#6A7B00", "P"),
-    "true_landmarks": ("#777777", "+"),
-    "scan_landmarks": ("#777777", "x"),
+    "true_landmarks": ("#777777", "o"),
+    "scan_landmarks": ("#777777", "s"),
 }
 
 
