@@ -76,6 +76,27 @@ def check_training_faces(views, shapes) -> tuple[np.ndarray, np.ndarray]:
     return views, shapes
 
 
+def check_images(images: np.ndarray, image_size: int) -> np.ndarray:
+    """Images as a network takes them.
+
+    Raises:
+        InputError: Not `(n, image_size, image_size, 3)` uint8, n at least 1.
+    """
+    images = np.asarray(images)
+    needed = (image_size, image_size, 3)
+    if (
+        images.dtype != np.uint8
+        or images.ndim != 4
+        or images.shape[1:] != needed
+        or not len(images)
+    ):
+        raise InputError(
+            f"images must be uint8 of shape (n >= 1, {image_size}, {image_size}, 3), RGB. "
+            f"Received {images.dtype} of shape {images.shape}."
+        )
+    return images
+
+
 def check_fitted(estimator, attribute: str, setters: str = "fit"):
     """The attribute that `fit`, or another of `setters`, sets.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import keras
 import numpy as np
-from keras import layers
+from keras import layers, ops
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.proximities import VARIANTS
@@ -94,6 +94,26 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
     return np.concatenate(
         [np.asarray(network(inputs[i : i + batch_size], training=False)) for i in batches]
     )
+
+
+def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
+    """`forward` of a network that takes images in [-1, 1].
+
+    Args:
+        network: Model of one input and one output.
+        images: `(n, size, size, 3)` uint8, an array or what is indexed like one.
+        batch_size: Images at a time, which bounds the memory.
+    """
+
+    def on_scaled(batch, training):
+        return network(scale_images(batch), training=training)
+
+    return forward(on_scaled, images, batch_size)
+
+
+def scale_images(images):
+    """[0, 255] → [-1, 1]."""
+    return ops.cast(images, "float32") / 127.5 - 1
 
 
 def _dense_blocks(seed: int):

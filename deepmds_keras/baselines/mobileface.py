@@ -11,9 +11,9 @@ import tensorflow as tf
 from keras import ops
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.checks import check_fitted
+from deepmds_keras.checks import check_fitted, check_images
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.networks import count_trainable, forward_images, scale_images
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 from deepmds_keras.weights import read_keras2_weights
@@ -151,12 +151,12 @@ class MobileFace(BaseEstimator):
                 output_signature=signature,
             )
             data = data.apply(tf.data.experimental.assert_cardinality(steps))
-            return data.map(lambda image, truth: (_scaled(image), truth)).prefetch(8)
+            return data.map(lambda image, truth: (scale_images(image), truth)).prefetch(8)
 
         check = np.arange(min(n, _CHECK_FACES))
 
         def inference() -> float:
-            raw = _raw_coefficients(network, images[check])
+            raw = forward_images(network, images[check], _IMAGES_PER_CALL)
             return float(np.mean(loss(coefficients[check], raw)))
 
         label = {"network": network.name, "faces": n, "standardise": self.standardise}
@@ -190,7 +190,7 @@ class MobileFace(BaseEstimator):
             InputError: Not trained, or images of another kind or size.
         """
         network = check_fitted(self, "network_", "fit or load_released")
-        raw = _raw_coefficients(network, check_images(images))
+        raw = forward_images(network, check_images(images, IMAGE_SIZE), _IMAGES_PER_CALL)
         return np.asarray(_standardised(raw, "face"))
 
     def predict(self, images: np.ndarray) -> np.ndarray:
@@ -228,39 +228,6 @@ class MobileFace(BaseEstimator):
             return ops.sum(ops.matmul(difference, gram) * difference, axis=1)
 
         return mean_squared_error_of_shapes
-
-
-def check_images(images: np.ndarray) -> np.ndarray:
-    """Images as the network takes them.
-
-    Raises:
-        InputError: Not `(n, 96, 96, 3)` uint8, n at least 1.
-    """
-    images = np.asarray(images)
-    needed = (IMAGE_SIZE, IMAGE_SIZE, 3)
-    if (
-        images.dtype != np.uint8
-        or images.ndim != 4
-        or images.shape[1:] != needed
-        or not len(images)
-    ):
-        raise InputError(
-            f"images must be uint8 of shape (n >= 1, {IMAGE_SIZE}, {IMAGE_SIZE}, 3), RGB. "
-            f"Received {images.dtype} of shape {images.shape}."
-        )
-    return images
-
-
-def _raw_coefficients(network: keras.Model, images: np.ndarray) -> np.ndarray:
-    def on_scaled(batch, training):
-        return network(_scaled(batch), training=training)
-
-    return forward(on_scaled, images, _IMAGES_PER_CALL)
-
-
-def _scaled(images):
-    """[0, 255] → [-1, 1]."""
-    return ops.cast(images, "float32") / 127.5 - 1
 
 
 def _standardised(raw, over: str):

@@ -8,7 +8,6 @@ from pathlib import Path
 import keras
 import numpy as np
 import tensorflow as tf
-from keras import ops
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.baselines.ringnet_losses import (
@@ -17,13 +16,12 @@ from deepmds_keras.baselines.ringnet_losses import (
     landmark_loss,
     total_loss,
 )
-from deepmds_keras.baselines.ringnet_net import build_ringnet, check_images, seed_dropout
-from deepmds_keras.checks import check_fitted, check_points
+from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
+from deepmds_keras.checks import check_fitted, check_images, check_points
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.networks import count_trainable, forward_images, scale_images
 from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 
-_IMAGES_PER_CALL = 100
 _CHECK_IMAGES = 480
 _STREAM = 1  # of random numbers of an epoch, beside those that order the subjects
 
@@ -160,12 +158,12 @@ class RingNet(BaseEstimator):
                 output_signature=signature,
             )
             data = data.apply(tf.data.experimental.assert_cardinality(steps))
-            return data.map(lambda image, truth: (_scaled(image), truth)).prefetch(8)
+            return data.map(lambda image, truth: (scale_images(image), truth)).prefetch(8)
 
         check = np.arange(min(len(images), _CHECK_IMAGES))
 
         def inference() -> float:
-            found = _parameters(network, images[check])
+            found = forward_images(network, images[check])
             return float(landmark_loss(camera, points[check], found))
 
         label = {"network": network.name, "images": len(images), "subjects": len(members)}
@@ -187,7 +185,7 @@ class RingNet(BaseEstimator):
             InputError: Not trained, or images of another kind or size.
         """
         network = check_fitted(self, "network_")
-        found = _parameters(network, check_images(images, self.image_size))
+        found = forward_images(network, check_images(images, self.image_size))
         n_expression = len(self.expression_basis)
         start = found.shape[1] - n_expression - len(self.identity_basis_times_sd)
         return found[:, start:-n_expression], found[:, -n_expression:]
@@ -283,15 +281,3 @@ def _members(subjects: np.ndarray) -> list[np.ndarray]:
     order = np.argsort(subjects, kind="stable")
     starts = np.flatnonzero(np.diff(subjects[order])) + 1
     return np.split(order, starts)
-
-
-def _parameters(network: keras.Model, images: np.ndarray) -> np.ndarray:
-    def on_scaled(batch, training):
-        return network(_scaled(batch), training=training)
-
-    return forward(on_scaled, images, _IMAGES_PER_CALL)
-
-
-def _scaled(images):
-    """[0, 255] → [-1, 1]."""
-    return ops.cast(images, "float32") / 127.5 - 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import keras
-import numpy as np
 from keras import layers, ops
 
 from deepmds_keras.errors import InputError
@@ -94,24 +93,3 @@ def seed_dropout(net: keras.Model, seed: int, epoch: int) -> None:
         layer for layer in net.layers if isinstance(layer, layers.Dropout)
     ):
         layer.seed_generator.state.assign([1000 * seed + number, epoch])
-
-
-def check_images(images: np.ndarray, image_size: int) -> np.ndarray:
-    """Images as a network takes them.
-
-    Raises:
-        InputError: Not `(n, image_size, image_size, 3)` uint8, n at least 1.
-    """
-    images = np.asarray(images)
-    needed = (image_size, image_size, 3)
-    if (
-        images.dtype != np.uint8
-        or images.ndim != 4
-        or images.shape[1:] != needed
-        or not len(images)
-    ):
-        raise InputError(
-            f"images must be uint8 of shape (n >= 1, {image_size}, {image_size}, 3), RGB. "
-            f"Received {images.dtype} of shape {images.shape}."
-        )
-    return images

@@ -11,7 +11,7 @@ import tensorflow as tf
 from google.protobuf.message import DecodeError
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
-from deepmds_keras.baselines.ringnet_net import check_images
+from deepmds_keras.checks import check_images
 from deepmds_keras.errors import InputError
 
 IMAGE_SIZE = 224
