@@ -17,6 +17,7 @@ EVALUATOR ?= paper
 MOBILEFACE ?= yes
 COMA ?=
 CASIA ?=
+CASIA_INDEX ?=
 RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
@@ -40,7 +41,8 @@ RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS)
 # RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.
 RINGNET_FILE := $(filter-out yes no,$(RINGNET))
-RUN_FLAME := $(RUN) --track flame --coma '$(COMA)' --casia '$(CASIA)' --ringnet '$(RINGNET_FILE)' \
+RUN_FLAME := $(RUN) --track flame --coma '$(COMA)' --casia '$(CASIA)' \
+             --casia-index '$(CASIA_INDEX)' --ringnet '$(RINGNET_FILE)' \
              --mediapipe $(MEDIAPIPE_VENV)/bin/python
 # The table is another one by the authors' evaluator, of the same predictions.
 TABLE := $(BUILD)/bfm$(if $(filter released,$(EVALUATOR)),-evaluator-released).json
@@ -53,8 +55,8 @@ help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
-	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [MEDIAPIPE=yes|no]'
-	@echo '                      [RINGNET=yes|no|prefix of the licensed checkpoint]'
+	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
+	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 setup: $(READY) ## make the virtual environment in .venv
@@ -100,7 +102,7 @@ reproduce-flame: $(FLAME)/flame.json ## the paper's CASIA-3D table, ours beside 
 
 $(FLAME)/frames.json: | $(READY)
 	@$(STAGE).frames $(RUN_FLAME)
-$(FLAME)/scans.json: | $(READY)
+$(FLAME)/scans.json: $(CASIA_INDEX) | $(READY)
 	@$(STAGE).scans $(RUN_FLAME)
 $(FLAME)/networks.json: $(FLAME)/frames.json
 	@$(STAGE).networks $(RUN_FLAME)

@@ -27,22 +27,18 @@ _EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
 
 
 class CasiaScans:
-    """The scans of CASIA-3D that the user's index names, by subject.
+    """The scans of CASIA-3D, or those that an index names, by subject.
 
     Args:
         folder: Of the data set.
-        index: CSV that says which scans are used; written first if it is not there.
+        index: CSV that says which scans are used, or None for all.
     """
 
-    def __init__(self, folder: Path, index: Path):
-        found = casia.find_scans(folder)
-        if not index.exists():
-            casia.write_index(index, found)
-            print(f"  {index} lists the scans; edit it to choose among them")
-        chosen = casia.read_index(index, found)
-        self._subjects = sorted({scan.subject for scan in chosen})
-        self._scans = chosen
-        self.n_subjects, self.n_scans = len(self._subjects), len(chosen)
+    def __init__(self, folder: Path, index: Path | None):
+        self.found = casia.find_scans(folder)
+        self._scans = self.found if index is None else casia.read_index(index, self.found)
+        self._subjects = sorted({scan.subject for scan in self._scans})
+        self.n_subjects, self.n_scans = len(self._subjects), len(self._scans)
 
     def scans_of(self, subject: int) -> int:
         return sum(scan.subject == self._subjects[subject] for scan in self._scans)

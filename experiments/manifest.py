@@ -35,6 +35,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "AUTHORS": run.authors,
         "COMA": run.coma,
         "CASIA": run.casia,
+        "CASIA_INDEX": None if run.casia_index is None else str(run.casia_index),
         "RINGNET": run.ringnet,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }

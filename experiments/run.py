@@ -49,6 +49,7 @@ class Run:
         data: File or folder of a model that is not embedded, or None.
         coma, casia: Folders of the data sets CoMA and CASIA-3D, or None: in `data`, if there, and
             otherwise the open stand-ins.
+        casia_index: Table of the scans of CASIA-3D that are used, or None for all.
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
         mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
@@ -66,6 +67,7 @@ class Run:
     data: str | None = None
     coma: str | None = None
     casia: str | None = None
+    casia_index: Path | None = None
     authors: str | None = None
     evaluator: str = "paper"
     mediapipe: str | None = None
@@ -155,6 +157,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--coma", metavar="DIR", help="folder of the data set CoMA, instead of its stand-in")
     add("--casia", metavar="DIR", help="folder of the data set CASIA-3D, instead of its stand-in")
     add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
+    add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
     add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
     add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
@@ -166,6 +169,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     values["preset"] = PRESETS[values["preset"]]
     for name in ("data", "authors", "coma", "casia", "mediapipe", "ringnet"):
         values[name] = values[name] or None
+    values["casia_index"] = Path(values["casia_index"]) if values["casia_index"] else None
     if values["track"] == "flame" and values["evaluator"] != "paper":
         parser.error("--evaluator must be paper on the FLAME track: no script of the authors "
                      f"scores it. Received {values['evaluator']}.")  # fmt: skip

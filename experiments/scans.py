@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from itertools import chain, islice
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from data_gen.casia import write_index
 from data_gen.dataset import Dataset, save_dataset
 from data_gen.errors import DataError
 from data_gen.ground_truth import GroundTruth
@@ -19,7 +21,7 @@ from data_gen.scans_standin import ScansStandin
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.examination import USED, CasiaScans, examine, images_file, subject_file
 from experiments.inputs import crop_files
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run, parse_run, stage, write_bytes
 
 _STREAM = 5  # of random numbers of a run: the stand-in's scans
 
@@ -68,6 +70,22 @@ def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Datas
     return Dataset(none, none, landmarks, np.float32(views), cameras, description)
 
 
+def casia_scans(run: Run, folder: Path) -> CasiaScans:
+    """The scans that the index names; without one, all, and an index for the user to edit."""
+    source = CasiaScans(folder, run.casia_index)
+    template = run.work / "casia-index.csv"
+    if run.casia_index is None and not template.exists():
+        write_index(template, source.found)
+        print(f"  all scans are used; to choose, edit {template} and name it by CASIA_INDEX=")
+    # Subjects that a stopped run has done with another choice of scans are of no use.
+    chosen, scans = run.work / "scans" / "index.csv", run.work / "scans"
+    content = b"" if run.casia_index is None else run.casia_index.read_bytes()
+    if scans.exists() and not (chosen.exists() and chosen.read_bytes() == content):
+        shutil.rmtree(scans)
+    write_bytes(chosen, content)
+    return source
+
+
 def _counted(status: np.ndarray) -> dict[str, int]:
     """Scans by status, the details of each left out."""
     return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
@@ -84,7 +102,7 @@ def main(arguments: list[str] | None = None) -> None:
             source = ScansStandin(model, preset.scan_subjects, preset.scans, seed)
         else:
             record["source"] = "CASIA-3D"
-            source = CasiaScans(folder, run.work / "casia-index.csv")
+            source = casia_scans(run, folder)
         finder = GroundTruth(model)
         subjects = range(source.n_subjects)
         missing = [k for k in subjects if not subject_file(run, k).exists()]

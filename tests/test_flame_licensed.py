@@ -141,14 +141,16 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     truth = np.array([scan.truth for scan in scans])[used]
     assert 0.5 < np.linalg.norm(landmarks - truth, axis=2).mean() < 8
 
-    index.write_text(
-        index.read_text().replace("1,2,yes", "1,2,no").replace("001,2,yes", "001,2,no")
-    )
+    chosen = folder / "chosen.csv"
+    chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
     (work / "scans.json").unlink()
-    done = run("scans", folder)
+    done = run("scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
     with np.load(work / "scans.npz", allow_pickle=False) as found:
         assert [*found["name"]] == ["001-001", "001-003", "001-004"]
+    refused = run("scans", folder, "--casia-index", "/nowhere.csv")
+    assert refused.returncode == 2
+    assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
 
 
 def test_the_licensed_ringnet_is_run_on_the_photos(folder):
