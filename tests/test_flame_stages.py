@@ -6,12 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
 
 from data_gen.dataset import load_dataset
+from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from experiments.presets import SMOKE
+from experiments.run import AUTHORS_FILES
 
 ROOT = Path(__file__).parents[1]
 STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings", "ringnet", "flame")
@@ -161,6 +164,31 @@ def test_unusable_arguments_end_with_one_line_and_status_2(tmp_path, arguments, 
     assert refused.returncode == 2
     assert message in refused.stderr.splitlines()[-1]
     assert "Traceback" not in refused.stderr
+
+
+def write_keras2(path, network):
+    """Weights in the layout of the authors' files, HDF5 by layer in order."""
+    with h5py.File(path, "w") as file:
+        layers = [layer for layer in network.layers if layer.weights]
+        file.attrs["layer_names"] = [layer.name.encode() for layer in layers]
+        for layer in layers:
+            group = file.create_group(layer.name)
+            names = [f"{layer.name}/{k}:0" for k in range(len(layer.weights))]
+            group.attrs["weight_names"] = [name.encode() for name in names]
+            for name, array in zip(names, layer.get_weights(), strict=True):
+                group[name] = array
+
+
+def test_the_authors_weights_join_under_the_names_of_their_files(whole, tmp_path):
+    nets = build_autoencoder(51, seed=3), build_dissimilarity_net("released", seed=3)
+    for name, network in zip(AUTHORS_FILES["flame"], nets, strict=True):
+        write_keras2(tmp_path / name, network)
+    for stage in ("predictions", "flame"):
+        done = run(stage, whole, "--authors", str(tmp_path))
+        assert done.returncode == 0, done.stderr
+    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("authors_weights", "mse"), "mean"] > 0
+    assert table.loc[("authors_weights", "n_parameters"), "mean"] == 21801
 
 
 def test_a_missing_environment_of_mediapipe_is_named(work, whole):
