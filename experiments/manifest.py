@@ -15,6 +15,11 @@ _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
     "scipy", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
+# Variables by which stages are left out.
+_OPTIONAL = {
+    "reproduce-bfm": {"MOBILEFACE": {"mobileface"}},
+    "reproduce-flame": {"RINGNET": {"ringnet", "ringnet-licensed"}, "MEDIAPIPE": {"mediapipe"}},
+}
 
 
 def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> None:
@@ -39,6 +44,10 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "RINGNET": run.ringnet,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
+    stages_run = {record["stage"] for record in stages}
+    for variable, names in _OPTIONAL.get(target, {}).items():
+        if not stages_run & names:
+            variables[variable] = "no"
     given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
     made = {
         "command": f"make {target} {given}",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -61,6 +62,20 @@ def test_everything_is_written(whole):
     figures = {path.stem for path in (results(whole) / "figures").glob("*.png")}
     assert figures == {"summary", "learning_curves", "casia", "error_per_landmark",
                        "error_per_expression", "scans"}  # fmt: skip
+
+
+def test_manifest_says_what_was_left_out(whole, tmp_path):
+    manifest = json.loads((results(whole) / "manifest.json").read_text())
+    assert "RINGNET" not in manifest["command"]
+    assert ("MEDIAPIPE=no" in manifest["command"]) == (not MEDIAPIPE.exists())
+    folder = tmp_path / "without"
+    shutil.copytree(whole / "build", folder / "build")
+    next(folder.rglob("ringnet.json")).unlink()
+    assert run("flame", folder).returncode == 0
+    manifest = json.loads((results(folder) / "manifest.json").read_text())
+    assert manifest["command"].endswith("PROTOCOL=paper RINGNET=no")
+    table = pd.read_csv(results(folder) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("ringnet", "mse"), "note"] == "left out (RINGNET=no)"
 
 
 def test_every_scan_is_accounted_for(work):
