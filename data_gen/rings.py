@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_gen.dataset import Dataset
+from data_gen.dataset import Dataset, dataset_of
 from data_gen.errors import DataError
 from data_gen.morphable_model import MorphableModel
-from data_gen.projections import draw_cameras, project
-
-_FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
+from data_gen.projections import draw_cameras
 
 
 def make_rings(
@@ -67,13 +65,7 @@ def make_rings(
     cameras = draw_cameras(n, rng, protocol)
     of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
     identity = np.repeat(of_subjects, images_per_subject, axis=0)
-    model_of_landmarks = model.restrict(model.landmarks[scheme])
-    landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)
-    views = np.empty((n, model_of_landmarks.n_vertices, 2), np.float32)
-    for start in range(0, n, _FACES_PER_CHUNK):
-        faces = slice(start, min(start + _FACES_PER_CHUNK, n))
-        points = model_of_landmarks.shape(identity[faces], expression[faces])
-        landmarks[faces], views[faces] = points, project(points, cameras[faces])
+    landmarks = model.restrict(model.landmarks[scheme]).shape(identity, expression)
     description = {
         "model": model.name,
         "model_sha256": model.sha256,
@@ -81,4 +73,4 @@ def make_rings(
         "protocol": protocol,
         "images_per_subject": images_per_subject,
     }
-    return Dataset(identity, expression, landmarks, views, cameras, description)
+    return dataset_of(landmarks, cameras, description, identity=identity, expression=expression)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen import rings as module
+from data_gen import dataset
 from data_gen.dataset import load_dataset, save_dataset
 from data_gen.errors import DataError
 from data_gen.openhead import load_openhead
@@ -55,7 +55,7 @@ def test_landmarks_are_the_models_and_views_their_projections(model, rings, expr
 def test_same_seed_same_faces_in_a_file_and_in_smaller_chunks(
     model, rings, expression, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(module, "_FACES_PER_CHUNK", 5)
+    monkeypatch.setattr(dataset, "_FACES_PER_CHUNK", 5)
     again = make_rings(model, SUBJECTS, IMAGES, expression, np.random.default_rng(0))
     assert np.allclose(again.landmarks, rings.landmarks, atol=1e-3)
     save_dataset(tmp_path / "rings.npz", rings)
