@@ -97,6 +97,7 @@ $(BUILD)/mobileface.json: $(BUILD)/images.json
 	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).mobileface $(RUN)
 $(TABLE): $(BUILD)/predictions.json $(if $(filter-out no,$(MOBILEFACE)),$(BUILD)/mobileface.json)
 	@$(STAGE).bfm $(RUN)
+
 reproduce-flame: $(FLAME)/flame.json ## the paper's CASIA-3D table, ours beside it   (45 min; 10 with RINGNET=no)
 	@$(STAGE).show $(RUN_FLAME)
 

@@ -69,6 +69,16 @@ def find_embedding(*folders: str | Path) -> Path:
     )
 
 
+def embedding_near(path: str | Path) -> LandmarkEmbedding:
+    """The embedding beside or within a file or folder, or up to two folders above it.
+
+    Raises:
+        DataError: As `find_embedding` and `load_embedding`.
+    """
+    path = Path(path).absolute()
+    return load_embedding(find_embedding(path, *path.parents[:2]))
+
+
 def load_embedding(path: str | Path) -> LandmarkEmbedding:
     """Reads `flame_static_embedding.pkl`, or the last 51 landmarks of that of all 68.
 

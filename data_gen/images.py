@@ -8,6 +8,7 @@ import numpy as np
 
 from data_gen.albedo import Albedo
 from data_gen.dataset import Dataset
+from data_gen.expressions import draw_expressions
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import in_camera_frame, project_with_depth
 from data_gen.rendering import (
@@ -21,6 +22,7 @@ from data_gen.rendering import (
 from data_gen.visibility import part_of, seen_vertices
 
 _FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
+_LOOKS = 8  # expressions by which the visible part of an expressive model is found
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ def make_scene(
     protocol: str = "paper",
     *,
     margin: float = MARGIN,
-    expressions: np.ndarray | None = None,
+    expressive: bool = False,
 ) -> Scene:
     """The scene for a model.
 
@@ -60,14 +62,16 @@ def make_scene(
         size: Width and height of the images in pixels.
         protocol: As for `projections.draw_cameras`; `"released"` stretches the images.
         margin: As for `rendering.square_frames`.
-        expressions: As for `visibility.seen_vertices`.
+        expressive: Whether faces will take expressions, which show the teeth and the inside of the
+            mouth.
 
     Raises:
         DataError: The libraries that draw are missing, or the model cannot be coloured.
     """
     stretched = protocol == "released"
-    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin, expressions=expressions)
-    albedo = Albedo(model, vertices, open_mouths=expressions is not None)
+    looks = draw_expressions(model, _LOOKS, np.random.default_rng(0)) if expressive else None
+    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin, expressions=looks)
+    albedo = Albedo(model, vertices, open_mouths=expressive)
     return Scene(part_of(model, vertices), albedo, size, margin, stretched)
 
 

@@ -32,7 +32,8 @@ class Rasteriser:
         n_vertices: V.
         triangles: `(T, 3)` int, 0-based.
         pixels: Width and height of the images.
-        by_triangle: Whether colours are those of triangles instead of vertices.
+        by_triangle: Whether colours are those of triangles instead of vertices; `draw_numbers`
+            needs it.
 
     Raises:
         DataError: The system library that draws is missing.
@@ -97,6 +98,22 @@ class Rasteriser:
         self._window.GetRGBACharPixelData(0, 0, last, last, 0, self._image)
         image = vtk_to_numpy(self._image).reshape(self._pixels, self._pixels, 4)
         return image[::-1, :, :3]  # VTK begins below
+
+    def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Which triangle is seen in each pixel.
+
+        Args:
+            places, depth: As for `draw`.
+
+        Returns:
+            `(pixels, pixels)` uint32 triangle numbers; T or more where none is seen.
+        """
+        # A number, written as a colour; that of the background is larger than any of a mesh.
+        numbers = np.arange(len(self._colours), dtype="<u4")[:, None]
+        image = self.draw(places, depth, numbers.view(np.uint8)[:, :3])
+        found = np.zeros((*image.shape[:2], 4), np.uint8)
+        found[..., :3] = image
+        return found.view("<u4")[..., 0]
 
     def close(self) -> None:
         """Free the window; without it, its memory is held as long as the process lives."""

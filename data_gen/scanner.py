@@ -35,8 +35,6 @@ class Scanner:
         self._corners = triangle_corners(n_vertices, triangles)
         self._pixels = pixels
         self._rasteriser = Rasteriser(n_vertices, triangles, pixels, by_triangle=True)
-        # A triangle's number, written as a colour; the background is the one number left.
-        self._numbers = np.arange(len(triangles), dtype="<u4")[:, None].view(np.uint8)[:, :3]
 
     def scan(
         self,
@@ -62,10 +60,7 @@ class Scanner:
         low = middle[:2] - _REACH_MM
         places = (seen[:, :2] - low) * (self._pixels / (2 * _REACH_MM))
         places[:, 1] = self._pixels - places[:, 1]
-        image = self._rasteriser.draw(places, seen[:, 2], self._numbers)
-        found = np.zeros((*image.shape[:2], 4), np.uint8)
-        found[..., :3] = image
-        number = found.view("<u4")[..., 0]
+        number = self._rasteriser.draw_numbers(places, seen[:, 2])
         row, column = np.nonzero(number < len(self._triangles))
         hit = self._triangles[number[row, column]]
         weights = _barycentric(np.column_stack([column + 0.5, row + 0.5]), places[hit])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data_gen.dataset import Dataset, dataset_of
-from data_gen.expressions import SCAN_EXPRESSIONS, draw_expressions, scan_expression_weights
+from data_gen.expressions import SCAN_EXPRESSIONS, scan_expression_weights
 from data_gen.images import Scene, make_scene, render
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import Cameras, in_camera_frame, project_with_depth
@@ -18,7 +18,6 @@ _YAW, _PITCH, _ROLL = 20.0, 10.0, 5.0  # degrees to either side
 # The angle that the landmarks fill from 0.75 to 1.25 m away, as scanners stand.
 _FIELD_OF_VIEW = (6.0, 10.0)
 _EYES = (range(19, 25), range(25, 31))  # landmarks about each
-_LOOKED_AT = 8  # expressions by which the visible part of the model is found
 
 
 class ScansStandin:
@@ -41,8 +40,7 @@ class ScansStandin:
         self.n_subjects, self.n_scans, self._seed = n_subjects, n_scans, seed
         self._expressions = model.restrict(np.empty(0, int))
         self._landmarks = model.restrict(model.landmarks[SCHEME])
-        looks = draw_expressions(model, _LOOKED_AT, np.random.default_rng(0))
-        self._scene: Scene = make_scene(model, SCHEME, _PIXELS, margin=_MARGIN, expressions=looks)
+        self._scene: Scene = make_scene(model, SCHEME, _PIXELS, margin=_MARGIN, expressive=True)
 
     def scans_of(self, subject: int) -> int:
         """Number of scans of a subject."""

@@ -42,10 +42,7 @@ def seen_vertices(
     level = np.zeros(len(yaw))
     cameras = Cameras(level.astype(int), yaw, pitch, level, level)
     rasteriser = Rasteriser(model.n_vertices, model.triangles, _PIXELS, by_triangle=True)
-    # A triangle's number, written as a colour; the background is the one number left.
-    numbers = np.arange(len(model.triangles), dtype="<u4")
-    colours = numbers[:, None].view(np.uint8)[:, :3]
-    seen = np.zeros(len(numbers) + 1, bool)
+    seen = np.zeros(len(model.triangles) + 1, bool)
     rng = np.random.default_rng(0)
     taken = cycle([None] if expressions is None else expressions)
     for _ in range(_FACES_PER_VIEW):
@@ -61,10 +58,8 @@ def seen_vertices(
                 if whole
                 else square_frames(views[:, landmarks], _PIXELS, margin)
             )
-            image = rasteriser.draw(frame.pixels(views)[0], points[0, :, 2], colours)
-            found = np.zeros((*image.shape[:2], 4), np.uint8)
-            found[..., :3] = image
-            seen[np.minimum(found.view("<u4"), len(numbers))] = True
+            numbers = rasteriser.draw_numbers(frame.pixels(views)[0], points[0, :, 2])
+            seen[np.minimum(numbers, len(model.triangles))] = True
     rasteriser.close()
     touched = np.unique(model.triangles[seen[:-1]])
     beside = np.isin(model.triangles, touched).any(1)

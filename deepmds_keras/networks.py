@@ -70,6 +70,14 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
     return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
 
 
+def draw_kernels(network: keras.Model, seed: int) -> None:
+    """Draw every kernel anew, in Keras's default way: for networks that take no initialiser."""
+    kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
+    for number, kernel in enumerate(kernels):
+        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
+        kernel.assign(initial(kernel.shape))
+
+
 def count_trainable(*networks: keras.Model) -> int:
     """Numbers that training changes, of all the networks together."""
     weights = (weight for network in networks for weight in network.trainable_weights)

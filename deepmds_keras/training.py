@@ -13,7 +13,7 @@ import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
 from deepmds_keras.weights import read_checkpoint, write_checkpoint
@@ -210,6 +210,29 @@ def train_by_epoch(
             write_checkpoint(checkpoint, model, {"label": label, "history": history})
         _report(progress, history, epoch)
     return history
+
+
+def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:
+    """Mini-batches of images, read one at a time a few ahead of the training.
+
+    Args:
+        images: `(n, size, size, 3)` uint8, an array or what is indexed like one.
+        targets: `(n, d)` float32, what the network is to find in each.
+        rows: `(steps, batch)` which make up each mini-batch.
+
+    Returns:
+        Images in [-1, 1] and targets.
+    """
+    steps, batch = rows.shape
+    signature = (
+        tf.TensorSpec((batch, *images[:1].shape[1:]), tf.uint8),
+        tf.TensorSpec((batch, targets.shape[1]), tf.float32),
+    )
+    data = tf.data.Dataset.from_generator(
+        lambda: ((images[own], targets[own]) for own in rows), output_signature=signature
+    )
+    data = data.apply(tf.data.experimental.assert_cardinality(steps))
+    return data.map(lambda image, target: (scale_images(image), target)).prefetch(8)
 
 
 def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray:

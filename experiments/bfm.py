@@ -16,7 +16,6 @@ from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
 from experiments.figures.renders import renders
 from experiments.figures.style import save
-from experiments.figures.summary import summary
 from experiments.inputs import (
     Faces,
     image_files,
@@ -24,20 +23,13 @@ from experiments.inputs import (
     load_histories,
     load_landmark_model,
 )
-from experiments.manifest import write_manifest
+from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
 from experiments.parameters import write_parameter_table
 from experiments.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
-from experiments.run import Run, load_record, parse_run, stage, write_text
-from experiments.scores import (
-    Scores,
-    costs,
-    load_predictions,
-    score,
-    subset_metrics,
-    subsets,
-)
-from experiments.tables import to_csv, write_tables
+from experiments.results import write_results
+from experiments.run import Run, parse_run, stage
+from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
 
 _STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 # Drawn in the figures; the others differ from these in training or test views only.
@@ -45,18 +37,6 @@ _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "a
 _MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
 _NOT_SHOWN = ("ours_released",)  # beside whole faces: to the eye they are those of `ours`
 _RENDERS = 24
-
-
-def evaluate(
-    run: Run, test: Faces, predictions: dict[str, dict], descriptions: dict[str, dict]
-) -> tuple[pd.DataFrame, dict[str, Scores]]:
-    """Long table as in `metrics.csv`, and scores by method, of the predictions' arrays."""
-    chosen = subsets(run, len(test.views))
-    scores = {method: score(arrays["shapes"], test) for method, arrays in predictions.items()}
-    rows = [subset_metrics(method, own, test, chosen) for method, own in scores.items()]
-    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
-    metrics["subset"] = metrics["subset"].astype("Int64")
-    return metrics, scores
 
 
 def notes(run: Run, methods: Container[str]) -> dict[str, str]:
@@ -111,11 +91,7 @@ def draw(
     )
     save(figure, folder, "qualitative")
 
-    distances = {
-        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
-        for method, own in drawn.items()
-    }
-    errors = {method: np.sqrt(np.mean(own**2, axis=0)) for method, own in distances.items()}
+    errors = landmark_errors(drawn, test)
     figure = error_per_landmark(errors, scheme, test.shapes.mean(0), _MAPPED)
     save(figure, folder, "error_per_landmark")
 
@@ -155,29 +131,14 @@ def main(arguments: list[str] | None = None) -> None:
         released = run.evaluator == "released"
         if released:
             predictions = as_released(predictions, test.shapes)
-        metrics, scores = evaluate(run, test, predictions, descriptions)
-        write_text(folder / "metrics.csv", to_csv(metrics))
-        table = write_tables(
-            folder,
-            metrics,
-            experiment="bfm",
-            subset_size=run.preset.subset_size,
-            notes=notes(run, scores),
-            per_face={
-                metric: {method: getattr(own, metric) for method, own in scores.items()}
-                for metric in ("mse", "depth_corr")
-            },
-            beside=BESIDE if released else {},
-        )
-        save(summary(table), folder / "figures", "summary")
+        shapes = {method: arrays["shapes"] for method, arrays in predictions.items()}
+        metrics, scores = evaluate(run, test, shapes, descriptions)
+        beside = BESIDE if released else {}
+        write_results(run, folder, metrics, scores, notes(run, scores), beside)
         if not released:  # the other figures and tables are of the methods, however scored
             draw(run, test, scores, predictions, folder / "figures")
             write_parameter_table(run, metrics)
-        done = [name for name in _STAGES if (run.work / f"{name}.json").exists()]
-        records = [load_record(run, name) for name in done]
-        for record in records:
-            record.pop("checksums", None)  # of the images, which nobody else has
-        write_manifest(run, "reproduce-bfm", records, folder)
+        write_manifest(run, "reproduce-bfm", records_of(run, _STAGES), folder)
 
 
 if __name__ == "__main__":

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from data_gen import casia
 from data_gen.crops import crop
 from data_gen.dlib_landmarks import DlibLandmarks
 from data_gen.errors import DataError
-from data_gen.ground_truth import GroundTruth
+from data_gen.ground_truth import GroundTruth, Registration
 from data_gen.scans import Scan
 from data_gen.writing import whole_file
 from deepmds_keras.weights import write_arrays
-from experiments.inputs import CROP_MARGIN, CROP_SIZE
-from experiments.run import Run
+from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED
+from experiments.run import Run, one_core
 
-USED = "used"
 _JAW = 17  # leading landmarks of the detector that the paper leaves out
 _EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
 
@@ -63,30 +60,33 @@ def examine(run: Run, source, finder: GroundTruth, subject: int) -> int:
     Returns:
         Number of scans.
     """
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's software renderer: a process, a core
-    rows = []
-    with threadpool_limits(1):  # sums in one order, however many cores there are
+    rows, example = [], {}
+    with one_core():
         for scan in source.subject(subject):
-            rows.append(_refused(*scan) if isinstance(scan, tuple) else _examined(scan, finder))
+            if isinstance(scan, tuple):
+                rows.append(_refused(*scan))
+                continue
+            row, found = _examined(scan, finder)
+            if found is not None and subject < _EXAMPLES and not example:
+                points = _some_points(scan, found)
+                example = {"example": np.array([len(rows)]), "example_points": points[None]}
+            rows.append(row)
     used = np.array([row["status"] == USED for row in rows])
     images = [row.pop("image") for row in rows]
-    examples = [row.pop("points") for row in rows]
-    arrays = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
-    if subject < _EXAMPLES and used.any():
-        first = int(used.argmax())
-        arrays |= {"example": np.array([first]), "example_points": examples[first][None]}
+    arrays = {key: np.stack([row[key] for row in rows]) for key in rows[0]} | example
     with whole_file(images_file(run, subject)) as file:
         np.save(file, np.array(images)[used])
     write_arrays(subject_file(run, subject), arrays, {})  # last: it stands for both
     return len(rows)
 
 
-def _examined(scan: Scan, finder: GroundTruth) -> dict:
+def _examined(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | None]:
+    """What is written of a scan, and how its truth was found, if it was."""
     row = _refused(scan.name, "no face found")
     row["condition"] = np.array(scan.condition)
     detected = _detector().detect(scan.image)
     if detected is None:
-        return row
+        return row, None
     pixels = detected[_JAW:]
     row["image"], row["crop_landmarks"] = crop(scan.image, pixels, CROP_SIZE, CROP_MARGIN)
     row["detected"] = pixels
@@ -95,10 +95,8 @@ def _examined(scan: Scan, finder: GroundTruth) -> dict:
     try:
         found = finder.register(pixels, scan.points)
     except DataError as error:
-        return row | {"status": np.array(str(error))}
-    rng = np.random.default_rng(len(scan.points))
-    chosen = rng.choice(len(scan.points), _EXAMPLE_POINTS, replace=True)
-    return row | {
+        return row | {"status": np.array(str(error))}, None
+    row |= {
         "status": np.array(USED),
         "landmarks": found.landmarks,
         "fitted": found.fitted,
@@ -106,8 +104,16 @@ def _examined(scan: Scan, finder: GroundTruth) -> dict:
         "rotation": found.fit.rotation,
         "fit_rms": np.array(found.fit.rms),
         "icp_rms": np.array(found.icp.rms),
-        "points": (scan.points[chosen] - found.model_to_scan[1]) @ found.model_to_scan[0],
     }
+    return row, found
+
+
+def _some_points(scan: Scan, found: Registration) -> np.ndarray:
+    """Points of a scan for a picture, in the frame of the face model: `(8000, 3)` millimetres."""
+    rotation, translation = found.model_to_scan
+    rng = np.random.default_rng(len(scan.points))
+    chosen = rng.choice(len(scan.points), _EXAMPLE_POINTS, replace=True)
+    return (scan.points[chosen] - translation) @ rotation
 
 
 def _refused(name: str, status: str) -> dict:
@@ -128,7 +134,6 @@ def _refused(name: str, status: str) -> dict:
         "rotation": np.full((3, 3), np.nan),
         "fit_rms": np.array(np.nan),
         "icp_rms": np.array(np.nan),
-        "points": np.full((_EXAMPLE_POINTS, 3), np.nan),
     }
 
 

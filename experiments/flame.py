@@ -19,13 +19,12 @@ from experiments.figures.errors import error_per_condition, error_per_landmark
 from experiments.figures.ground_truth import Example, ground_truth
 from experiments.figures.qualitative import Photos, qualitative
 from experiments.figures.style import save
-from experiments.figures.summary import summary
-from experiments.inputs import CROP_SIZE, Faces, crop_files, load_faces, load_histories
-from experiments.manifest import write_manifest
+from experiments.inputs import CROP_SIZE, USED, Faces, crop_files, load_faces, load_histories
+from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, load_record, parse_run, stage, write_text
-from experiments.scores import Scores, costs, load_predictions, score, subset_metrics, subsets
-from experiments.tables import to_csv, write_tables
+from experiments.results import write_results
+from experiments.run import Run, parse_run, stage
+from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
 
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
 _TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
@@ -53,7 +52,7 @@ def load_scans(run: Run) -> dict[str, np.ndarray]:
 
 def of_used(scans: Mapping[str, np.ndarray], key: str) -> np.ndarray:
     """An array of the scans that gave a test face."""
-    return scans[key][scans["status"] == "used"]
+    return scans[key][scans["status"] == USED]
 
 
 def against(test: Faces, landmarks: np.ndarray) -> Faces:
@@ -61,40 +60,6 @@ def against(test: Faces, landmarks: np.ndarray) -> Faces:
     return replace(
         test, shapes=np.float32(normalise(landmarks)), unit_mm=unit(landmarks)[1].ravel()
     )
-
-
-def evaluate(
-    run: Run, test: Faces, shapes: dict[str, np.ndarray], descriptions: dict[str, dict]
-) -> tuple[pd.DataFrame, dict[str, Scores]]:
-    """Long table as in `metrics.csv`, and scores by method."""
-    chosen = subsets(run, len(test.views))
-    scores = {method: score(own, test) for method, own in shapes.items()}
-    rows = []
-    for method, own in scores.items():
-        rows.append(subset_metrics(method, own, test, chosen))
-        found = np.isfinite(own.mse)[chosen].mean(1)
-        rows.append(
-            pd.DataFrame(
-                {
-                    "method": method,
-                    "metric": "found_fraction",
-                    "subset": range(len(found)),
-                    "value": found,
-                }
-            )
-        )
-    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
-    metrics["subset"] = metrics["subset"].astype("Int64")
-    return metrics, scores
-
-
-def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
-    """Criteria of the faces that every method found, for the tests over faces."""
-    found = np.all([np.isfinite(own.mse) for own in scores.values()], axis=0)
-    return {
-        metric: {method: getattr(own, metric)[found] for method, own in scores.items()}
-        for metric in ("mse", "depth_corr")
-    }
 
 
 def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
@@ -120,23 +85,6 @@ def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
     if "authors_weights" not in scores:
         found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
     return found
-
-
-def write_results(
-    run: Run, folder: Path, metrics: pd.DataFrame, scores: dict[str, Scores]
-) -> pd.DataFrame:
-    """Write the metrics and every table into a folder of results."""
-    write_text(folder / "metrics.csv", to_csv(metrics))
-    table = write_tables(
-        folder,
-        metrics,
-        experiment="flame",
-        subset_size=run.preset.subset_size,
-        notes=notes(run, scores),
-        per_face=per_face(scores),
-    )
-    save(summary(table, len(load_scheme(run.scheme))), folder / "figures", "summary")
-    return table
 
 
 def draw(
@@ -173,11 +121,7 @@ def draw(
     )
     save(figure, folder, "casia")
 
-    distances = {
-        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
-        for method, own in drawn.items()
-    }
-    errors = {method: np.sqrt(np.nanmean(own**2, axis=0)) for method, own in distances.items()}
+    errors = landmark_errors(drawn, test)
     maps = [method for method in _MAPPED if method in errors]
     save(
         error_per_landmark(errors, scheme, test.shapes.mean(0), maps), folder, "error_per_landmark"
@@ -218,7 +162,7 @@ def small_photo(files: ImageFiles, face: int) -> tuple[np.ndarray, np.ndarray]:
 
 def examples(scans: dict[str, np.ndarray], files: ImageFiles) -> list[Example]:
     """The scans whose points were kept."""
-    used = np.flatnonzero(scans["status"] == "used")
+    used = np.flatnonzero(scans["status"] == USED)
     found = []
     kept = (scans.get(key, ()) for key in ("example", "example_points"))
     for number, points in zip(*kept, strict=True):
@@ -256,19 +200,15 @@ def main(arguments: list[str] | None = None) -> None:
         here = shapes if truth is None else shapes | {_TRUE: truth}
         folder = run.experiment_results("flame")
         metrics, scores = evaluate(run, test, here, descriptions)
-        write_results(run, folder, metrics, scores)
+        write_results(run, folder, metrics, scores, notes(run, scores))
         draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder / "figures")
         folders = [folder]
         if truth is not None:
             folders.append(run.experiment_results("flame-true-landmarks"))
             true_test = against(test, truth)
             metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
-            write_results(run, folders[1], metrics, scores)
-        stages = (*_STAGES, run.ringnet_stage)
-        done = [name for name in stages if (run.work / f"{name}.json").exists()]
-        records = [load_record(run, name) for name in done]
-        for record in records:
-            record.pop("checksums", None)  # of the images, which nobody else has
+            write_results(run, folders[1], metrics, scores, notes(run, scores))
+        records = records_of(run, (*_STAGES, run.ringnet_stage))
         for own in folders:
             write_manifest(run, "reproduce-flame", records, own)
 

@@ -9,9 +9,10 @@ from tqdm import tqdm
 
 from data_gen.coma import find_meshes, load_coma
 from data_gen.dataset import Dataset, dataset_of, save_dataset
-from data_gen.flame_embedding import find_embedding, load_embedding
+from data_gen.flame_embedding import embedding_near
 from data_gen.frames_standin import make_frames
 from data_gen.models import load_model
+from data_gen.morphable_model import MorphableModel
 from data_gen.projections import draw_cameras
 from experiments.run import Run, parse_run, stage, write_text
 
@@ -20,8 +21,7 @@ _STREAM = 4  # of random numbers of a run: frames and their views
 
 def coma_frames(run: Run, folder: Path, record: dict) -> tuple[np.ndarray, dict]:
     """Landmarks `(n, 51, 3)` of all meshes of CoMA, millimetres; what cannot be read is listed."""
-    near = Path(run.data or folder).absolute()
-    embedding = load_embedding(find_embedding(near, *near.parents[:2]))
+    embedding = embedding_near(run.data or folder)
     with tqdm(total=len(find_meshes(folder)), desc="meshes", unit="mesh") as bar:
         coma = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
     record["skipped"] = len(coma.skipped)
@@ -32,22 +32,22 @@ def coma_frames(run: Run, folder: Path, record: dict) -> tuple[np.ndarray, dict]
     return coma.landmarks, {"frames": "CoMA"}
 
 
-def standin_frames(run: Run, rng: np.random.Generator) -> tuple[np.ndarray, dict]:
+def standin_frames(
+    run: Run, model: MorphableModel, rng: np.random.Generator
+) -> tuple[np.ndarray, dict]:
     """Landmarks `(n, 51, 3)` of as many frames of the open stand-in, millimetres."""
-    preset, model = run.preset, load_model(run.model, run.data, run.scheme)
-    frames = make_frames(model, preset.frame_subjects, preset.frames, rng)
+    frames = make_frames(model, run.preset.frame_subjects, run.preset.frames, rng)
     landmarks = model.restrict(model.landmarks[run.scheme])
-    return landmarks.shape(frames.identity, frames.expression), {
-        "frames": f"stand-in, {model.name}"
-    }
+    source = {"frames": f"stand-in, {model.name}"}
+    return landmarks.shape(frames.identity, frames.expression), source
 
 
-def make_training_set(run: Run, record: dict) -> Dataset:
+def make_training_set(run: Run, model: MorphableModel, record: dict) -> Dataset:
     """The frames, one view of each."""
     rng = np.random.default_rng([run.seed, _STREAM])
     folder = run.folder_of("coma")
     landmarks, source = (
-        standin_frames(run, rng) if folder is None else coma_frames(run, folder, record)
+        standin_frames(run, model, rng) if folder is None else coma_frames(run, folder, record)
     )
     record |= source | {"n_frames": len(landmarks)}
     cameras = draw_cameras(len(landmarks), rng, run.protocol)
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "frames") as record:
         model = load_model(run.model, run.data, run.scheme)
         record |= {"model": model.name, "model_sha256": model.sha256}
-        save_dataset(run.work / "train.npz", make_training_set(run, record))
+        save_dataset(run.work / "train.npz", make_training_set(run, model, record))
 
 
 if __name__ == "__main__":

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 import numpy as np
 from joblib import Parallel, delayed
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.dataset import Dataset, load_dataset
@@ -16,7 +14,7 @@ from data_gen.images import Scene, make_scene, render
 from data_gen.models import load_model
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import image_files
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run, one_core, parse_run, stage
 
 PARTS = ("train", "test")
 _STREAM = 3  # of random numbers of a run, beside those of its faces and its subsets
@@ -30,10 +28,9 @@ def make_file(
     Returns:
         Number of images.
     """
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's software renderer: a process, a core
     faces = files.ranges()[file]
     rng = np.random.default_rng([*seed, file])
-    with threadpool_limits(1):  # sums in one order, however many cores there are
+    with one_core():
         files.save(file, *render(scene, dataset, faces, rng))
     return len(faces)
 

@@ -15,6 +15,7 @@ from deepmds_keras.weights import read_arrays
 from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run, load_record
 
+USED = "used"  # status of a scan that gave a test face
 CROP_SIZE, CROP_MARGIN = 224, 2.0  # of the test photos: RingNet's size, about all of the face
 
 

@@ -6,10 +6,11 @@ import os
 import platform
 import shlex
 import subprocess
+from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
-from experiments.run import Run, write_json
+from experiments.run import Run, load_record, write_json
 
 _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
@@ -62,6 +63,15 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         **environment(),
     }
     write_json(folder / "manifest.json", made)
+
+
+def records_of(run: Run, stages: Iterable[str]) -> list[dict]:
+    """Records of those stages that are complete, for the manifest."""
+    done = [name for name in stages if (run.work / f"{name}.json").exists()]
+    records = [load_record(run, name) for name in done]
+    for record in records:
+        record.pop("checksums", None)  # of the images, which nobody else has
+    return records
 
 
 def environment() -> dict:

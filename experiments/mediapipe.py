@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 from tqdm import tqdm
 
 from data_gen.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
@@ -24,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
         with tqdm(total=len(files), desc="mediapipe", unit="image") as bar:
             points = detect(paths, run.mediapipe or MEDIAPIPE_PYTHON, progress=bar.update)
         milliseconds = 1000 * (time.perf_counter() - start) / len(files)
-        found = ~(points != points).any((1, 2))
+        found = np.isfinite(points).all((1, 2))
         record |= {"methods": [*_LISTS], "found": int(found.sum()), "images": len(files)}
         for method, which in _LISTS.items():
             described = {"method": method, "ms_per_face": milliseconds}

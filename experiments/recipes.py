@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import keras
 from tqdm import tqdm
 
 from data_gen.dataset import load_dataset
+from data_gen.errors import DataError
 from data_gen.flame import read_flame
-from data_gen.flame_embedding import find_embedding, load_embedding
+from data_gen.flame_embedding import embedding_near
 from deepmds_keras.baselines.mobileface import MobileFace
 from deepmds_keras.baselines.ringnet import RingNet
 from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
@@ -141,8 +141,12 @@ def ringnet(run: Run) -> RingNet:
 
 def released_ringnet(run: Run) -> ReleasedRingNet:
     """The licensed RingNet; FLAME's landmarks on its meshes."""
-    near = Path(run.data or run.ringnet).absolute()
-    embedding = load_embedding(find_embedding(near, *near.parents[:2]))
+    if run.data is None:
+        raise DataError(
+            "DATA= must be the folder of FLAME, on whose mesh the licensed RingNet has its "
+            "landmarks. Received none."
+        )
+    embedding = embedding_near(run.data)
     corners = read_flame(run.data).triangles[embedding.triangles]
     return ReleasedRingNet(run.ringnet, corners, embedding.weights)
 

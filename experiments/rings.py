@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from data_gen.dataset import save_dataset
 from data_gen.expressions import draw_expressions
 from data_gen.images import Scene, make_scene
 from data_gen.models import load_model
+from data_gen.morphable_model import MorphableModel
 from data_gen.rings import make_rings
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import write_arrays
@@ -17,12 +20,11 @@ from experiments.run import Run, parse_run, stage
 
 _STREAM, _IMAGES_STREAM = 6, 7  # of random numbers of a run: people and their views; images
 _N_IDENTITY = 100  # leading components that RingNet estimates, as many as the published one
-_LOOKED_AT = 8  # expressions by which the visible part of the model is found
 
 
-def make_people(run: Run) -> None:
+def make_people(run: Run, model: MorphableModel) -> None:
     """Write the data set `rings.npz`, and the model of the landmarks that RingNet estimates."""
-    model, preset = load_model(run.model, run.data, run.scheme), run.preset
+    preset = run.preset
     landmarks = model.restrict(model.landmarks[run.scheme])
     write_arrays(
         run.work / "landmark_model.npz",
@@ -50,14 +52,16 @@ def make_people(run: Run) -> None:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
 
+    @cache  # a run that goes on may need it neither for people nor for images
+    def model() -> MorphableModel:
+        return load_model(run.model, run.data, run.scheme)
+
     def scene() -> Scene:
-        model = load_model(run.model, run.data, run.scheme)
-        looks = draw_expressions(model, _LOOKED_AT, np.random.default_rng(0))
-        return make_scene(model, run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressions=looks)
+        return make_scene(model(), run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressive=True)
 
     with stage(run, "rings") as record:
         if not (run.work / "rings.npz").exists():
-            make_people(run)
+            make_people(run, model())
         record["checksums"] = make_images(
             run, {"rings": ring_files(run)}, lambda part: (run.seed, _IMAGES_STREAM), scene
         )

@@ -7,6 +7,7 @@ import datetime
 import fcntl
 import json
 import logging
+import os
 import resource
 import shlex
 import sys
@@ -15,6 +16,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from threadpoolctl import threadpool_limits
 
 from data_gen.errors import DataError
 from data_gen.models import MODELS
@@ -213,6 +216,14 @@ def stage(run: Run, name: str) -> Iterator[dict]:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Compute and draw with one thread: a process a core, and sums in one order on any machine."""
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # of Mesa's software renderer
+    with threadpool_limits(1):
+        yield
 
 
 def load_record(run: Run, name: str) -> dict:

@@ -19,8 +19,8 @@ from data_gen.models import load_model
 from data_gen.projections import Cameras, camera_angles
 from data_gen.scans_standin import ScansStandin
 from deepmds_keras.weights import read_arrays, write_arrays
-from experiments.examination import USED, CasiaScans, examine, images_file, subject_file
-from experiments.inputs import crop_files
+from experiments.examination import CasiaScans, examine, images_file, subject_file
+from experiments.inputs import USED, crop_files
 from experiments.run import Run, parse_run, stage, write_bytes
 
 _STREAM = 5  # of random numbers of a run: the stand-in's scans
@@ -53,6 +53,8 @@ def collect(run: Run, n_subjects: int) -> dict:
     landmarks = np.float32(table["crop_landmarks"][used])
     for file, faces in enumerate(files.ranges()):
         files.save(file, np.stack([*islice(images, len(faces))]), landmarks[faces])
+    # What methods made of another test set, as of an index since edited, is of no use.
+    shutil.rmtree(run.work / "predictions", ignore_errors=True)
     save_dataset(run.work / "test.npz", _test_set(run, table, used))
     write_arrays(run.work / "scans.npz", table, {})
     return {"scans": _counted(table["status"]), "checksums": {"test": files.checksums()}}

@@ -85,6 +85,47 @@ def score(shapes: np.ndarray, test: Faces) -> Scores:
     )
 
 
+def evaluate(
+    run: Run, test: Faces, shapes: dict[str, np.ndarray], descriptions: dict[str, dict]
+) -> tuple[pd.DataFrame, dict[str, Scores]]:
+    """Score every method, on all test faces and on the run's random subsets.
+
+    Args:
+        run: The run.
+        test: Test faces.
+        shapes: Method to `(n, L, 3)` predictions; NaN for a face that it did not find.
+        descriptions: Method to what its prediction's stage wrote of it.
+
+    Returns:
+        Long table as in `metrics.csv`, and scores by method.
+    """
+    chosen = subsets(run, len(test.views))
+    scores = {method: score(own, test) for method, own in shapes.items()}
+    may_miss = run.track == "flame"  # where methods look for the face in a photo
+    rows = [subset_metrics(method, own, test, chosen, may_miss) for method, own in scores.items()]
+    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
+    metrics["subset"] = metrics["subset"].astype("Int64")
+    return metrics, scores
+
+
+def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
+    """Metric to method to its values on the faces that every method found."""
+    found = np.all([np.isfinite(own.mse) for own in scores.values()], axis=0)
+    return {
+        metric: {method: getattr(own, metric)[found] for method, own in scores.items()}
+        for metric in ("mse", "depth_corr")
+    }
+
+
+def landmark_errors(scores: dict[str, Scores], test: Faces) -> dict[str, np.ndarray]:
+    """Method to `(L,)` root-mean-square distances to the truth, millimetres."""
+    distances = {
+        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
+        for method, own in scores.items()
+    }
+    return {method: np.sqrt(np.nanmean(own**2, axis=0)) for method, own in distances.items()}
+
+
 def subsets(run: Run, n: int) -> np.ndarray:
     """Random ones of n test faces, `(n_subsets, subset_size)`, none twice in a subset."""
     rng, preset = np.random.default_rng([run.seed, _SUBSETS]), run.preset
@@ -96,8 +137,13 @@ def subsets(run: Run, n: int) -> np.ndarray:
     return np.array([rng.choice(n, preset.subset_size, False) for _ in range(preset.n_subsets)])
 
 
-def subset_metrics(method: str, scores: Scores, test: Faces, chosen: np.ndarray) -> pd.DataFrame:
-    """Long table `method, metric, subset, value` of one method, over the faces that it found."""
+def subset_metrics(
+    method: str, scores: Scores, test: Faces, chosen: np.ndarray, may_miss: bool
+) -> pd.DataFrame:
+    """Long table `method, metric, subset, value` of one method, over the faces that it found.
+
+    If it may miss some, also of the share that it found.
+    """
     found = np.isfinite(scores.mse)
     groups = [faces[found[faces]] for faces in chosen]
     values = {
@@ -111,6 +157,8 @@ def subset_metrics(method: str, scores: Scores, test: Faces, chosen: np.ndarray)
         ],
         "mirrored_fraction": [scores.mirrored[faces].mean() for faces in groups],
     }
+    if may_miss:
+        values["found_fraction"] = found[chosen].mean(1)
     rows = [
         (method, metric, subset, value)
         for metric, by_subset in values.items()

@@ -45,12 +45,7 @@ def nme(found, truth):
 
 @cache
 def detector():
-    pytest.importorskip("dlib", reason="dlib is not installed")
-    try:
-        path = find_shape_predictor()
-    except DataError:
-        pytest.skip("dlib's 68-landmark model is not installed")
-    return DlibLandmarks(path)
+    return DlibLandmarks(find_shape_predictor())
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +139,6 @@ def test_a_file_that_is_not_the_model_is_refused(tmp_path, find):
 
 def test_the_model_of_five_landmarks_is_refused(find):
     five = find_shape_predictor().with_name("shape_predictor_5_face_landmarks.dat")
-    if not five.is_file():
-        pytest.skip(f"{five.name} is not installed")
     with pytest.raises(DataError, match="must have 68 landmarks. Received 5"):
         DlibLandmarks(five)
 

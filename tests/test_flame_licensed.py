@@ -144,10 +144,13 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     chosen = folder / "chosen.csv"
     chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
     (work / "scans.json").unlink()
+    (work / "predictions").mkdir()
+    (work / "predictions" / "linear.npz").touch()
     done = run("scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
     with np.load(work / "scans.npz", allow_pickle=False) as found:
         assert [*found["name"]] == ["001-001", "001-003", "001-004"]
+    assert not (work / "predictions").exists()  # they were of the test set before
     refused = run("scans", folder, "--casia-index", "/nowhere.csv")
     assert refused.returncode == 2
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]

@@ -206,6 +206,13 @@ def test_the_authors_weights_join_under_the_names_of_their_files(whole, tmp_path
     assert table.loc[("authors_weights", "n_parameters"), "mean"] == 21801
 
 
+def test_the_licensed_ringnet_needs_flame(whole):
+    refused = run("ringnet", whole, "--ringnet", "/nowhere/ring_6_68641")
+    assert refused.returncode == 2
+    assert "DATA= must be the folder of FLAME" in refused.stderr.splitlines()[-1]
+    assert "Traceback" not in refused.stderr
+
+
 def test_a_missing_environment_of_mediapipe_is_named(work, whole):
     refused = run("mediapipe", whole, "--mediapipe", "/nowhere/python")
     assert refused.returncode == 2

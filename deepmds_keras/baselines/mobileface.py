@@ -13,9 +13,9 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_fitted, check_images
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward_images, scale_images
+from deepmds_keras.networks import count_trainable, draw_kernels, forward_images
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
+from deepmds_keras.training import face_order, image_batches, steps_per_call, train_by_epoch
 from deepmds_keras.weights import read_keras2_weights
 
 STANDARDISED = ("face", "batch")
@@ -41,11 +41,7 @@ def build_mobileface_net(n_coefficients: int = 199, *, seed: int = 0) -> keras.M
     features = keras.layers.Flatten(name="features")(body.output)
     raw = keras.layers.Dense(n_coefficients, name="coefficients")(features)
     net = keras.Model(body.input, raw, name=f"mobileface_{n_coefficients}")
-    # MobileNet takes no initialiser, so every kernel is drawn once more, in Keras's default way.
-    kernels = [weight for weight in net.trainable_weights if weight.name.endswith("kernel")]
-    for number, kernel in enumerate(kernels):
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        kernel.assign(initial(kernel.shape))
+    draw_kernels(net, seed)
     return net
 
 
@@ -139,19 +135,10 @@ class MobileFace(BaseEstimator):
         steps, batch = self.steps_per_epoch, self.batch_size
         optimizer = keras.optimizers.Adam(self.learning_rate)
         network.compile(optimizer, loss, steps_per_execution=steps_per_call(steps))
-        signature = (
-            tf.TensorSpec((batch, IMAGE_SIZE, IMAGE_SIZE, 3), tf.uint8),
-            tf.TensorSpec((batch, n_coefficients), tf.float32),
-        )
 
         def batches(epoch: int) -> tf.data.Dataset:
             order = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
-            data = tf.data.Dataset.from_generator(
-                lambda: ((images[faces], coefficients[faces]) for faces in order),
-                output_signature=signature,
-            )
-            data = data.apply(tf.data.experimental.assert_cardinality(steps))
-            return data.map(lambda image, truth: (scale_images(image), truth)).prefetch(8)
+            return image_batches(images, coefficients, order)
 
         check = np.arange(min(n, _CHECK_FACES))
 

@@ -19,8 +19,8 @@ from deepmds_keras.baselines.ringnet_losses import (
 from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
 from deepmds_keras.checks import check_fitted, check_images, check_points
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward_images, scale_images
-from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
+from deepmds_keras.networks import count_trainable, forward_images
+from deepmds_keras.training import face_order, image_batches, steps_per_call, train_by_epoch
 
 _CHECK_IMAGES = 480
 _STREAM = 1  # of random numbers of an epoch, beside those that order the subjects
@@ -141,11 +141,7 @@ class RingNet(BaseEstimator):
             steps_per_execution=steps_per_call(steps),
             jit_compile=False,  # the compiler's own convolutions are the slower ones
         )
-        size, points = self.image_size, points.reshape(len(points), -1)
-        signature = (
-            tf.TensorSpec((n_batch, size, size, 3), tf.uint8),
-            tf.TensorSpec((n_batch, points.shape[1]), tf.float32),
-        )
+        points = points.reshape(len(points), -1)
         members = _members(subjects)
 
         def batches(epoch: int) -> tf.data.Dataset:
@@ -153,12 +149,7 @@ class RingNet(BaseEstimator):
             rings = draw_rings(
                 members, steps * self.rings_per_batch, self.ring_size, self.seed, epoch
             )
-            data = tf.data.Dataset.from_generator(
-                lambda: ((images[rows], points[rows]) for rows in rings.reshape(steps, n_batch)),
-                output_signature=signature,
-            )
-            data = data.apply(tf.data.experimental.assert_cardinality(steps))
-            return data.map(lambda image, truth: (scale_images(image), truth)).prefetch(8)
+            return image_batches(images, points, rings.reshape(steps, n_batch))
 
         check = np.arange(min(len(images), _CHECK_IMAGES))
 

@@ -6,6 +6,7 @@ import keras
 from keras import layers, ops
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.networks import draw_kernels
 
 N_CAMERA, N_ROTATION = 3, 3
 MIN_IMAGE_SIZE = 32  # ResNet-50 halves an image five times
@@ -71,11 +72,7 @@ def build_ringnet(
             x = layer(x)
         estimate = estimate + step(x)
     net = keras.Model(body.input, estimate, name=f"ringnet_{n_identity}_{n_expression}")
-    # ResNet50 takes no initialiser, so every kernel is drawn once more, in Keras's default way.
-    kernels = [weight for weight in net.trainable_weights if weight.name.endswith("kernel")]
-    for number, kernel in enumerate(kernels):
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        kernel.assign(initial(kernel.shape))
+    draw_kernels(net, seed)
     step.kernel.assign(_INITIAL_STEP * step.kernel)
     return net
 

@@ -71,13 +71,16 @@ def ground_truth(
         _photo(column[0], example)
         _scan(column[1], example, front_view)
         _scan(column[2], example, side_view)
-    marks = [("detected", _DETECTED, "o"), ("fitted model", _FITTED, "o")]
-    marks += [("nearest point of the scan: the truth of the table", _FOUND, "o")]
+    marks = {
+        "detected": _DETECTED,
+        "fitted model": _FITTED,
+        "nearest point of the scan: the truth of the table": _FOUND,
+    }
     if truth is not None:
-        marks.append(("true landmark", _TRUE, "o"))
+        marks["true landmark"] = _TRUE
     handles = [
-        Line2D([], [], color=ink, marker=mark, ls="none", ms=3.5, mew=0, label=label)
-        for label, ink, mark in marks
+        Line2D([], [], color=ink, marker="o", ls="none", ms=3.5, mew=0, label=label)
+        for label, ink in marks.items()
     ]
     figure.legend(handles=handles, loc="upper center", ncols=4, handletextpad=0.1)
     return figure
