@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
@@ -63,6 +64,7 @@ def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
 def _markers(axes: Axes, rows: pd.DataFrame) -> None:
     """One row a method: filled, our mean with its s.d.; hollow, the published mean."""
     axes.set_xscale("log", nonpositive="clip")
+    axes.xaxis.set_minor_formatter(NullFormatter())  # over few decades they would overlap
     for y, row in enumerate(rows.itertuples()):
         look = {"color": colour(row.Index), "marker": marker(row.Index), "linestyle": "none"}
         axes.plot(row.paper_mean, y, **look, ms=6.5, mfc="none", mew=0.9)
