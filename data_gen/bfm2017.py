@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from data_gen.errors import DataError
 from data_gen.landmark_transfer import MIN_ANCHORS, transfer_landmarks
-from data_gen.landmarks import load_basel_anchors, load_scheme
+from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.mesh import orient_outwards
 from data_gen.model_files import as_basis, expect_format, find_path, model_of, sha256_of
 from data_gen.morphable_model import MorphableModel
@@ -162,7 +162,7 @@ def _text(value) -> str:
 
 
 def _eos_anchors() -> dict[int, int]:
-    scheme = load_scheme("ibug68")
+    scheme = load_vertices("ibug68")
     known = scheme.anchors["bfm2017"]
     return {int(scheme.vertices["openhead"][i]): vertex for i, vertex in known.items()}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.errors import DataError
-from data_gen.landmarks import SCHEMES, load_scheme
+from data_gen.landmarks import SCHEMES, load_vertices
 from data_gen.morphable_model import MorphableModel
 
 # What numpy and zipfile raise for an npz that is cut short, foreign or hostile. A lone .npy loads
@@ -131,7 +131,7 @@ def known_landmarks(model: str, vertex_numbers: np.ndarray) -> dict[str, np.ndar
     """
     found = {}
     for name in SCHEMES:
-        vertices = load_scheme(name).vertices.get(model)
+        vertices = load_vertices(name).vertices.get(model)
         if vertices is None or not np.isin(vertices, vertex_numbers).all():
             continue
         found[name] = np.searchsorted(vertex_numbers, vertices)

@@ -27,6 +27,16 @@ def normalise(points: np.ndarray) -> np.ndarray:
     return (points - low) / size
 
 
+def centre(points: np.ndarray) -> np.ndarray:
+    """Each face moved so that the mean of its landmarks is 0: `(n, L, d)` → `(n, L, d)`.
+
+    Since `normalise` depends on where the origin is, landmarks of photos, whose origin is the
+    corner of an image, are centred before.
+    """
+    points = np.asarray(points, float)
+    return points - points.mean(-2, keepdims=True)
+
+
 def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
     points = np.asarray(points, float)

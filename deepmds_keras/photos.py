@@ -1,4 +1,4 @@
-"""Reads photos into the images that MobileFace takes."""
+"""Opens photos, and makes of them the images that MobileFace takes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,49 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from deepmds_keras.errors import InputError
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 64_000_000
+
+
+def open_photo(path: str | Path) -> np.ndarray:
+    """A photo, in colour and upright.
+
+    A grey photo becomes one of three equal channels, transparency white, and the camera's note on
+    which way is up is followed.
+
+    Args:
+        path: Any kind of file that Pillow reads; of several frames the first is taken.
+
+    Returns:
+        `(H, W, 3)` uint8, RGB.
+
+    Raises:
+        InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
+            more than 64 million pixels.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own limit is higher than ours
+            with Image.open(path) as opened:
+                _check_size(path, *opened.size)
+                return np.array(_in_colour(ImageOps.exif_transpose(opened)))
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be a photo.") from None
+    except InputError:
+        raise
+    except Image.DecompressionBombError as error:
+        size = str(error).partition(" exceeds")[0]
+        raise InputError(
+            f"{path} must have at most {MAX_PIXELS:,} pixels. Received: {size}."
+        ) from None
+    except Exception as error:  # Pillow raises many kinds for a damaged file
+        raise InputError(
+            f"{path} must be a photo that can be read. Received {_received(path, error)}."
+        ) from None
 
 
 def read_photo(
@@ -20,13 +57,12 @@ def read_photo(
     *,
     size: int = IMAGE_SIZE,
 ) -> np.ndarray:
-    """The face in a photo, in colour, upright and of the size that the network takes.
+    """The face in a photo, as `open_photo` sees it, of the size that the network takes.
 
-    A grey photo becomes one of three equal channels, transparency white, and the camera's note on
-    which way is up is followed. What the box has beyond the photo is white.
+    What the box has beyond the photo is white.
 
     Args:
-        path: Any kind of file that Pillow reads; of several frames the first is taken.
+        path: As for `open_photo`.
         box: `(left, top, width, height)` of the face in pixels, about 1.4 times the box of its
             landmarks; None takes the largest square in the middle.
         size: Pixels of a side of the result; the aspect of the box is not kept.
@@ -35,24 +71,9 @@ def read_photo(
         `(size, size, 3)` uint8, RGB.
 
     Raises:
-        InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
-            more than 64 million pixels, or the box has no area.
+        InputError: As `open_photo`, or the box has no area.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow's own limit is higher than ours
-            with Image.open(path) as opened:
-                _check_size(path, *opened.size)
-                photo = _in_colour(ImageOps.exif_transpose(opened))
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; it must be a photo.") from None
-    except InputError:
-        raise
-    except Exception as error:  # Pillow raises many kinds for a damaged file
-        raise InputError(
-            f"{path} must be a photo that can be read. "
-            f"Received {type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        ) from None
+    photo = Image.fromarray(open_photo(path))
     if box is None:
         side = min(photo.size)
         box = ((photo.width - side) / 2, (photo.height - side) / 2, side, side)
@@ -65,6 +86,20 @@ def read_photo(
     )
     face.paste(photo, (-corners[0], -corners[1]))
     return np.asarray(face.resize((size, size), Image.Resampling.BILINEAR))
+
+
+def check_photo(photo: np.ndarray) -> np.ndarray:
+    """A photo as `open_photo` returns it.
+
+    Raises:
+        InputError: Not `(H, W, 3)` uint8.
+    """
+    photo = np.asarray(photo)
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8:
+        raise InputError(
+            f"image must be RGB, uint8 (H, W, 3). Received {photo.dtype} {photo.shape}."
+        )
+    return photo
 
 
 def _check_size(path: str | Path, width: int, height: int) -> None:
@@ -87,3 +122,12 @@ def _in_colour(photo: Image.Image) -> Image.Image:
         white = Image.new("RGBA", photo.size, "white")
         photo = Image.alpha_composite(white, photo)
     return photo.convert("RGB")
+
+
+def _received(path: str | Path, error: Exception) -> str:
+    """In the reader's words, on one line."""
+    if isinstance(error, IsADirectoryError) or Path(path).is_dir():
+        return "a folder"
+    if isinstance(error, UnidentifiedImageError):
+        return "no image of a kind that Pillow reads" if Path(path).stat().st_size else "0 bytes"
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

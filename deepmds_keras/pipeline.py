@@ -19,7 +19,7 @@ from deepmds_keras.networks import (
     count_trainable,
     forward,
 )
-from deepmds_keras.normalisation import normalise
+from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
@@ -39,6 +39,10 @@ class DeepMDS(BaseEstimator):
     Args:
         n_landmarks: L.
         variant: `"paper"` or `"released"`, see `pair_features`.
+        centre_views: Whether the mean of each view's landmarks is moved to the origin before the
+            view is normalised. The authors' code does not, and min-max scaling of both axes
+            together depends on the origin: then views must come in the coordinates of the face
+            model. With it, a face may lie anywhere in its image.
         schedule: Learning rate, `"constant"` as the paper has it or `"cosine"`. The constant one
             leaves the moving statistics of batch normalisation behind the weights, and the
             error of the networks in use far above that in training.
@@ -60,6 +64,7 @@ class DeepMDS(BaseEstimator):
         n_landmarks: int = 72,
         variant: str = "paper",
         *,
+        centre_views: bool = False,
         schedule: str = "constant",
         autoencoder_epochs: int = 30,
         dissimilarity_epochs: int = 30,
@@ -68,6 +73,7 @@ class DeepMDS(BaseEstimator):
     ):
         self.n_landmarks = n_landmarks
         self.variant = variant
+        self.centre_views = centre_views
         self.schedule = schedule
         self.autoencoder_epochs = autoencoder_epochs
         self.dissimilarity_epochs = dissimilarity_epochs
@@ -84,14 +90,15 @@ class DeepMDS(BaseEstimator):
         """Train both networks, the second on what the first makes of the training views.
 
         Args:
-            views: `(n, L, 2)` landmarks in the image, y up, any scale.
+            views: `(n, L, 2)` landmarks in the image, y up, any scale; for the origin see
+                `centre_views`.
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
             progress: Called after every epoch with the network's name and its losses.
 
         Raises:
             InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity.
         """
-        views = normalise(check_faces(views, "views", 2, self.n_landmarks))
+        views = self._normalised(views)
         shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
         if len(views) != len(shapes):
             raise InputError(
@@ -132,7 +139,8 @@ class DeepMDS(BaseEstimator):
         is in front is taken.
 
         Args:
-            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale.
+            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale; for the origin
+                see `centre_views`.
             progress: Called with the number of faces just embedded.
 
         Returns:
@@ -158,7 +166,7 @@ class DeepMDS(BaseEstimator):
         Raises:
             InputError: As for `predict`.
         """
-        views = normalise(check_faces(views, "views", 2, self.n_landmarks))
+        views = self._normalised(views)
         network = self._trained("autoencoder_")
         flat = np.float32(views).reshape(len(views), -1)
         return forward(network, flat).reshape(views.shape)
@@ -258,6 +266,10 @@ class DeepMDS(BaseEstimator):
     @property
     def n_parameters(self) -> int:
         return count_trainable(self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
+
+    def _normalised(self, views: np.ndarray) -> np.ndarray:
+        views = check_faces(views, "views", 2, self.n_landmarks)
+        return normalise(centre(views) if self.centre_views else views)
 
     def _matrices(self, frontal: np.ndarray) -> np.ndarray:
         network = self._trained("dissimilarity_net_")

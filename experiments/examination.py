@@ -10,11 +10,11 @@ import numpy as np
 
 from data_gen import casia
 from data_gen.crops import crop
-from data_gen.dlib_landmarks import DlibLandmarks
 from data_gen.errors import DataError
 from data_gen.ground_truth import GroundTruth, Registration
 from data_gen.scans import Scan
 from data_gen.writing import whole_file
+from deepmds_keras.detection.dlib_landmarks import DlibLandmarks
 from deepmds_keras.weights import write_arrays
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED
 from experiments.run import Run, one_core

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from tqdm import tqdm
 
-from data_gen.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
 from experiments.inputs import load_crops
 from experiments.predictions import write_shapes
 from experiments.run import parse_run, stage

@@ -16,7 +16,7 @@ from data_gen.expressions import (
 )
 from data_gen.frames_standin import make_frames
 from data_gen.ict import load_ict
-from data_gen.landmarks import load_scheme
+from deepmds_keras.landmarks import load_scheme
 from data_gen.openhead import load_openhead
 
 ICT = Path(__file__).parents[1] / ".." / "shared" / "ict-facekit"

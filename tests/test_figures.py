@@ -8,7 +8,7 @@ import pytest
 
 from data_gen.dataset import make_dataset
 from data_gen.images import make_scene, render
-from data_gen.landmarks import load_scheme
+from deepmds_keras.landmarks import load_scheme
 from data_gen.openhead import load_openhead
 from experiments.figures import style
 from experiments.figures.curves import batchnorm_lag, learning_curves

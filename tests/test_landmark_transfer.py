@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from data_gen.errors import DataError
 from data_gen.ict import load_ict
 from data_gen.landmark_transfer import transfer_landmarks
-from data_gen.landmarks import load_basel_anchors, load_scheme
+from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.mesh import largest_component, orient_outwards, vertex_normals
 from data_gen.openhead import load_openhead, read_openhead
 
@@ -75,7 +75,7 @@ def test_open_head_landmarks_land_on_those_of_ict(head, kind):
     ict = load_ict(SHARED / "ict-facekit")
     numbers = np.load(SHARED / "ict-facekit" / "ict_light.npz")["vertex_index"]
     if kind == "eos":
-        scheme = load_scheme("ibug68")
+        scheme = load_vertices("ibug68")
         known = list(scheme.anchors["bfm2017"])
         source, target = scheme.vertices["openhead"][known], scheme.vertices["ict"][known]
     else:

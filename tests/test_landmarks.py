@@ -1,4 +1,4 @@
-"""Landmark tables: what holds for every scheme, and what is known of each."""
+"""Landmark tables: what holds for every scheme, and where each is on the face models."""
 
 import csv
 from pathlib import Path
@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from data_gen.errors import DataError
-from data_gen.landmarks import SCHEMES, load_basel_anchors, load_scheme
+from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.openhead import load_openhead, read_openhead
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import SCHEMES, load_scheme
 
 SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51}
 
@@ -35,33 +37,34 @@ def test_mirror_is_an_involution_that_swaps_right_and_left(scheme):
 
 
 def test_right_is_the_subjects_right_on_the_open_head(scheme):
-    x = load_openhead().mean[scheme.vertices["openhead"], 0]
+    x = load_openhead().mean[load_vertices(scheme.name).vertices["openhead"], 0]
     for name, across in zip(scheme.names, x, strict=True):
         side = name.split("_")[0]
         assert across < -1 if side == "right" else across > 1 if side == "left" else abs(across) < 1
 
 
 def test_open_head_vertices_are_closed_under_its_mirror(scheme):
-    vertices = scheme.vertices["openhead"]
+    vertices = load_vertices(scheme.name).vertices["openhead"]
     np.testing.assert_array_equal(read_openhead()["mirror"][vertices], vertices[scheme.mirror])
 
 
 def test_tables_agree_with_the_open_head_file():
     head = load_openhead()
     for name in ("bfm72", "ibug68"):
-        np.testing.assert_array_equal(head.landmarks[name], load_scheme(name).vertices["openhead"])
+        expected = load_vertices(name).vertices["openhead"]
+        np.testing.assert_array_equal(head.landmarks[name], expected)
 
 
 def test_vertices_are_distinct_on_every_model(scheme):
-    for model, vertices in scheme.vertices.items():
-        assert len(set(vertices)) == len(scheme), model
+    for model, vertices in load_vertices(scheme.name).vertices.items():
+        assert len(set(vertices)) == len(vertices) == len(scheme), model
         assert vertices.min() >= 0, model
 
 
 def test_only_complete_models_have_vertices():
-    assert set(load_scheme("bfm72").vertices) == {"openhead", "ict", "bfm2009"}
-    assert set(load_scheme("ibug68").vertices) == {"openhead", "ict"}
-    assert set(load_scheme("ibug68").anchors) == {"openhead", "ict", "bfm2009", "bfm2017"}
+    assert set(load_vertices("bfm72").vertices) == {"openhead", "ict", "bfm2009"}
+    assert set(load_vertices("ibug68").vertices) == {"openhead", "ict"}
+    assert set(load_vertices("ibug68").anchors) == {"openhead", "ict", "bfm2009", "bfm2017"}
 
 
 def test_polylines_pass_through_landmarks_and_mirror_in_the_mouth():
@@ -79,7 +82,7 @@ def test_polylines_pass_through_landmarks_and_mirror_in_the_mouth():
 
 def test_bfm2009_vertices_are_the_published_ones_less_one():
     published = {1: 2088, 12: 5959, 29: 8320, 57: 14472, 72: 53307}
-    vertices = load_scheme("bfm72").vertices["bfm2009"]
+    vertices = load_vertices("bfm72").vertices["bfm2009"]
     assert {number: vertices[number - 1] + 1 for number in published} == published
     assert (np.diff(vertices) > 0).all()
 
@@ -88,7 +91,10 @@ def test_ibug51_is_ibug68_without_the_jaw():
     full, inner = load_scheme("ibug68"), load_scheme("ibug51")
     assert inner.numbers == full.numbers[17:]
     np.testing.assert_array_equal(inner.mirror, full.mirror[17:] - 17)
-    np.testing.assert_array_equal(inner.vertices["ict"], full.vertices["ict"][17:])
+    vertices = (load_vertices(name).vertices["ict"] for name in ("ibug51", "ibug68"))
+    np.testing.assert_array_equal(next(vertices), next(vertices)[17:])
+    anchors = (load_vertices(name).anchors["bfm2009"] for name in ("ibug51", "ibug68"))
+    assert next(anchors) == {i - 17: vertex for i, vertex in next(anchors).items() if i >= 17}
     lines = [tuple(i + 17 for i in line) for line in inner.polylines]
     assert lines == list(full.polylines[1:])
 
@@ -96,6 +102,8 @@ def test_ibug51_is_ibug68_without_the_jaw():
 def test_schemes_cannot_be_changed_by_their_users(scheme):
     with pytest.raises(ValueError, match="read-only"):
         scheme.mirror[0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        load_vertices(scheme.name).vertices["openhead"][0] = 1
 
 
 def test_basel_names_come_in_mirrored_pairs():
@@ -105,16 +113,18 @@ def test_basel_names_come_in_mirrored_pairs():
 
 
 def test_unknown_scheme_is_refused():
-    with pytest.raises(DataError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
+    with pytest.raises(InputError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
         load_scheme("bfm73")
+    with pytest.raises(DataError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
+        load_vertices("bfm73")
 
 
 def test_vertices_agree_with_the_shared_tables(shared):
     with (shared / "landmarks" / "bfm72.csv").open() as file:
         rows = list(csv.DictReader(file))
-    scheme = load_scheme("bfm72")
+    vertices = load_vertices("bfm72").vertices
     for column, model in (("bfm_vertex", "bfm2009"), ("ict_vertex", "ict")):
-        np.testing.assert_array_equal([int(row[column]) for row in rows], scheme.vertices[model])
+        np.testing.assert_array_equal([int(row[column]) for row in rows], vertices[model])
 
 
 @pytest.fixture

@@ -10,9 +10,16 @@ import pytest
 from PIL import Image
 from test_dlib_landmarks import CANTHI, NOSE_TIP, SHARED, drawn_heads, nme
 
-from data_gen.errors import DataError
-from data_gen.landmarks import load_scheme
-from data_gen.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import (
+    MEDIAPIPE_PYTHON,
+    VARIABLE,
+    detect,
+    detect_all,
+    find_python,
+    landmarks51,
+)
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import load_scheme
 
 LEFT_BROW = slice(5, 10)
 
@@ -74,6 +81,35 @@ def test_an_image_has_the_same_points_in_a_stack_and_in_a_file(points):
     assert np.array_equal(points[0], points[-2])
 
 
+def test_every_face_is_found_the_largest_first(python, heads, tmp_path):
+    image, truth = heads[0][2], heads[1][2]
+    small = np.full_like(image, 255)
+    small[64:192, 64:192] = np.array(Image.fromarray(image).resize((128, 128)))
+    row, blank = np.concatenate([small, image], axis=1), np.full((90, 120, 3), 255, np.uint8)
+    path = tmp_path / "stack.npy"
+    np.save(path, np.stack([image, image]))
+    done = []
+    found = detect_all([row, path, blank], python, progress=done.append)
+    assert [faces.shape for faces in found] == [(n, 468, 3) for n in (2, 1, 1, 0)]
+    assert sum(done) == 4
+    assert nme(pixels(found[0]), np.stack([truth + (256, 0), truth / 2 + 64])).max() < 0.06
+    assert nme(pixels(found[1]), truth[None])[0] < 0.06
+    assert np.array_equal(detect([path], python), np.concatenate(found[1:3]))
+    assert len(detect_all([row], python, max_faces=1)[0]) == 1
+
+
+def test_no_images_have_no_faces(python):
+    assert detect_all([], python) == []
+    assert detect([], python).shape == (0, 468, 3)
+
+
+def test_what_is_no_image_or_no_number_of_faces_is_refused(python):
+    with pytest.raises(InputError, match=r"image must be RGB, uint8 \(H, W, 3\). Received float64"):
+        detect_all([np.zeros((8, 8, 3))], python)
+    with pytest.raises(InputError, match="max_faces must be at least 1. Received 0"):
+        detect_all([], python, max_faces=0)
+
+
 def test_depth_grows_towards_the_viewer_on_the_scale_of_x(points, heads):
     frontal = landmarks51(points[2:3])[0]
     eyes = frontal[CANTHI]
@@ -108,14 +144,14 @@ def test_an_input_that_is_no_image_is_named(python, tmp_path, name, content):
         path.write_bytes(content)
     elif content is not None:
         np.save(path, content)
-    with pytest.raises(DataError, match=rf"^{path} must be images: .*Received"):
+    with pytest.raises(InputError, match=rf"^{path} must be images: .*Received"):
         detect([path], python)
 
 
 def test_a_pickle_is_never_run(python, tmp_path):
     path = tmp_path / "stack.npy"
     np.save(path, np.array([{}]), allow_pickle=True)
-    with pytest.raises(DataError, match="must be images"):
+    with pytest.raises(InputError, match="must be images"):
         detect([path], python)
 
 
@@ -130,13 +166,37 @@ def test_what_progress_raises_ends_the_worker(python, tmp_path):
         detect([path], python, stop)
 
 
-def test_a_missing_environment_says_what_makes_it(tmp_path):
-    with pytest.raises(DataError, match=r"absent/python must be .*make setup-mediapipe"):
-        detect([], tmp_path / "absent" / "python")
+def test_the_interpreter_is_what_is_named_then_the_variable_then_beside(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    beside = Path(".venv-mediapipe/bin/python")
+    by_variable, named = tmp_path / "variable", tmp_path / "named"
+    for path in (beside, by_variable, named):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.symlink_to(sys.executable)
+    monkeypatch.setenv(VARIABLE, str(by_variable))
+    assert find_python(named) == named
+    assert find_python() == by_variable
+    monkeypatch.delenv(VARIABLE)
+    assert find_python() == beside
+
+
+def test_a_missing_environment_says_in_one_line_what_makes_it(tmp_path):
+    text = tmp_path / "text"
+    text.write_text("no program")
+    for path in (tmp_path / "absent" / "python", tmp_path, text):
+        for call in (find_python, lambda path: detect([], path)):
+            with pytest.raises(InputError, match=rf"^{path} must be a Python that runs") as refused:
+                call(path)
+            message = str(refused.value)
+            assert "make setup-mediapipe" in message
+            assert "python3.11 -m venv" in message
+            assert "pip install mediapipe==0.10.21" in message
+            assert VARIABLE in message
+            assert "\n" not in message
 
 
 def test_an_environment_without_mediapipe_says_what_is_missing():
-    with pytest.raises(DataError, match=r"(?s)make setup-mediapipe.*No module named 'mediapipe'"):
+    with pytest.raises(InputError, match=r"make setup-mediapipe.*No module named 'mediapipe'$"):
         detect([], sys.executable)
 
 
@@ -180,7 +240,9 @@ def test_y_is_turned_up_and_z_kept():
 
 
 def test_an_unknown_list_or_other_points_are_refused():
-    with pytest.raises(DataError, match="which must be one of corrected, authors. Received 'left'"):
+    with pytest.raises(
+        InputError, match="which must be one of corrected, authors. Received 'left'"
+    ):
         landmarks51(np.zeros((1, 468, 3)), "left")
-    with pytest.raises(DataError, match=r"shape \(n, 468, 3\). Received \(478, 3\)"):
+    with pytest.raises(InputError, match=r"shape \(n, 468, 3\). Received \(478, 3\)"):
         landmarks51(np.zeros((478, 3)))

@@ -16,7 +16,7 @@ from data_gen.bfm2009 import load_bfm2009
 from data_gen.bfm2017 import load_bfm2017
 from data_gen.errors import DataError
 from data_gen.ict import load_ict
-from data_gen.landmarks import load_basel_anchors, load_scheme
+from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models import MODELS, load_model
 from data_gen.openhead import load_openhead
 
@@ -174,7 +174,7 @@ class TestBfm2009:
         }
         full |= {f"tex{key[5:]}": full[key] for key in ("shapeMU", "shapePC", "shapeEV")}
         model = load_model("bfm2009", write_mat(tmp_path, full).parent)
-        expected = load_scheme("bfm72").vertices["bfm2009"]
+        expected = load_vertices("bfm72").vertices["bfm2009"]
         np.testing.assert_array_equal(model.landmarks["bfm72"], expected)
 
     @pytest.mark.parametrize("key", ["shapeMU", "shapePC", "shapeEV", "texMU", "tl"])
@@ -333,7 +333,7 @@ class TestIct:
         assert np.linalg.norm(normals, axis=1).sum() / 2 == pytest.approx(6 * 20**2)
 
     def test_landmarks_follow_the_original_numbering_into_a_part_of_the_mesh(self, tmp_path):
-        schemes = {name: load_scheme(name).vertices["ict"] for name in ("bfm72", "ibug68")}
+        schemes = {name: load_vertices(name).vertices["ict"] for name in ("bfm72", "ibug68")}
         used = np.union1d(*schemes.values())
         mean = np.random.default_rng(0).normal(size=(len(used), 3)) + 5
         arrays = {
@@ -353,11 +353,11 @@ class TestIct:
         ict_arrays |= {"identity": np.zeros((1, n, 3)), "expression": np.zeros((0, n, 3))}
         ict_arrays["expression_names"] = []
         folder = write_ict_folder(tmp_path, ict_arrays)
-        official = load_scheme("ibug68").vertices["ict"].tolist()
+        official = load_vertices("ibug68").vertices["ict"].tolist()
         (folder / "vertex_indices.json").write_text(json.dumps({"idx_to_landmark_verts": official}))
         landmarks = load_model("ict", folder).landmarks
         assert landmarks["ibug68"].tolist() == official
-        np.testing.assert_array_equal(landmarks["bfm72"], load_scheme("bfm72").vertices["ict"])
+        np.testing.assert_array_equal(landmarks["bfm72"], load_vertices("bfm72").vertices["ict"])
         other = {"idx_to_landmark_verts": official[::-1]}
         (folder / "vertex_indices.json").write_text(json.dumps(other))
         with pytest.raises(DataError, match="vertex_indices.json: .* Received others"):

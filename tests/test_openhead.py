@@ -113,9 +113,9 @@ def test_landmarks_are_unique_and_closed_under_mirroring(model, arrays):
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68"])
 def test_landmark_tables_and_asset_agree(model, scheme):
-    from data_gen.landmarks import load_scheme
+    from data_gen.landmarks import load_vertices
 
-    np.testing.assert_array_equal(load_scheme(scheme).vertices["openhead"], model.landmarks[scheme])
+    np.testing.assert_array_equal(load_vertices(scheme).vertices["openhead"], model.landmarks[scheme])
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68"])

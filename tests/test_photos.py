@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from deepmds_keras import InputError, read_photo
+from deepmds_keras.photos import check_photo, open_photo
 
 RAMP = np.uint8(np.linspace(0, 255, 64))
 
@@ -67,29 +68,53 @@ def test_the_note_on_which_way_is_up_is_followed(tmp_path, colour):
     assert np.array_equal(face, np.rot90(colour, -1))
 
 
+def test_a_whole_photo_is_opened_pixel_by_pixel_upright_and_on_white(tmp_path, colour):
+    wide = colour[:40]
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    assert np.array_equal(open_photo(saved(tmp_path, wide)), wide)
+    assert np.array_equal(open_photo(saved(tmp_path, wide, exif=exif)), np.rot90(wide, -1))
+    clear = np.concatenate([wide, np.zeros((40, 64, 1), np.uint8)], 2)
+    photo = open_photo(saved(tmp_path, clear))
+    assert (photo == 255).all()
+    assert check_photo(photo) is photo
+    photo[:] = 0  # it is the caller's
+
+
+@pytest.mark.parametrize("read", [open_photo, read_photo])
 @pytest.mark.parametrize(
     ("size", "message"),
-    [((31, 500), "at least 32 pixels"), ((9000, 8000), "at most 64,000,000 pixels")],
+    [
+        ((31, 500), r"at least 32 pixels on each side. Received 31 x 500.$"),
+        ((10_000, 10_000), r"at most 64,000,000 pixels. Received 10000 x 10000.$"),
+        ((14_000, 13_000), r"at most 64,000,000 pixels. Received: Image size \(182000000 pixels"),
+    ],
 )
-def test_tiny_and_huge_photos_are_refused(tmp_path, size, message):
-    path = saved(tmp_path, Image.new("L", size))
+def test_tiny_and_huge_photos_are_refused(tmp_path, read, size, message):
+    path = saved(tmp_path, Image.new("1", size))
     with pytest.raises(InputError, match=f"photo.png must.*{message}"):
-        read_photo(path)
+        read(path)
 
 
-def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour):
+@pytest.mark.parametrize("read", [open_photo, read_photo])
+def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour, read):
     path = tmp_path / "photo.jpg"
-    with pytest.raises(InputError, match="photo.jpg does not exist"):
-        read_photo(path)
+    with pytest.raises(InputError, match="photo.jpg does not exist; it must be a photo"):
+        read(path)
     saved(tmp_path, colour, "photo.jpg")
     whole = path.read_bytes()
-    for content in (b"", b"text", whole[: len(whole) // 2]):
+    for content, received in [
+        (b"", "0 bytes"),
+        (b"text", "no image of a kind that Pillow reads"),
+        (whole[: len(whole) // 2], "OSError: .*[Tt]runcated"),
+    ]:
         path.write_bytes(content)
-        with pytest.raises(InputError, match="photo.jpg must be a photo") as refused:
-            read_photo(path)
+        needed = f"photo.jpg must be a photo that can be read. Received {received}"
+        with pytest.raises(InputError, match=needed) as refused:
+            read(path)
         assert "\n" not in str(refused.value)
-    with pytest.raises(InputError, match="photo"):
-        read_photo(tmp_path)
+    with pytest.raises(InputError, match="must be a photo that can be read. Received a folder"):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize("box", [(0, 0, 0, 5), (0, 0, 5, -1), (0, 0, np.nan, 5)])

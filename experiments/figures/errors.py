@@ -20,7 +20,7 @@ from experiments.figures.wireframe import bare, draw_wireframe, front_view
 from experiments.methods import title
 
 if TYPE_CHECKING:
-    from data_gen.landmarks import LandmarkScheme
+    from deepmds_keras.landmarks import LandmarkScheme
 
 _N_MAPS = 4
 _N_BINS = 9

@@ -17,7 +17,7 @@ from experiments.figures.style import INK, TRUTH_COLOUR, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view
 
 if TYPE_CHECKING:
-    from data_gen.landmarks import LandmarkScheme
+    from deepmds_keras.landmarks import LandmarkScheme
 
 _FITTED, _FOUND, _TRUE, _DETECTED = "#0072B2", "#D55E00", "#009E73", "#FFD000"
 _PAD_MM = 14.0

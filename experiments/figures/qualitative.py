@@ -16,7 +16,7 @@ from experiments.figures.wireframe import bare, draw_wireframe, front_view, side
 from experiments.methods import title
 
 if TYPE_CHECKING:
-    from data_gen.landmarks import LandmarkScheme
+    from deepmds_keras.landmarks import LandmarkScheme
 
 _INCHES_PER_UNIT = 1.25  # a face is about 0.65 units wide: 0.8 inch, twelve of them on a page
 _GAP = 0.11  # between columns, and between the front and the side view

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from experiments.figures.style import styled
 
 if TYPE_CHECKING:
-    from data_gen.landmarks import LandmarkScheme
+    from deepmds_keras.landmarks import LandmarkScheme
 
 _COLUMNS = 6
 _INCHES = 0.6  # 96 pixels at the resolution of `style.PNG_DPI`: every pixel is one of the image

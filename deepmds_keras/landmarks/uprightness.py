@@ -1,0 +1,67 @@
+"""Tells landmarks whose axes are flipped from those of a face that leans or turns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import convert
+
+_PARTS = ("right_eye", "left_eye", "outer_mouth")
+# In sizes of the face (root mean square distance from its middle): how far the eyes must be below
+# the mouth, and how far apart on the wrong sides. From the front the mean face's are 1.3 to 1.5
+# above the mouth and 1.2 to 1.4 apart. In profile they are 0 apart, up to 0.47 on the wrong sides
+# when the face is near the camera and nods by 40 degrees; those of a mirrored face turned by 60
+# degrees are 0.63.
+_BELOW, _SWAPPED = 0.2, 0.5
+
+
+def check_upright(landmarks: np.ndarray, scheme: str, name: str) -> None:
+    """Refuses landmarks whose y grows upwards, whose right and left are swapped, or upside down.
+
+    Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the mouth up to the
+    eyes has the subject's right eye on his left. A face may lean by nearly 90 degrees. One in
+    profile passes, whichever side it shows. One with a NaN is not judged.
+
+    Args:
+        landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
+        scheme: One of `conversion.SCHEMES`.
+        name: Of the file or argument, for the message.
+
+    Raises:
+        InputError: The landmarks are not of the scheme's shape, or not upright: the message says
+            in which of the three ways and what to do; of several faces it names the first.
+    """
+    scheme, given = ("ibug51" if scheme == "mediapipe" else scheme), scheme
+    faces = convert(landmarks, given, scheme)[..., :2]
+    faces = faces[None] if faces.ndim == 2 else faces
+    groups = np.array(load_scheme(scheme).groups)
+    right, left, mouth = (faces[:, groups == part].mean(1) for part in _PARTS)
+    size = np.sqrt(np.square(faces - faces.mean(1, keepdims=True)).sum(2).mean(1))
+    across, down = left - right, mouth - (right + left) / 2
+    upside_down = down[:, 1] < -_BELOW * size
+    # The area that the two span is negative for a mirrored face, however it leans.
+    area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
+    least = _SWAPPED * size * np.linalg.norm(down, axis=1)
+    mirrored = area < -least
+    wrong = upside_down | mirrored
+    if not wrong.any():
+        return
+    first = int(wrong.argmax())
+    if len(faces) > 1:
+        name = f"{name}, face {first + 1} of {len(faces)}"
+    if upside_down[first] and area[first] > least[first]:
+        raise InputError(
+            f"{name}: the face must be upright; turn it, and its photo, by 180 degrees. "
+            "Received landmarks whose eyes lie below the mouth, the right eye to the right."
+        )
+    if upside_down[first]:
+        raise InputError(
+            f"{name}: y must grow downwards; pass --y-up if it grows upwards. "
+            "Received landmarks whose eyes lie below the mouth."
+        )
+    raise InputError(
+        f"{name}: x must grow to the right, and right and left be the subject's; mirror x, or swap "
+        "right and left landmarks. Received a mirrored face."
+    )

@@ -1,0 +1,132 @@
+"""What `deepmds predict` is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepmds_keras import __version__
+from deepmds_keras.predict.detection import DETECTORS
+from deepmds_keras.predict.outputs import FORMATS
+
+_DESCRIPTION = """\
+Finds the faces in photos, and the 3D shape of their landmarks by Deep-MDS; or takes landmarks that
+are given. Shapes face the front: +x to the subject's left, +y up, +z out of the face. One view does
+not show the true size: --interocular sets it."""
+_EPILOG = """\
+examples:
+  deepmds predict photo.jpg --view
+  deepmds predict photos/ --out faces --jobs 4
+  deepmds predict landmarks.csv --interocular 90 --format csv,ply
+
+Exit status: 0, or 1 if a source could not be used (the others are done), 2 for wrong arguments."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """The arguments.
+
+    Attributes:
+        sources: Photos, folders of photos, files of landmarks.
+        out: Folder of the results.
+        formats: Some of `FORMATS`; None leaves it to the number of faces.
+        view: Whether to write a page.
+        detector: One of `DETECTORS`.
+        mediapipe_python: Interpreter of the environment with MediaPipe, or None.
+        y_up: y grows upwards in files of landmarks.
+        smooth: Standard deviation of the smoothing over the rows of such files; 0 is none.
+        interocular: Millimetres between the outer corners of the eyes, or None.
+        model: File or name of weights, or None.
+        jobs: Processes; -1 is one for each core.
+    """
+
+    sources: list[str]
+    out: Path
+    formats: tuple[str, ...] | None
+    view: bool
+    detector: str
+    mediapipe_python: str | None
+    y_up: bool
+    smooth: float
+    interocular: float | None
+    model: str | None
+    jobs: int
+
+
+def parse(arguments: list[str] | None = None) -> Options:
+    """Read the command line; wrong arguments end the process with one line and status 2."""
+    parser = argparse.ArgumentParser(
+        prog="deepmds", description="3D face landmarks from a single image, by Deep-MDS."
+    )
+    parser.add_argument("--version", action="version", version=f"deepmds-keras {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    predict = commands.add_parser(
+        "predict",
+        help="3D landmarks of the faces in photos, or of given landmarks",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = predict.add_argument
+    add("sources", nargs="+", metavar="SOURCE",
+        help="photo, folder of photos, or landmarks (csv, npy, pts, json) of 51, 68, 72, 468 or "
+        "478 points")  # fmt: skip
+    add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
+        help="folder of the results (default: deepmds-out)")  # fmt: skip
+    add("--format", dest="formats", type=_formats, metavar="LIST",
+        help=f"some of {', '.join(FORMATS)} (default: csv,json,ply,obj; of many faces in one file "
+        "csv,npz)")  # fmt: skip
+    add("--view", action="store_true", help="write an HTML page too, on which faces can be turned")
+    add("--detector", choices=DETECTORS, default="dlib", help="(default: dlib)")
+    add("--mediapipe-python", metavar="PATH",
+        help="interpreter of the environment with MediaPipe (default: the variable "
+        "DEEPMDS_MEDIAPIPE_PYTHON, or .venv-mediapipe/bin/python)")  # fmt: skip
+    add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--smooth", type=_not_negative, default=0.0, metavar="FRAMES",
+        help="the rows of a file of landmarks are frames of one face: smooth them by a Gaussian of "
+        "this standard deviation")  # fmt: skip
+    add("--interocular", type=_positive, metavar="MM",
+        help="millimetres between the outer corners of the eyes: results are in mm")  # fmt: skip
+    add("--model", metavar="NAME|FILE",
+        help="shipped weights, or a file of DeepMDS.save() (default: openhead-ibug51; for 72 "
+        "landmarks openhead-bfm72)")  # fmt: skip
+    add("--jobs", type=_jobs, default=-1, metavar="N",
+        help="processes side by side (default: one for each core)")  # fmt: skip
+    values = vars(parser.parse_args(arguments))
+    values.pop("command")
+    return Options(**values)
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    formats = tuple(dict.fromkeys(part.strip() for part in text.lower().split(",")))
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"must be some of {', '.join(FORMATS)}, with commas between. Received {unknown[0]!r}."
+        )
+    return formats
+
+
+def _positive(text: str) -> float:
+    value = _not_negative(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("must be above 0. Received 0.")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"must be a number, not negative. Received {text!r}.")
+    return value
+
+
+def _jobs(text: str) -> int:
+    if not (text == "-1" or (text.isdecimal() and int(text) > 0)):
+        raise argparse.ArgumentTypeError(f"must be 1 or more, or -1. Received {text!r}.")
+    return int(text)

@@ -1,0 +1,212 @@
+"""Writes 3D faces as tables, JSON, NumPy archives and wireframes, each with its unit and axes."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras import __version__
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import LandmarkScheme, load_scheme
+from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.writing import write_bytes
+
+AXES = {
+    "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front",
+    "landmarks": "x to the right, y down; pixels of the photo, or the unit of the landmarks given",
+    "pose": "yaw > 0 turns the face to the subject's own left, pitch > 0 up, roll > 0 leans its "
+    "top to the subject's own right; degrees, applied in this order. (x, -y) of the landmarks is "
+    "about scale * (rotation @ shape) + translation, without the third coordinate. residual: how "
+    "far it is off (root mean square), in larger sides of the landmarks' box",
+}
+SCALE = {
+    "mm": "millimetres, set by a distance that was given: one view does not show the true size",
+    "normalised": "no unit of length: one view does not show the true size, and the largest extent "
+    "is about 1",
+}
+_COLUMNS = "face,number,name,x,y,z,image_x,image_y"
+_DIGITS = 7  # significant ones
+
+
+def write_outputs(
+    folder: Path, name: str, faces: Sequence[Face], formats: Iterable[str], model: Mapping
+) -> list[Path]:
+    """Write the faces of one source; each file appears whole or not at all.
+
+    `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`; of `ply` and `obj` every face
+    has its own, by the face's name.
+
+    Args:
+        folder: Made if it does not exist.
+        name: Of the source.
+        faces: One or more, of one scheme and unit.
+        formats: Some of `FORMATS`.
+        model: What made the shapes, as JSON has it; `"name"` and where its weights come from.
+
+    Returns:
+        The files, in the order of the formats.
+
+    Raises:
+        InputError: Unknown format, or the folder cannot be written to.
+    """
+    written, formats = [], list(formats)
+    for kind in formats:
+        if kind not in FORMATS:
+            raise InputError(f"format must be one of {', '.join(FORMATS)}. Received {kind!r}.")
+    for kind in formats:
+        one_each = {face.name: [face] for face in faces}
+        for stem, held in ({name: faces} if kind in _TABLES else one_each).items():
+            path = folder / f"{stem}.{kind}"
+            _write(path, FORMATS[kind](held, model))
+            written.append(path)
+    return written
+
+
+def csv_text(faces: Sequence[Face], model: Mapping) -> str:
+    """One landmark a row, with its number as the scheme's authors count and where it is seen."""
+    scheme = load_scheme(faces[0].scheme)
+    rows = [f"{n},{name},%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g\n"
+            for n, name in zip(scheme.numbers, scheme.names, strict=True)]  # fmt: skip
+    parts = [f"# {line}\n" for line in _description(faces, model)]
+    parts += [f"# image_x, image_y: {AXES['landmarks']}\n", f"{_COLUMNS}\n"]
+    for face in faces:
+        # Quoted, so that no character of a file name is taken for one of the table.
+        name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
+        numbers = np.hstack([face.shape, face.landmarks])
+        parts.append("".join(name + row for row in rows) % tuple(numbers.ravel().tolist()))
+    return "".join(parts)
+
+
+def json_text(faces: Sequence[Face], model: Mapping) -> str:
+    """Everything that is known of the faces, one face a line."""
+    scheme = load_scheme(faces[0].scheme)
+    described = _common(faces, model) | {"landmark_numbers": scheme.numbers}
+    described["landmark_names"] = scheme.names
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in described.items()]
+    records = [
+        {
+            "name": face.name,
+            "source": str(face.source),
+            "photo": None if face.photo is None else str(face.photo),
+            "notes": face.notes,
+            "pose": {key: _rounded(value) for key, value in vars(face.pose).items()},
+            "landmarks": _rounded(face.landmarks),
+            "shape": _rounded(face.shape),
+        }
+        for face in faces
+    ]
+    records = ",\n".join(f"  {json.dumps(record, allow_nan=False)}" for record in records)
+    return "{\n" + ",\n".join([*lines, f' "faces": [\n{records}\n ]']) + "\n}\n"
+
+
+def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
+    """Arrays over all faces, for `numpy.load`: for sources of thousands of faces.
+
+    `shape` `(n, L, 3)`, `landmarks` `(n, L, 2)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
+    `roll`, `scale`, `residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`;
+    `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
+    """
+    scheme = load_scheme(faces[0].scheme)
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        face=np.array([face.name for face in faces]),
+        shape=np.stack([face.shape for face in faces]),
+        landmarks=np.stack([face.landmarks for face in faces]),
+        **{key: np.stack([getattr(face.pose, key) for face in faces])
+           for key in vars(faces[0].pose)},
+        landmark_numbers=np.array(scheme.numbers),
+        landmark_names=np.array(scheme.names),
+        description=np.array(json.dumps(_common(faces, model))),
+    )  # fmt: skip
+    return content.getvalue()
+
+
+def ply_text(faces: Sequence[Face], model: Mapping) -> str:
+    """The wireframe of one face: vertices, and edges along the lines of its scheme."""
+    edges = wireframe_edges(load_scheme(faces[0].scheme))
+    lines = [
+        "ply",
+        "format ascii 1.0",
+        # Some readers take ASCII only.
+        *(f"comment {line}".encode("ascii", "replace").decode()
+          for line in _description(faces, model)),
+        f"element vertex {len(faces[0].shape)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element edge {len(edges)}",
+        "property int vertex1",
+        "property int vertex2",
+        "end_header",
+        *(_numbers(vertex) for vertex in faces[0].shape),
+        *(f"{first} {second}" for first, second in edges),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def obj_text(faces: Sequence[Face], model: Mapping) -> str:
+    """The wireframe of one face: vertices and the lines of its scheme."""
+    lines = [
+        *(f"# {line}" for line in _description(faces, model)),
+        *(f"v {_numbers(vertex)}" for vertex in faces[0].shape),
+        *(f"l {' '.join(str(i + 1) for i in line)}"
+          for line in load_scheme(faces[0].scheme).polylines),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def wireframe_edges(scheme: LandmarkScheme) -> np.ndarray:
+    """Pairs of landmarks that the lines of a scheme join: `(E, 2)` int, 0-based, each once."""
+    pairs = {(min(pair), max(pair))
+             for line in scheme.polylines
+             for pair in zip(line, line[1:], strict=False)}  # fmt: skip
+    return np.array(sorted(pairs))
+
+
+def _common(faces: Sequence[Face], model: Mapping) -> dict:
+    unit = faces[0].unit
+    return {
+        "generator": f"deepmds-keras {__version__}",
+        "model": dict(model),
+        "scheme": faces[0].scheme,
+        "unit": unit,
+        "scale": SCALE[unit],
+        "axes": AXES,
+    }
+
+
+def _description(faces: Sequence[Face], model: Mapping) -> list[str]:
+    """Lines of text: names are quoted as JSON has them, and so cannot begin another line."""
+    scheme = load_scheme(faces[0].scheme)
+    unit = faces[0].unit
+    return [
+        f"3D face landmarks by deepmds-keras {__version__}, model {json.dumps(model['name'])}",
+        f"scheme: {scheme.name}, numbers {scheme.numbers[0]} to {scheme.numbers[-1]} in this "
+        "order; right and left are the subject's",
+        f"unit of x, y, z: {unit} ({SCALE[unit]})",
+        f"axes: {AXES['shape']}",
+        *(f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes),
+    ]
+
+
+def _numbers(vertex: np.ndarray) -> str:
+    return " ".join(f"{value:.{_DIGITS}g}" for value in vertex)
+
+
+def _rounded(values) -> list | float:
+    """With as many digits after the point as give the largest number its significant ones."""
+    largest = max(np.abs(values).max(), 1e-9)
+    return np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))).tolist()
+
+
+def _write(path: Path, content: str | bytes) -> None:
+    if isinstance(content, str):
+        content = content.encode("utf-8", "backslashreplace")  # of a file name that is no text
+    write_bytes(path, content)
+
+
+_TABLES = ("csv", "json", "npz")
+FORMATS = {"csv": csv_text, "json": json_text, "npz": npz_bytes, "ply": ply_text, "obj": obj_text}

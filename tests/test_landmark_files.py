@@ -1,0 +1,231 @@
+"""Files of landmarks: every layout gives the same numbers, and a bad file gets one clear line."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from deepmds_keras import InputError
+from deepmds_keras.predict.landmark_files import N_LANDMARKS, read_landmarks
+
+FACES = np.random.default_rng(0).uniform(1, 500, (3, 68, 2))
+ONE = FACES[:1]
+
+
+def table(rows, header=None, separator=","):
+    lines = [separator.join(str(cell) for cell in row) for row in rows]
+    return "\n".join([*([header] if header else []), *lines]) + "\n"
+
+
+def long_rows(faces=FACES):
+    return [(f"face {i}", j + 18, *point) for i, f in enumerate(faces) for j, point in enumerate(f)]
+
+
+def pts(points):
+    return f"version: 1\nn_points:  {len(points)}\n{{\n{table(points, separator=' ')}}}\n"
+
+
+def written(folder, name, content):
+    path = folder / name
+    if isinstance(content, np.ndarray):
+        np.save(path, content)
+    else:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+WIDE = FACES.reshape(3, -1)
+OPENFACE = [" frame", *(f" {a}_{i}" for a in "xyXY" for i in range(68))]
+DEPTH = np.full((3, 68, 1), 7.0)
+LAYOUTS = {
+    "two columns": ("f.csv", table(ONE[0]), ONE),
+    "semicolons": ("f.csv", table(ONE[0], separator=";"), ONE),
+    "tabs": ("f.csv", table(ONE[0], "x\ty", "\t"), ONE),
+    "spaces": ("f.csv", table(ONE[0], separator="   "), ONE),
+    "comments, empty lines": ("f.csv", f"# a, b\n\n{table(ONE[0], 'x,y')}\n\n", ONE),
+    "capitals, Windows, BOM": (
+        "F.CSV",
+        b"\xef\xbb\xbf" + table(ONE[0], "X , Y").replace("\n", "\r\n").encode(),
+        ONE,
+    ),
+    "many faces": ("f.csv", table(long_rows(), "face,number,x,y"), FACES),
+    "shape beside": (
+        "f.csv",
+        table([(1, 2, 3, *point) for point in ONE[0]], "x,y,z,image_x,image_y"),
+        ONE,
+    ),
+    "face a row": ("f.csv", table(WIDE), FACES),
+    "face a row, named": (
+        "f.csv",
+        table(WIDE, ",".join(f"{a}{i}" for i in range(1, 69) for a in "xy")),
+        FACES,
+    ),
+    "OpenFace": (
+        "f.csv",
+        table(
+            [[9, *f[:, 0], *f[:, 1], *f[:, 1], *f[:, 0]] for f in FACES],
+            ",".join(OPENFACE),
+        ),
+        FACES,
+    ),
+    "array": ("f.npy", FACES, FACES),
+    "array of one": ("f.npy", ONE[0], ONE),
+    "array, flat": ("f.npy", WIDE, FACES),
+    "array with depth": ("f.npy", np.dstack([FACES, DEPTH]), FACES),
+    "array of one with depth": ("f.npy", np.hstack([ONE[0], DEPTH[0]]), ONE),
+    "array of other bytes": ("f.npy", np.asfortranarray(FACES.astype(">f8")), FACES),
+    "points of 300-W": ("f.pts", pts(ONE[0] + 0.5), ONE),
+    "JSON": ("f.json", json.dumps(ONE[0].tolist()), ONE),
+    "JSON of faces": ("f.json", json.dumps(FACES.tolist()), FACES),
+    "JSON with a key": ("f.json", json.dumps({"landmarks": ONE[0].tolist()}), ONE),
+    "JSON of records": (
+        "f.json",
+        json.dumps({"faces": [{"landmarks": f.tolist(), "name": "a"} for f in FACES]}),
+        FACES,
+    ),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_gives_the_same_numbers(tmp_path, layout):
+    name, content, expected = LAYOUTS[layout]
+    points = read_landmarks(written(tmp_path, name, content))
+    assert points.dtype == float
+    np.testing.assert_allclose(points, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", N_LANDMARKS)
+def test_every_number_of_landmarks_is_read_as_array_and_as_rows(tmp_path, n):
+    faces = np.random.default_rng(n).uniform(size=(2, n, 2))
+    assert np.array_equal(read_landmarks(written(tmp_path, "f.npy", faces)), faces)
+    rows = read_landmarks(written(tmp_path, "f.csv", table(faces.reshape(2, -1))))
+    np.testing.assert_allclose(rows, faces, rtol=1e-12)
+
+
+def test_y_that_grows_upwards_is_turned_down(tmp_path):
+    path = written(tmp_path, "f.npy", FACES)
+    assert np.array_equal(read_landmarks(path, y_up=True), FACES * [1, -1])
+    assert np.array_equal(np.load(path), FACES)
+
+
+def test_faces_called_like_missing_values_stay_apart(tmp_path):
+    rows = [("null", *r[1:]) if r[0] == "face 1" else r for r in long_rows()]
+    points = read_landmarks(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
+    np.testing.assert_allclose(points, FACES, rtol=1e-12)
+
+
+def replaced(row, number=4):
+    rows = [tuple(point) for point in ONE[0]]
+    rows[number] = row
+    return table(rows, "x,y")
+
+
+REFUSED = {
+    "text": ("f.csv", replaced(("a", 3)), "'a' in line 6"),
+    "empty cell": ("f.csv", "# c\n" + replaced(("", 3)), "empty cell in line 7"),
+    "empty line within": ("f.csv", replaced(()), "empty cell in line 6"),
+    "infinity": ("f.csv", replaced(("inf", 3)), "'inf' in line 6"),
+    "too great a number": ("f.csv", replaced(("1e400", 3)), "'inf' in line 6"),
+    "a cell more": ("f.csv", replaced((1, 2, 3)), "Expected 2 fields in line 6, saw 3"),
+    "cells more": ("f.csv", table(np.ones((68, 3)), "x,y"), "Received 3 cells"),
+    "three unnamed": ("f.csv", table(np.ones((68, 3))), "Received 3 columns without a header"),
+    "other names": ("f.csv", table(ONE[0], "a,b"), "Received the first line 'a, b'"),
+    "x without y": ("f.csv", table(np.ones((1, 51)), ",".join(f"x{i}" for i in range(51))), "y1"),
+    "faces untold": (
+        "f.csv",
+        table([r[2:] for r in long_rows()], "x,y"),
+        "204 rows, and no column face",
+    ),
+    "one landmark less": (
+        "f.csv",
+        table(long_rows()[:-1], "face,number,x,y"),
+        "68, and 67 for the face 'face 2'",
+    ),
+    "other order": ("f.csv", table(long_rows()[::-1], "face,number,x,y"), "another order"),
+    "wrong count in rows": ("f.csv", table(ONE[0, :5]), "Received 5 rows"),
+    "comments only": ("f.csv", "# nothing\n", "no rows"),
+    "header only": ("f.csv", "x,y\n", "must be a table"),
+    "binary": ("f.csv", bytes(range(256)), "binary data"),
+    "open quote": ("f.csv", 'x,y\n"1,2\n3,4\n', "must be a table"),
+    "endless cell": ("f.csv", "x" * 200_000 + ",y\n", "field limit"),
+    "empty table": ("f.csv", "", "empty file"),
+    "empty array": ("f.npy", b"", "empty file"),
+    "empty JSON": ("f.json", "", "empty file"),
+    "empty points": ("f.pts", "", "empty file"),
+    "no such format": ("f.txt", table(ONE[0]), "must end in .csv"),
+    "NaN": ("f.npy", np.where(FACES[1, 5, 0] == FACES, np.nan, FACES), "in face 1, landmark 5"),
+    "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
+    "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks a face. Received 5"),
+    "no faces": ("f.npy", FACES[:0], "Received none"),
+    "no points": ("f.npy", FACES[:, :0], "Received 0"),
+    "axes swapped": ("f.npy", FACES.transpose(0, 2, 1), r"\(3, 2, 68\)"),
+    "a number": ("f.npy", np.array(3.0), r"Received \(\)"),
+    "complex": ("f.npy", FACES + 1j, "complex"),
+    "text as array": ("f.npy", np.full((68, 2), "1"), "text"),
+    "one point": ("f.npy", np.ones((68, 2)), "one point 68 times"),
+    "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "straight line"),
+    "no array": ("f.npy", "version", "NumPy's format"),
+    "points cut short": ("f.pts", pts(ONE[0])[:-300], "cut short"),
+    "points with text": ("f.pts", pts(ONE[0]).replace("{\n", "{\nabc 3\n"), "'abc 3' in line 4"),
+    "points with a third": ("f.pts", pts(DEPTH[0] * [1, 2, 3]), "in line 4"),
+    "points too many": ("f.pts", pts(np.ones((194, 2))), "Received 194"),
+    "points with NaN": ("f.pts", pts([(np.nan, 1), *ONE[0, 1:]]), "nan"),
+    "JSON cut short": ("f.json", json.dumps(FACES.tolist())[:-5], "must be JSON"),
+    "JSON too deep": ("f.json", "[" * 100_000, "must be JSON"),
+    "JSON ragged": ("f.json", "[[1, 2], [3]]", "lists of other lengths"),
+    "JSON of text": ("f.json", json.dumps([["1", "2"]] * 68), "text"),
+    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "null"),
+    "JSON with NaN": ("f.json", json.dumps([[1.0, np.nan]] * 68), "nan"),
+    "JSON without landmarks": ("f.json", '{"points": []}', 'a key "landmarks"'),
+    "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "null"),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_a_bad_file_gets_one_line_that_names_it_and_the_fault(tmp_path, fault):
+    name, content, said = REFUSED[fault]
+    with pytest.raises(InputError, match=said) as caught:
+        read_landmarks(written(tmp_path, name, content))
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / name} ")
+    assert "\n" not in message
+    assert len(message) < len(str(tmp_path)) + 250
+
+
+def test_a_file_of_objects_is_refused_and_not_executed(tmp_path):
+    ran = tmp_path / "ran"
+
+    class Evil:
+        def __reduce__(self):
+            return open, (str(ran), "w")
+
+    path = tmp_path / "f.npy"
+    np.save(path, np.array([Evil()], object), allow_pickle=True)
+    pickled = written(tmp_path, "g.npy", pickle.dumps(Evil()))
+    for file in (path, pickled):
+        with pytest.raises(InputError, match="NumPy's format"):
+            read_landmarks(file)
+    assert not ran.exists()
+
+
+def test_a_header_that_claims_more_than_the_file_has_takes_no_memory(tmp_path):
+    path = written(tmp_path, "f.npy", FACES)
+    honest, claim = b"(3, 68, 2), }       ", b"(30000000, 68, 2), }"
+    assert honest in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(honest, claim))
+    with pytest.raises(InputError, match="NumPy's format"):
+        read_landmarks(path)
+
+
+def test_files_that_are_too_large_missing_or_no_files_are_refused(tmp_path):
+    large = tmp_path / "f.npy"
+    with open(large, "wb") as file:
+        file.truncate((1 << 29) + 1)
+    with pytest.raises(InputError, match="at most 512 MiB. Received 536,870,913 bytes"):
+        read_landmarks(large)
+    with pytest.raises(InputError, match="does not exist"):
+        read_landmarks(tmp_path / "none.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(InputError, match="a folder or device"):
+        read_landmarks(tmp_path / "folder.csv")
