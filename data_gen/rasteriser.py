@@ -85,6 +85,12 @@ class Rasteriser:
         Returns:
             `(pixels, pixels, 3)` uint8.
         """
+        return self.draw_cut_out(places, depth, colours)[..., :3]
+
+    def draw_cut_out(
+        self, places: np.ndarray, depth: np.ndarray, colours: np.ndarray
+    ) -> np.ndarray:
+        """As `draw`, `(pixels, pixels, 4)`: the last is 255 where the mesh is seen, 0 elsewhere."""
         self._points[:] = np.column_stack([places * (1, -1), depth])
         self._colours[:] = colours
         self._vtk_points.Modified()
@@ -97,7 +103,7 @@ class Rasteriser:
         last = self._pixels - 1
         self._window.GetRGBACharPixelData(0, 0, last, last, 0, self._image)
         image = vtk_to_numpy(self._image).reshape(self._pixels, self._pixels, 4)
-        return image[::-1, :, :3]  # VTK begins below
+        return image[::-1]  # VTK begins below
 
     def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Which triangle is seen in each pixel.

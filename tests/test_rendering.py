@@ -78,6 +78,23 @@ def painted(colours, pose, light=None, whole=True):
     return renderer_of(whole).draw(seen, posed, colours[None], frames, light)[0]
 
 
+def before(model_faces, background):
+    """The first face of a data set, whole, before a background."""
+    scene = scene_of("released")
+    posed, landmarks = (
+        in_camera_frame(points, model_faces.cameras[:1])
+        for points in (scene.model.shape(model_faces.identity[:1]), model_faces.landmarks[:1])
+    )
+    seen = project_with_depth(posed, landmarks, model_faces.cameras[:1])
+    grey = np.full((1, scene.model.n_vertices, 3), 0.4)
+    light = Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
+    frames = square_frames(model_faces.views[:1], SIZE)
+    renderer = Renderer(scene.model, SIZE)
+    image = renderer.draw(seen, posed, grey, frames, light, background)
+    renderer.close()
+    return image[0]
+
+
 def redness(image):
     """`(size, size)` how much redder than grey."""
     return image[..., 0].astype(float) - image[..., 1]
@@ -154,6 +171,23 @@ def test_the_silhouette_is_that_of_the_vertices(apart, model, faces):
     inside = np.floor(landmarks).astype(int)
     on_face = (images < 250).any(-1)[np.arange(12)[:, None], inside[..., 1], inside[..., 0]]
     assert on_face.mean() > 0.98  # all but some on the very outline
+
+
+def test_a_background_is_seen_where_the_head_is_not(apart, faces):
+    background = np.random.default_rng(0).integers(0, 256, (1, SIZE, SIZE, 3)).astype(np.uint8)
+    white, other = apart(before, faces, None), apart(before, faces, background)
+    assert np.array_equal(white, apart(before, faces, np.full_like(background, 255)))
+    outside = (white == 255).all(-1)
+    assert 0.02 < outside.mean() < 0.6
+    assert np.array_equal(other[outside], background[0][outside])
+    inside = (white == 102).all(-1)
+    assert inside.mean() > 0.3
+    assert np.array_equal(other[inside], white[inside])
+    # On the outline a pixel is part head, part background.
+    edge = ~(inside | outside)
+    share = (white[edge] - 102.0) / (255 - 102)
+    mixed = 102 + share * (background[0][edge] - 102.0)
+    assert edge.sum() > SIZE and np.allclose(other[edge], mixed, atol=1.5)
 
 
 def test_landmark_pixels_are_those_of_the_views(apart, faces):
