@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame seeds pretrained openhead test lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba report seeds pretrained openhead test lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -18,6 +18,8 @@ MOBILEFACE ?= yes
 COMA ?=
 CASIA ?=
 CASIA_INDEX ?=
+CELEBA ?=
+TF_FLAME ?=
 RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
@@ -37,13 +39,18 @@ MEDIAPIPE_READY := $(MEDIAPIPE_VENV)/.ready
 SIZES := $(PRESET)-$(PROTOCOL)-seed$(SEED)
 BUILD := build/$(MODEL)/bfm-$(SIZES)
 FLAME := build/$(MODEL)/flame-$(SIZES)$(if $(COMA),-coma)$(if $(CASIA),-casia)
+# CelebA is where it is said to be, or in DATA=.
+CELEBA_DIR := $(or $(CELEBA),$(patsubst %/img_align_celeba,%,$(firstword \
+  $(if $(DATA),$(wildcard $(DATA)/img_align_celeba $(DATA)/*/img_align_celeba)))))
+PHOTOS := build/$(MODEL)/celeba-$(SIZES)$(if $(CELEBA_DIR),-celeba)
 RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS)
 # RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.
 RINGNET_FILE := $(filter-out yes no,$(RINGNET))
-RUN_FLAME := $(RUN) --track flame --coma '$(COMA)' --casia '$(CASIA)' \
-             --casia-index '$(CASIA_INDEX)' --ringnet '$(RINGNET_FILE)' \
-             --mediapipe $(MEDIAPIPE_VENV)/bin/python
+FLAME_FILES := --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
+               --ringnet '$(RINGNET_FILE)' --mediapipe $(MEDIAPIPE_VENV)/bin/python
+RUN_FLAME := $(RUN) --track flame $(FLAME_FILES)
+RUN_CELEBA := $(RUN) --track celeba $(FLAME_FILES) --celeba '$(CELEBA_DIR)' --tf-flame '$(TF_FLAME)'
 # The table is another one by the authors' evaluator, of the same predictions.
 TABLE := $(BUILD)/bfm$(if $(filter released,$(EVALUATOR)),-evaluator-released).json
 # No start-up notices, and sums in one order whatever the processor offers.
@@ -55,6 +62,7 @@ help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
+	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
 	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -121,7 +129,31 @@ $(FLAME)/flame.json: $(FLAME)/predictions.json \
     $(if $(filter-out no,$(MEDIAPIPE)),$(FLAME)/mediapipe.json) \
     $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json)
 	@$(STAGE).flame $(RUN_FLAME)
+
+reproduce-celeba: $(PHOTOS)/celeba.json $(if $(TF_FLAME),$(PHOTOS)/celeba-flame.json) ## the paper's CelebA table, ours beside it   (10 min after reproduce-bfm)
+	@$(STAGE).show $(RUN_CELEBA)
+
+$(PHOTOS)/photos.json: | $(READY)
+	@$(STAGE).photos $(RUN_CELEBA)
+$(PHOTOS)/predictions.json: $(PHOTOS)/photos.json $(BUILD)/networks.json
+	@$(STAGE).predictions $(RUN_CELEBA)
+$(PHOTOS)/mobileface.json: $(PHOTOS)/photos.json $(BUILD)/mobileface.json
+	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).mobileface $(RUN_CELEBA)
+$(PHOTOS)/celeba.json: $(PHOTOS)/predictions.json \
+    $(if $(filter-out no,$(MOBILEFACE)),$(PHOTOS)/mobileface.json)
+	@$(STAGE).celeba $(RUN_CELEBA)
+$(PHOTOS)/celeba-flame.json: $(FLAME)/networks.json \
+    $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json) \
+    $(if $(filter-out no,$(MEDIAPIPE)),| $(MEDIAPIPE_READY))
+	@$(STAGE).celeba_flame $(RUN_CELEBA)
+
+report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
+	@$(STAGE).report --model $(MODEL) --preset $(PRESET)
+
 ifneq ($(AUTHORS),)
+$(PHOTOS)/celeba.json: $(PHOTOS)/predictions/authors_weights.npz
+$(PHOTOS)/predictions/authors_weights.npz: | $(PHOTOS)/predictions.json
+	@$(STAGE).predictions $(RUN_CELEBA)
 $(FLAME)/flame.json: $(FLAME)/predictions/authors_weights.npz
 $(FLAME)/predictions/authors_weights.npz: | $(FLAME)/predictions.json
 	@$(STAGE).predictions $(RUN_FLAME)
@@ -133,7 +165,7 @@ endif
 seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min)
 	@$(STAGE).seeds $(RUN)
 
-pretrained: $(BUILD)/networks.json ## put the networks of ours_stable into the package
+pretrained: | $(READY) ## train the weights that ship with the package, and measure them
 	@$(STAGE).pretrained $(RUN)
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data_gen.landmarks import load_scheme
 from data_gen.projections import PROJECTIONS
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
+from experiments.examples import write_examples
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_landmark, error_per_pose
 from experiments.figures.qualitative import qualitative
@@ -23,7 +24,7 @@ from experiments.inputs import (
     load_histories,
     load_landmark_model,
 )
-from experiments.manifest import records_of, write_manifest
+from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import DEEP_MDS
 from experiments.parameters import write_parameter_table
 from experiments.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
@@ -67,16 +68,17 @@ def draw(
     predictions: dict[str, dict],
     folder: Path,
 ) -> None:
-    """Write every figure."""
+    """Write every figure, and the faces of the qualitative one as numbers."""
+    figures = folder / "figures"
     scheme = load_scheme(run.scheme)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
     mobileface = None
     if "mobileface" in scores:
         files, first = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
         figure = renders(files[slice(len(first))], files.landmarks(first), scheme)
-        save(figure, folder, "renders")
+        save(figure, figures, "renders")
         mobileface = read_arrays(run.network_file("mobileface"))[1]["history"]
-    save(learning_curves(load_histories(run), mobileface), folder, "learning_curves")
+    save(learning_curves(load_histories(run), mobileface), figures, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
     shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
@@ -89,11 +91,12 @@ def draw(
         titles,
         {method: own.mse[faces] for method, own in shown.items()},
     )
-    save(figure, folder, "qualitative")
+    save(figure, figures, "qualitative")
+    write_examples(folder, scheme, test, drawn, faces, titles)
 
     errors = landmark_errors(drawn, test)
     figure = error_per_landmark(errors, scheme, test.shapes.mean(0), _MAPPED)
-    save(figure, folder, "error_per_landmark")
+    save(figure, figures, "error_per_landmark")
 
     cameras = test.cameras
     poses = pd.DataFrame(
@@ -104,7 +107,7 @@ def draw(
         }
     )
     errors = [poses.assign(method=method, mse=own.mse) for method, own in drawn.items()]
-    save(error_per_pose(pd.concat(errors, ignore_index=True)), folder, "error_per_pose")
+    save(error_per_pose(pd.concat(errors, ignore_index=True)), figures, "error_per_pose")
 
 
 def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
@@ -123,6 +126,7 @@ def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = run.experiment_results(run.evaluation)
+    folders = [folder]
     with stage(run, run.evaluation):
         test = load_faces(run, "test")
         loaded = load_predictions(run)
@@ -136,9 +140,14 @@ def main(arguments: list[str] | None = None) -> None:
         beside = BESIDE if released else {}
         write_results(run, folder, metrics, scores, notes(run, scores), beside)
         if not released:  # the other figures and tables are of the methods, however scored
-            draw(run, test, scores, predictions, folder / "figures")
+            draw(run, test, scores, predictions, folder)
+            parameters = run.model_results / "parameters"
+            clear_results(parameters)
             write_parameter_table(run, metrics)
-        write_manifest(run, "reproduce-bfm", records_of(run, _STAGES), folder)
+            folders.append(parameters)
+        records = records_of(run, _STAGES)
+        for own in folders:
+            write_manifest(run, "reproduce-bfm", records, own)
 
 
 if __name__ == "__main__":

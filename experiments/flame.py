@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ import pandas as pd
 from PIL import Image
 
 from data_gen.image_files import ImageFiles
-from data_gen.landmarks import load_scheme
-from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
+from experiments.examples import write_examples
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_condition, error_per_landmark
 from experiments.figures.ground_truth import Example, ground_truth
@@ -25,6 +24,7 @@ from experiments.methods import DEEP_MDS
 from experiments.results import write_results
 from experiments.run import Run, parse_run, stage
 from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
+from experiments.truths import against
 
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
 _TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
@@ -53,13 +53,6 @@ def load_scans(run: Run) -> dict[str, np.ndarray]:
 def of_used(scans: Mapping[str, np.ndarray], key: str) -> np.ndarray:
     """An array of the scans that gave a test face."""
     return scans[key][scans["status"] == USED]
-
-
-def against(test: Faces, landmarks: np.ndarray) -> Faces:
-    """The test faces with other landmarks, `(n, L, 3)` millimetres, for their truth."""
-    return replace(
-        test, shapes=np.float32(normalise(landmarks)), unit_mm=unit(landmarks)[1].ravel()
-    )
 
 
 def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
@@ -95,19 +88,21 @@ def draw(
     frontal: np.ndarray,
     folder: Path,
 ) -> None:
-    """Write the figures that are of the methods and of the test set."""
+    """Write the figures that are of the methods and of the test set, and faces as numbers."""
+    figures = folder / "figures"
     scheme = load_scheme(run.scheme)
     drawn = {method: scores[method] for method in _DRAWN if method in scores}
     ringnet = None
     if "ringnet" in scores and run.ringnet is None:
         # The other record, of the landmarks' error alone, is in another unit.
         ringnet = {"train": read_arrays(run.network_file("ringnet"))[1]["history"]["train"]}
-    save(learning_curves(load_histories(run), ringnet=ringnet), folder, "learning_curves")
+    save(learning_curves(load_histories(run), ringnet=ringnet), figures, "learning_curves")
 
     conditions = of_used(scans, "condition")
     faces = shown_faces(conditions, scores)
     files = crop_files(run, len(test.views))
     photos = Photos(*map(np.stack, zip(*(small_photo(files, k) for k in faces), strict=True)))
+    titles = [conditions[k].replace("_", " ") for k in faces]
     shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
     figure = qualitative(
         test.views[faces],
@@ -115,25 +110,26 @@ def draw(
         test.shapes[faces],
         {method: own.aligned[faces] for method, own in shown.items()},
         scheme,
-        [conditions[k].replace("_", " ") for k in faces],
+        titles,
         {method: own.mse[faces] for method, own in shown.items()},
         photos,
     )
-    save(figure, folder, "casia")
+    save(figure, figures, "casia")
+    write_examples(folder, scheme, test, drawn, faces, titles)
 
     errors = landmark_errors(drawn, test)
     maps = [method for method in _MAPPED if method in errors]
     save(
-        error_per_landmark(errors, scheme, test.shapes.mean(0), maps), folder, "error_per_landmark"
+        error_per_landmark(errors, scheme, test.shapes.mean(0), maps), figures, "error_per_landmark"
     )
     if len({*conditions}) > 1:
         rows = [
             pd.DataFrame({"method": method, "condition": conditions, "mse": own.mse})
             for method, own in drawn.items()
         ]
-        save(error_per_condition(pd.concat(rows)), folder, "error_per_expression")
+        save(error_per_condition(pd.concat(rows)), figures, "error_per_expression")
     if kept := examples(scans, files):
-        save(ground_truth(kept, scheme, *found_and_true(scans)), folder, "scans")
+        save(ground_truth(kept, scheme, *found_and_true(scans)), figures, "scans")
 
 
 def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
@@ -201,7 +197,7 @@ def main(arguments: list[str] | None = None) -> None:
         folder = run.experiment_results("flame")
         metrics, scores = evaluate(run, test, here, descriptions)
         write_results(run, folder, metrics, scores, notes(run, scores))
-        draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder / "figures")
+        draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder)
         folders = [folder]
         if truth is not None:
             folders.append(run.experiment_results("flame-true-landmarks"))

@@ -14,6 +14,7 @@ from data_gen.frames_standin import make_frames
 from data_gen.models import load_model
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import draw_cameras
+from experiments.inputs import in_photos
 from experiments.run import Run, parse_run, stage, write_text
 
 _STREAM = 4  # of random numbers of a run: frames and their views
@@ -52,7 +53,7 @@ def make_training_set(run: Run, model: MorphableModel, record: dict) -> Dataset:
     record |= source | {"n_frames": len(landmarks)}
     cameras = draw_cameras(len(landmarks), rng, run.protocol)
     description = {"model": run.model, "scheme": run.scheme, "protocol": run.protocol, **source}
-    return dataset_of(landmarks, cameras, description)
+    return in_photos(run, dataset_of(landmarks, cameras, description))
 
 
 def main(arguments: list[str] | None = None) -> None:

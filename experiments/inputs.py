@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_gen.dataset import load_dataset
+from data_gen.dataset import Dataset, load_dataset
+from data_gen.errors import DataError
 from data_gen.image_files import ImageFiles
 from data_gen.projections import Cameras, in_camera_frame
-from deepmds_keras.normalisation import normalise, unit
+from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays
 from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run, load_record
 
 USED = "used"  # status of a scan that gave a test face
-CROP_SIZE, CROP_MARGIN = 224, 2.0  # of the test photos: RingNet's size, about all of the face
+_CENTRED = "centred"
+# Of the photos of the FLAME track: the size that RingNet takes, about all of the face.
+CROP_SIZE, CROP_MARGIN = 224, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +42,37 @@ class Faces:
     cameras: Cameras
 
 
+def in_photos(run: Run, dataset: Dataset) -> Dataset:
+    """A data set of the FLAME track with views as the run's protocol places them.
+
+    Test views are of photos, which do not show where the origin of the face model is, and
+    `normalise` depends on it. The mean of each view's landmarks is moved to the origin, in training
+    and in test. By the released protocol they stay where they are, since the authors' scripts
+    normalise pixels as they come.
+    """
+    if run.protocol == "released":
+        return dataset
+    return replace(
+        dataset,
+        views=np.float32(centre(dataset.views)),
+        description=dataset.description | {"views": _CENTRED},
+    )
+
+
 def load_faces(run: Run, part: str) -> Faces:
-    """Read `"train"` or `"test"` faces of a run."""
-    dataset = load_dataset(run.work / f"{part}.npz")
+    """Read `"train"` or `"test"` faces of a run.
+
+    Raises:
+        DataError: The file is missing or damaged, or of an earlier version of the FLAME track.
+    """
+    path = run.work / f"{part}.npz"
+    dataset = load_dataset(path)
+    centred = run.track == "flame" and run.protocol == "paper"
+    if centred and dataset.description.get("views") != _CENTRED:
+        raise DataError(
+            f"{path} must hold centred views. Received one made by an earlier version; delete "
+            f"{run.work} and run again."
+        )
     low, size = unit(dataset.views)
     depth = in_camera_frame(dataset.landmarks.astype(float), dataset.cameras)[..., 2:] / size
     views = (dataset.views - low) / size
@@ -61,8 +92,12 @@ def image_files(run: Run, part: str) -> ImageFiles:
 
 
 def crop_files(run: Run, n: int) -> ImageFiles:
-    """Where the photos of the n test faces of the FLAME track are, or will be."""
-    return ImageFiles(run.work / "images" / "test", n, CROP_SIZE)
+    """Where the squares cut out of the photos of n test faces are, or will be.
+
+    Those of the CelebA experiment are what MobileFace sees; those of the FLAME track, RingNet.
+    """
+    size = IMAGE_SIZE if run.track == "celeba" else CROP_SIZE
+    return ImageFiles(run.work / "images" / "test", n, size)
 
 
 def ring_files(run: Run) -> ImageFiles:
@@ -84,13 +119,14 @@ def load_rings(run: Run) -> tuple[ImageFiles, np.ndarray, np.ndarray]:
 
 
 def load_crops(run: Run) -> ImageFiles:
-    """Photos of the test faces of the FLAME track.
+    """Photos of the test faces of the FLAME track, or of the CelebA experiment.
 
     Raises:
         DataError: A file is missing or was changed.
     """
     files = crop_files(run, len(load_dataset(run.work / "test.npz")))
-    files.check(load_record(run, "scans")["checksums"]["test"])
+    name = "photos" if run.track == "celeba" else "scans"
+    files.check(load_record(run, name)["checksums"]["test"])
     return files
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import shlex
@@ -10,7 +11,12 @@ from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
+from data_gen.model_files import sha256_of
+from deepmds_keras.errors import InputError
+from experiments.published import PUBLISHED
 from experiments.run import Run, load_record, write_json
+
+MANIFEST = "manifest.json"
 
 _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
@@ -19,12 +25,16 @@ _PACKAGES = (
 # Variables by which stages are left out.
 _OPTIONAL = {
     "reproduce-bfm": {"MOBILEFACE": {"mobileface"}},
+    "reproduce-celeba": {"MOBILEFACE": {"mobileface"}},
     "reproduce-flame": {"RINGNET": {"ringnet", "ringnet-licensed"}, "MEDIAPIPE": {"mediapipe"}},
 }
 
 
 def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> None:
-    """Write `manifest.json`: command, sizes, durations, versions and the model file's hash.
+    """Write `manifest.json`: command, sizes, durations, versions, and hashes of what was written.
+
+    It is written last, and `clear_results` takes it away first, so that a folder with a manifest
+    holds what one run wrote. `experiments.report` refuses a folder that it does not fit.
 
     Args:
         run: The run.
@@ -41,6 +51,8 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "AUTHORS": run.authors,
         "COMA": run.coma,
         "CASIA": run.casia,
+        "CELEBA": run.celeba,
+        "TF_FLAME": run.tf_flame,
         "CASIA_INDEX": None if run.casia_index is None else str(run.casia_index),
         "RINGNET": run.ringnet,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
@@ -55,14 +67,62 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "seed": run.seed,
         "preset": vars(run.preset),
         "protocol": run.protocol,
+        "track": run.track,
         "model": run.model,
         "model_sha256": stages[0]["model_sha256"],
         "started": stages[0]["started"],
         "seconds": round(sum(record["seconds"] for record in stages), 1),
         "stages": stages,
         **environment(),
+        "published_sha256": sha256_of([PUBLISHED]),
+        "files": files_of(folder),
     }
-    write_json(folder / "manifest.json", made)
+    write_json(folder / MANIFEST, made)
+
+
+def read_manifest(folder: Path) -> dict:
+    """What `write_manifest` wrote of a folder of results.
+
+    Raises:
+        InputError: The file is not there, or is no manifest.
+    """
+    path = folder / MANIFEST
+    try:
+        made = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path} must be there. Received a folder without it.") from None
+    except ValueError:
+        made = None
+    if not isinstance(made, dict):
+        raise InputError(f"{path} must be a JSON object. Received another text.")
+    return made
+
+
+def clear_results(folder: Path) -> None:
+    """Delete what an earlier run wrote into a folder of results: what its manifest lists."""
+    try:
+        written = read_manifest(folder).get("files", ())
+    except InputError:
+        written = ()
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name, path in _results(folder).items():
+        if name in written:
+            path.unlink()
+
+
+def files_of(folder: Path) -> dict[str, str]:
+    """sha256 of every file in a folder of results but the manifest, by relative name."""
+    return {name: sha256_of([path]) for name, path in _results(folder).items()}
+
+
+def _results(folder: Path) -> dict[str, Path]:
+    """Files but the manifest, and those with temporary names, by relative name."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): path
+        for path in paths
+        if path.name != MANIFEST and not path.name.startswith(".")
+    }
 
 
 def records_of(run: Run, stages: Iterable[str]) -> list[dict]:
@@ -76,7 +136,8 @@ def records_of(run: Run, stages: Iterable[str]) -> list[dict]:
 
 def environment() -> dict:
     """Versions of what computed the numbers."""
-    packages = {d.name: d.version for d in distributions() if d.name in _PACKAGES}
+    versions = {d.name.replace("_", "-"): d.version for d in distributions()}
+    packages = {name: versions[name] for name in _PACKAGES if name in versions}
     return {
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",

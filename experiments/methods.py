@@ -64,7 +64,7 @@ METHODS = (
     Method(
         "true_landmarks",
         "True landmarks",
-        "no method: what the faces' own landmarks score against the truth found on their scans",
+        "no method: what the faces' own landmarks score against the truth found on scans or photos",
     ),
     Method(
         "scan_landmarks",
@@ -74,7 +74,8 @@ METHODS = (
     Method(
         "model_fit",
         "Model fit",
-        "the fit of the face model to the view, which the truth found on scans starts from",
+        "the fit of the face model to a photo; the truth found on scans starts from it, and on "
+        "photos it is the truth",
     ),
     Method(
         "ringnet",

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from data_gen.landmarks import load_scheme
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
@@ -25,12 +25,20 @@ from experiments.run import AUTHORS_FILES, Run, parse_run, stage
 _METHODS = {
     "bfm": ("mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian"),
     "flame": ("mean_shape", "linear", "zhao"),
+    "celeba": ("mean_shape", "linear", "zhao", "aldrian"),
 }
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
 
 def fitted(run: Run, train: Faces, method: str):
-    """A method of the table, ready to predict."""
+    """A method of the table, ready to predict.
+
+    Args:
+        run: The run, whose networks are those of `run.trained`.
+        train: Training faces of that run.
+        method: Its id.
+    """
+    run = run.trained
     if method in DEEP_MDS:
         return deep_mds(run, train, method)[0]
     if method in ("zhao", "zhao_authors"):
@@ -110,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "predictions") as record:
         if run.authors is not None:
             authors_weights(run)  # an unusable file is to be reported before the long work
-        train, test = load_faces(run, "train"), load_faces(run, "test")
+        train, test = load_faces(run.trained, "train"), load_faces(run, "test")
         record["methods"] = methods_of(run)
         for method in record["methods"]:
             predict(run, train, test, method)

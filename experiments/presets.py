@@ -15,6 +15,7 @@ class Preset:
             CoMA has).
         scan_subjects, scans: Test set of the FLAME track where it is made here (as many as the
             paper takes from CASIA-3D).
+        photos: Test photos of the CelebA experiment; of CelebA, the first of its test images.
         autoencoder_epochs: Passes over the training faces. The paper and its code leave the total
             open; 30 is where the training error of the autoencoder no longer falls by much.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
@@ -35,6 +36,7 @@ class Preset:
     frames: int
     scan_subjects: int
     scans: int
+    photos: int
     autoencoder_epochs: int
     dissimilarity_epochs: int
     dissimilarity_steps: int
@@ -61,6 +63,7 @@ PAPER = Preset(
     frames=20_466,
     scan_subjects=123,
     scans=3_937,
+    photos=5_000,
     autoencoder_epochs=30,
     dissimilarity_epochs=30,
     dissimilarity_steps=1000,
@@ -86,6 +89,7 @@ SMOKE = Preset(
     frames=4_800,
     scan_subjects=4,
     scans=24,
+    photos=24,
     autoencoder_epochs=6,
     dissimilarity_epochs=3,
     dissimilarity_steps=400,

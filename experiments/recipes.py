@@ -75,6 +75,7 @@ def deep_mds(run: Run, train: Faces, method: str) -> tuple[DeepMDS, dict[str, di
         front_landmark(train.shapes),
         n_landmarks=train.views.shape[1],
         variant=variant,
+        centre_views=run.track == "flame" and run.protocol == "paper",
         schedule=schedule,
         autoencoder_epochs=run.preset.autoencoder_epochs,
         dissimilarity_epochs=run.preset.dissimilarity_epochs,

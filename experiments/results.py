@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from data_gen.landmarks import load_scheme
+from deepmds_keras.landmarks import load_scheme
 from experiments.figures.style import save
 from experiments.figures.summary import summary
+from experiments.manifest import clear_results
 from experiments.run import Run, write_text
 from experiments.scores import Scores, per_face
 from experiments.tables import to_csv, write_tables
@@ -23,7 +24,7 @@ def write_results(
     notes: Mapping[str, str],
     beside: Mapping[str, str] = {},
 ) -> None:
-    """Write `metrics.csv`, the tables and `figures/summary`.
+    """Write `metrics.csv`, the tables and `figures/summary`, in the place of an earlier run's.
 
     Args:
         run: The run.
@@ -31,6 +32,7 @@ def write_results(
         metrics, scores: As from `scores.evaluate`.
         notes, beside: As for `tables.summarise`.
     """
+    clear_results(folder)
     write_text(folder / "metrics.csv", to_csv(metrics))
     table = write_tables(
         folder,

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -27,10 +27,13 @@ from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
 EVALUATORS = ("paper", "released")
-# The paper's two halves, each with landmarks of its own; also the folders of the authors' release.
-SCHEMES = {"bfm": "bfm72", "flame": "ibug51"}
+# The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
+# release; and the CelebA experiment, which tests the networks of the first half.
+SCHEMES = {"bfm": "bfm72", "flame": "ibug51", "celeba": "bfm72"}
+_BFM_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
 AUTHORS_FILES = {
-    "bfm": ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5"),
+    "bfm": _BFM_FILES,
+    "celeba": _BFM_FILES,
     "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
 }
 _DATASETS = {
@@ -46,12 +49,15 @@ class Run:
     Attributes:
         model: Name of the morphable model.
         preset: Sizes.
-        track: Which of the paper's halves, one of `SCHEMES`.
+        track: Which of the paper's experiments, one of `SCHEMES`.
         seed: Of faces, views, initial weights, mini-batches and test subsets.
         protocol: How faces are projected, see `data_gen.projections.draw_cameras`.
         data: File or folder of a model that is not embedded, or None.
         coma, casia: Folders of the data sets CoMA and CASIA-3D, or None: in `data`, if there, and
             otherwise the open stand-ins.
+        celeba: Folder of the data set CelebA, or None: its stand-in.
+        tf_flame: Folder of faces with 51 landmarks for a figure, see `experiments.celeba_flame`, or
+            None.
         casia_index: Table of the scans of CASIA-3D that are used, or None for all.
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
@@ -70,6 +76,8 @@ class Run:
     data: str | None = None
     coma: str | None = None
     casia: str | None = None
+    celeba: str | None = None
+    tf_flame: str | None = None
     casia_index: Path | None = None
     authors: str | None = None
     evaluator: str = "paper"
@@ -89,6 +97,16 @@ class Run:
     def scheme(self) -> str:
         """Landmark scheme of the track."""
         return SCHEMES[self.track]
+
+    @property
+    def trained(self) -> Run:
+        """The run whose training faces and networks this one tests: itself, or the BFM track's."""
+        return self if self.track != "celeba" else replace(self, track="bfm", celeba=None)
+
+    @property
+    def flame(self) -> Run:
+        """The run of the FLAME track with the same model, sizes and seed."""
+        return replace(self, track="flame", celeba=None)
 
     def network_file(self, name: str) -> Path:
         """Checkpoint of a network, which is also the trained network once its epochs are done."""
@@ -141,7 +159,8 @@ class Run:
     @property
     def _given(self) -> str:
         """Which data sets were named, for folders: others hold what stands in for them."""
-        return "".join(f"-{name}" for name in ("coma", "casia") if getattr(self, name))
+        named = (name for name in ("coma", "casia", "celeba") if getattr(self, name))
+        return "".join(f"-{name}" for name in named)
 
 
 def parse_run(description: str, arguments: list[str] | None = None) -> Run:
@@ -150,7 +169,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     add = parser.add_argument
-    add("--track", choices=tuple(SCHEMES), default="bfm", help="half of the paper's experiments")
+    add("--track", choices=tuple(SCHEMES), default="bfm", help="which experiment")
     add("--model", choices=MODELS, default="openhead", help="morphable model of the faces")
     add("--data", metavar="PATH", help="file or folder of a model that is not embedded")
     add("--preset", choices=tuple(PRESETS), default="paper", help="sizes of the experiment")
@@ -159,6 +178,8 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--authors", metavar="DIR", help="folder of the authors' released weights (*.h5)")
     add("--coma", metavar="DIR", help="folder of the data set CoMA, instead of its stand-in")
     add("--casia", metavar="DIR", help="folder of the data set CASIA-3D, instead of its stand-in")
+    add("--celeba", metavar="DIR", help="folder of the data set CelebA, instead of its stand-in")
+    add("--tf-flame", metavar="DIR", help="folder of photos with 51 landmarks, for a figure")
     add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
     add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
     add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
@@ -170,12 +191,16 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     if values["seed"] < 0:
         parser.error(f"--seed must not be negative. Received {values['seed']}.")
     values["preset"] = PRESETS[values["preset"]]
-    for name in ("data", "authors", "coma", "casia", "mediapipe", "ringnet"):
+    for name in ("data", "authors", "coma", "casia", "celeba", "tf_flame", "mediapipe", "ringnet"):
         values[name] = values[name] or None
     values["casia_index"] = Path(values["casia_index"]) if values["casia_index"] else None
-    if values["track"] == "flame" and values["evaluator"] != "paper":
-        parser.error("--evaluator must be paper on the FLAME track: no script of the authors "
-                     f"scores it. Received {values['evaluator']}.")  # fmt: skip
+    if values["track"] != "bfm" and values["evaluator"] != "paper":
+        parser.error("--evaluator must be paper but for the BFM track: no script of the authors "
+                     f"scores another. Received {values['evaluator']}.")  # fmt: skip
+    embedded = values["track"] == "celeba" and values["model"] == "openhead"
+    if embedded and values["data"] and values["celeba"] is None:
+        parser.error("--data must be a folder that holds CelebA's img_align_celeba, with "
+                     f"--model openhead. Received {values['data']}.")  # fmt: skip
     for name in AUTHORS_FILES[values["track"]] if values["authors"] else ():
         if not Path(values["authors"], name).is_file():
             parser.error(f"--authors must be a folder with {name}. Received {values['authors']}.")

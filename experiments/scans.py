@@ -20,7 +20,7 @@ from data_gen.projections import Cameras, camera_angles
 from data_gen.scans_standin import ScansStandin
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.examination import CasiaScans, examine, images_file, subject_file
-from experiments.inputs import USED, crop_files
+from experiments.inputs import USED, crop_files, in_photos
 from experiments.run import Run, parse_run, stage, write_bytes
 
 _STREAM = 5  # of random numbers of a run: the stand-in's scans
@@ -69,7 +69,7 @@ def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Datas
     description = {"model": run.model, "scheme": run.scheme, "truth": "nearest scan points"}
     none = np.empty((n, 0), np.float32)
     landmarks = np.float32(table["landmarks"][used])
-    return Dataset(none, none, landmarks, np.float32(views), cameras, description)
+    return in_photos(run, Dataset(none, none, landmarks, np.float32(views), cameras, description))
 
 
 def casia_scans(run: Run, folder: Path) -> CasiaScans:

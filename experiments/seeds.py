@@ -19,7 +19,7 @@ from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
-from experiments.manifest import write_manifest
+from experiments.manifest import clear_results, write_manifest
 from experiments.methods import DEEP_MDS, network_names, title
 from experiments.networks import train_chain
 from experiments.run import Run, load_record, parse_run, stage, write_text
@@ -109,6 +109,7 @@ def main(arguments: list[str] | None = None) -> None:
         frames.append(rows.assign(seed=run.seed))
     metrics = pd.concat(frames, ignore_index=True)[["method", "seed", "metric", "value"]]
     folder = first.experiment_results("seeds")
+    clear_results(folder)
     write_text(folder / "metrics.csv", to_csv(metrics))
     table = spread(metrics)
     write_text(folder / "table.csv", to_csv(table))

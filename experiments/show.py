@@ -13,12 +13,16 @@ from experiments.typesetting import text
 _TRUTHS = {
     "flame": "against the landmarks found on the scans, as in the paper",
     "flame-true-landmarks": "against the true landmarks, which the stand-in knows",
+    "celeba": "against the model fitted to the photos, as in the paper",
+    "celeba-true-landmarks": "against the true landmarks, which the stand-in knows",
 }
 
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    names = [run.evaluation, *(["flame-true-landmarks"] if run.track == "flame" else [])]
+    names = [run.evaluation]
+    if f"{run.track}-true-landmarks" in _TRUTHS:
+        names.append(f"{run.track}-true-landmarks")
     paths = {name: run.experiment_results(name) / "table.csv" for name in names}
     first = paths[run.evaluation]
     if not first.is_file():

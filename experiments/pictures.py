@@ -1,4 +1,4 @@
-"""Draw the pictures of `docs/landmarks.md`: the landmark schemes on the open head, numbered."""
+"""Draw the pictures of `docs/`: landmark schemes on the open head, and people to try it on."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from data_gen.albedo import Albedo
 from data_gen.errors import DataError
 from data_gen.openhead import load_openhead
+from data_gen.photos_standin import PhotosStandin
 from data_gen.rendering import Lights, Renderer, square_frames
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
@@ -23,6 +25,7 @@ PICTURES = Path("docs/pictures")
 _SIZE = 1000  # pixels of a side
 _MARGIN = 1.16  # numbers of the outermost landmarks stand outside them
 _SEED = 12  # of a light skin with dark brows
+_PORTRAITS, _PORTRAITS_SEED = (7, 15, 16), [2]  # of many: unlike, and all are found
 
 
 def head_image(scheme: str) -> tuple[np.ndarray, np.ndarray]:
@@ -54,6 +57,15 @@ def pictures() -> dict[str, Figure]:
     return figures
 
 
+def portraits() -> bytes:
+    """A photo of three people who do not exist, as JPEG: something to try the command on."""
+    photos = PhotosStandin(load_openhead(), 1 + max(_PORTRAITS), _PORTRAITS_SEED)
+    images = [next(photos.photos(range(k, k + 1))).image for k in _PORTRAITS]
+    content = io.BytesIO()
+    Image.fromarray(np.concatenate(images, axis=1)).save(content, format="jpeg", quality=92)
+    return content.getvalue()
+
+
 def png(figure: Figure) -> bytes:
     """The picture; equal figures give equal bytes."""
     content = io.BytesIO()
@@ -72,6 +84,8 @@ def main(arguments: list[str] | None = None) -> None:
         for name, figure in pictures().items():
             write_bytes(folder / f"{name}.png", png(figure))
             print(folder / f"{name}.png")
+        write_bytes(folder / "portraits.jpg", portraits())
+        print(folder / "portraits.jpg")
     except DataError as error:  # nothing to draw with
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

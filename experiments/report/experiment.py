@@ -1,0 +1,119 @@
+"""An experiment's folder of results, as its manifest describes it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from experiments.examples import EXAMPLES
+from experiments.manifest import read_manifest
+from experiments.published import PUBLISHED, SOURCES
+
+REPORT = "report"
+# Experiments in the order of the report, and the target that makes each.
+COMMANDS = {
+    "bfm": "make reproduce-bfm",
+    "bfm-evaluator-released": "make reproduce-bfm EVALUATOR=released",
+    "flame": "make reproduce-flame",
+    "flame-true-landmarks": "make reproduce-flame",
+    "celeba": "make reproduce-celeba",
+    "celeba-true-landmarks": "make reproduce-celeba",
+    "celeba-flame": "make reproduce-celeba TF_FLAME=dir",
+    "parameters": "make reproduce-bfm",
+    "seeds": "make seeds",
+    "pretrained": "make pretrained",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One folder of `results/<model>` and its manifest."""
+
+    folder: Path
+    manifest: dict
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+    @property
+    def base(self) -> str:
+        """Which of `COMMANDS` it is; the folder's name goes on with what is not the default."""
+        return base_of(self.name)
+
+    @property
+    def variant(self) -> str:
+        """What its folder's name says beside `base`: the protocol, the seed, data sets."""
+        return self.name[len(self.base) :].strip("-")
+
+    @property
+    def track(self) -> str:
+        """Which of the paper's tables it stands beside: one of `published.SOURCES`, or another."""
+        return "bfm" if self.base == "seeds" else self.base.split("-")[0]
+
+    def table(self, name: str = "table.csv") -> pd.DataFrame:
+        return pd.read_csv(self.folder / name)
+
+    def has(self, name: str) -> bool:
+        """Whether the run wrote the file; what merely lies in the folder does not count."""
+        return name in self.manifest["files"]
+
+    @property
+    def compared(self) -> bool:
+        """Whether its table has the paper's numbers beside ours."""
+        return self.has("metrics.csv") and self.has("table.csv") and "paper_mean" in self.table()
+
+    @property
+    def figures(self) -> dict[str, Path]:
+        """Name to PNG file."""
+        names = re.findall(r"(?m)^figures/(.+)\.png$", "\n".join(self.manifest["files"]))
+        return {name: self.folder / "figures" / f"{name}.png" for name in names}
+
+    @property
+    def examples(self) -> dict | None:
+        """Faces as `examples.write_examples` wrote them, if it did."""
+        if not self.has(EXAMPLES):
+            return None
+        return json.loads((self.folder / EXAMPLES).read_text(encoding="utf-8"))
+
+    @property
+    def mse_unit(self) -> float:
+        """In which the paper prints the errors of the table that this one stands beside."""
+        rows = pd.read_csv(PUBLISHED, dtype=str)
+        rows = rows[rows["table"].isin(SOURCES[self.track]) & (rows["metric"] == "mse")]
+        return float(rows["unit"].iloc[0])
+
+
+def base_of(name: str) -> str:
+    """Which of `COMMANDS` a folder's name begins with; of several, the longest."""
+    fitting = [base for base in COMMANDS if f"{name}-".startswith(f"{base}-")]
+    return max(fitting, key=len, default=name)
+
+
+def result_folders(folder: Path) -> list[Path]:
+    """Folders of `results/<model>` that hold experiments, in the order of the report."""
+    found = [
+        path
+        for path in folder.glob("*")
+        if path.is_dir() and path.name != REPORT and any(path.iterdir())
+    ]
+    order = [*COMMANDS]
+
+    def place(path: Path) -> tuple[int, str]:
+        base = base_of(path.name)
+        return (order.index(base) if base in order else len(order), path.name)
+
+    return sorted(found, key=place)
+
+
+def load_experiments(folder: Path) -> list[Experiment]:
+    """Every experiment of `results/<model>`, in the order of the report.
+
+    Raises:
+        InputError: A manifest is missing or damaged.
+    """
+    return [Experiment(path, read_manifest(path)) for path in result_folders(folder)]

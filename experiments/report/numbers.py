@@ -1,0 +1,86 @@
+"""Numbers and times as they are read."""
+
+from __future__ import annotations
+
+import datetime
+import math
+
+NOTHING = "–"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def plus_minus(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
+    """`mean ± std` in a unit, to the s.d.'s first digit, or its second if it begins with 1 or 2."""
+    if math.isnan(mean):
+        return NOTHING
+    mean, std = mean / unit, std / unit
+    if not std > 0:
+        return minus(f"{mean:,.0f}" if abs(mean) >= 1000 else f"{mean:.3g}")
+    exponent = math.floor(math.log10(std))
+    decimals = max(0, int(float(f"{std / 10.0**exponent:.1f}") < 3) - exponent)
+    return minus(f"{mean:,.{decimals}f} ± {std:,.{decimals}f}")
+
+
+def scientific(value: float, digits: int = 4) -> str:
+    """With that many digits, and a power of ten where it is very small or large."""
+    if math.isnan(value):
+        return NOTHING
+    number, _, exponent = f"{value:.{digits}g}".partition("e")
+    return minus(number) + (f" × {power(10.0 ** int(exponent))}" if exponent else "")
+
+
+def as_quoted(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
+    """With the digits that the paper gives, not more."""
+    numbers = [f"{value / unit:.6g}" for value in (mean, std) if not math.isnan(value)]
+    return minus(" ± ".join(numbers)) or NOTHING
+
+
+def difference(ours: float, theirs: float, unit: float = 1.0) -> str:
+    """How much more ours is, and in brackets how many times theirs it is."""
+    if math.isnan(ours) or math.isnan(theirs):
+        return NOTHING
+    return minus(f"{(ours - theirs) / unit:+.3g} (×{factor(ours / theirs)})")
+
+
+def factor(ratio: float) -> str:
+    """How many times, to two or three digits; more where it is about 1."""
+    if abs(ratio - 1) < 0.01:
+        return f"{ratio:.4f}"
+    if ratio >= 100:
+        return f"{ratio:,.0f}"
+    return f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
+
+
+def power(unit: float) -> str:
+    """10⁻⁴ for 1e-4."""
+    return "10" + str(round(math.log10(unit))).translate(_SUPERSCRIPTS)
+
+
+def duration(seconds: float) -> str:
+    """In the two largest units."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes} min"
+    if minutes:
+        return f"{minutes} min {rest} s"
+    return f"{seconds:.3g} s"
+
+
+def moment(iso: str) -> str:
+    """Date and time of day in UTC, of one that `run.stage` records."""
+    then = datetime.datetime.fromisoformat(iso).astimezone(datetime.timezone.utc)
+    return f"{then:%Y-%m-%d %H:%M}"
+
+
+def minus(text: str) -> str:
+    """With true minus signs."""
+    return text.replace("-", "−")
+
+
+def enumeration(words: list[str]) -> str:
+    """Words as a sentence lists them; semicolons between those that hold commas."""
+    if len(words) < 2:
+        return "".join(words)
+    comma = "; " if any("," in word for word in words) else ", "
+    return f"{comma.join(words[:-1])}{comma.strip() if comma == '; ' else ''} and {words[-1]}"

@@ -1,0 +1,122 @@
+"""Whether results still are what one run wrote, and belong together."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+from data_gen.model_files import sha256_of
+from deepmds_keras.errors import InputError
+from experiments.manifest import MANIFEST, files_of, read_manifest
+from experiments.published import PUBLISHED
+from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
+from experiments.report.numbers import moment
+
+# Whose stages an experiment is made from, and whose networks. Others have stages of their own.
+_STAGES_OF = {
+    "bfm": "bfm",
+    "bfm-evaluator-released": "bfm",
+    "parameters": "bfm",
+    "flame": "flame",
+    "flame-true-landmarks": "flame",
+    "celeba": "celeba",
+    "celeba-true-landmarks": "celeba",
+    "celeba-flame": "celeba-flame",
+}
+_NETWORKS_OF = {"bfm": "bfm", "flame": "flame", "celeba": "bfm", "celeba-flame": "flame"}
+_ALWAYS_MADE = ("seeds", "pretrained")  # by their targets, whether or not they were before
+
+
+def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
+    """What is wrong with the results of a face model, a line for each.
+
+    Args:
+        folder: `results/<model>`.
+        published: The transcription of the paper's numbers.
+
+    Returns:
+        Lines that name the folder, what is wrong with it, and how to make it again; none if a
+        report can be made. An experiment that was never run is nothing wrong.
+    """
+    problems, whole = [], []
+    of_now = sha256_of([published])
+    for path in result_folders(folder):
+        try:
+            experiment = Experiment(path, read_manifest(path))
+        except InputError:
+            reason = (
+                f"has no readable {MANIFEST}: an earlier version wrote it, or a run was stopped"
+            )
+            problems.append(f"{path} {reason}; {_again(path)}")
+            continue
+        if "files" not in experiment.manifest:
+            problems.append(f"{path} was written by an earlier version; {_again(path, experiment)}")
+            continue
+        reasons = _changed(experiment)
+        if experiment.manifest["published_sha256"] != of_now:
+            reasons.append(f"{published.name} changed since")
+        if reasons:
+            problems.append(f"{path}: {'; '.join(reasons)}; {_again(path, experiment)}")
+        else:
+            whole.append(experiment)
+    return problems + _of_other_runs(whole)
+
+
+def _changed(experiment: Experiment) -> list[str]:
+    """Which files of the manifest are not as they were written."""
+    now = files_of(experiment.folder)
+    listed = experiment.manifest["files"]
+    missing = [name for name in listed if name not in now]
+    edited = [name for name, digest in listed.items() if now.get(name, digest) != digest]
+    return [
+        f"{', '.join(names)} {word}"
+        for names, word in ((missing, "missing"), (edited, "changed since the run"))
+        if names
+    ]
+
+
+def _of_other_runs(experiments: list[Experiment]) -> list[str]:
+    """Experiments made from a stage, such as the networks, that was run anew since."""
+    made = defaultdict(list)
+    for experiment in experiments:
+        source = _STAGES_OF.get(experiment.base)
+        for record in experiment.manifest["stages"] if source else ():
+            name = record["stage"]
+            owner = _NETWORKS_OF[source] if name == "networks" else source
+            key = (owner, name, *_settings(experiment))
+            made[key].append((record["started"], experiment))
+    problems = {}
+    for (_, stage, *_), runs in made.items():
+        latest, newest = max(runs, key=lambda run: run[0])
+        for started, experiment in runs:
+            if started != latest:
+                # A line for an experiment is enough, however many of its stages are old.
+                problems.setdefault(
+                    experiment.folder,
+                    f"{experiment.folder} was made from stage {stage} of {moment(started)}, "
+                    f"{newest.folder} from that of {moment(latest)}; "
+                    f"{_again(experiment.folder, experiment)}",
+                )
+    return [*problems.values()]
+
+
+def _settings(experiment: Experiment) -> tuple:
+    """What decides which stages a run has, beside its track."""
+    data_sets = {"coma", "casia"} & {*experiment.variant.split("-")}
+    return (experiment.manifest["protocol"], experiment.manifest["seed"], *sorted(data_sets))
+
+
+def _again(folder: Path, experiment: Experiment | None = None) -> str:
+    """How to make an experiment's results anew.
+
+    `make` takes the last stage for done while its record is in `build/`, and would run nothing.
+    """
+    base, model = base_of(folder.name), folder.parent.name
+    stage = "bfm" if base == "parameters" else base.split("-")[0]
+    made = experiment.manifest if experiment else {}
+    command = made.get("command", f"{COMMANDS.get(base, 'make')} MODEL={model}")
+    work = "*"
+    if "track" in made:
+        work = f"{made['track']}-{made['preset']['name']}-{made['protocol']}-seed{made['seed']}*"
+    record = f"rm -f build/{model}/{work}/{stage}*.json && "
+    return f"run: {'' if base in _ALWAYS_MADE else record}{command}"

@@ -1,0 +1,164 @@
+"""Two sentences on each experiment, from its numbers."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from experiments.methods import BY_ID, DEEP_MDS, title
+from experiments.report.experiment import Experiment
+from experiments.report.numbers import as_quoted, enumeration, factor, plus_minus, power
+
+_OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
+_SAME_METHOD = (*DEEP_MDS, "authors_weights")
+_EASIER_VIEWS = ("zhao_frontal",)
+
+
+def methods_of(rows: pd.DataFrame) -> list[str]:
+    """Of rows by method those of methods; others say how far apart two truths are, or the like."""
+    said = rows["note"].fillna("") + "; " + rows.index.map(lambda m: BY_ID[m].description)
+    return [*rows.index[~said.str.contains(r"(?:^|; )no method")]]
+
+
+def measured(experiment: Experiment, metric: str = "mse") -> pd.DataFrame:
+    """Rows of a metric by method, of those that have a number of ours."""
+    table = experiment.table()
+    rows = table[(table["metric"] == metric) & table["mean"].notna()]
+    return rows.set_index("method")
+
+
+def better_than_ours(mse: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Other methods with a smaller error than the paper's method, and all the others."""
+    left_out = (*_SAME_METHOD, *_EASIER_VIEWS)
+    others = [method for method in methods_of(mse) if method not in left_out]
+    ordered = mse.loc[others, "mean"].sort_values()
+    return [*ordered.index[ordered < mse.loc[_OURS, "mean"]]], others
+
+
+def summary(experiment: Experiment, others: list[Experiment]) -> str:
+    """What the numbers of an experiment say, for better or worse; empty for an unknown one.
+
+    Args:
+        experiment: Of which to speak.
+        others: All of the report, of which some are compared with.
+    """
+    if experiment.base == "parameters":
+        return _of_parameters(experiment)
+    if experiment.base == "seeds":
+        return _of_seeds(experiment)
+    if not experiment.compared or _OURS not in (mse := measured(experiment)).index:
+        return ""
+    if experiment.base == "bfm-evaluator-released":
+        beside = [o for o in others if (o.base, o.variant) == ("bfm", experiment.variant)]
+        return _of_released_evaluator(experiment, mse, beside[0] if beside else None)
+    return f"{_against_the_paper(experiment, mse)} {_against_the_others(experiment, mse)}"
+
+
+def _against_the_paper(experiment: Experiment, mse: pd.DataFrame) -> str:
+    ours, unit = mse.loc[_OURS], experiment.mse_unit
+    sentence = f"{title(_OURS)} has an MSE of {_error(ours, unit)}"
+    if pd.isna(ours["paper_mean"]):
+        return f"{sentence}; the paper prints none."
+    ratio = factor(ours["mean"] / ours["paper_mean"])
+    return f"{sentence}, {ratio} times the {_printed(ours, unit)} that the paper prints."
+
+
+def _against_the_others(experiment: Experiment, mse: pd.DataFrame) -> str:
+    better, others = better_than_ours(mse)
+    if not others:
+        return "No other method was run."
+    ratios = mse["mean"] / mse.loc[_OURS, "mean"]
+    have = "has" if len(better) == 1 else "have"
+    count = f"{len(better) or 'None'} of the {len(others)} other methods"
+    sentence = f"{count} on the same faces {have} a smaller error"
+    if better:
+        sentence += (
+            f" ({enumeration([f'{title(m)} {factor(ratios[m])}' for m in better])} times it)"
+        )
+    if _CONSTANT in others and _CONSTANT not in better:
+        sentence += f"; one constant shape has {factor(ratios[_CONSTANT])} times it"
+    return f"{sentence}{_of_the_truth(ratios, methods_of(mse))}."
+
+
+def _of_the_truth(ratios: pd.Series, methods: list[str]) -> str:
+    """How far apart two truths are, and which methods err no more than that."""
+    truths = [row for row in ratios.index if row not in methods]
+    if not truths:
+        return ""
+    row = ratios[truths].idxmax()
+    within = [method for method in methods if ratios[method] <= ratios[row]]
+    sentence = (
+        f'; the row "{title(row)}", which is no method but how far apart two truths are, has '
+        f"{factor(ratios[row])} times it"
+    )
+    return f"{sentence}, and {enumeration([*map(title, within)]) or 'no method'} no more"
+
+
+def _of_released_evaluator(
+    experiment: Experiment, mse: pd.DataFrame, beside: Experiment | None
+) -> str:
+    unit, quoted = experiment.mse_unit, mse[mse["paper_mean"].notna()]
+    nets = [method for method in quoted.index if method.startswith("zhao")]
+    if _PERFECT not in mse.index or not nets:
+        return f"{_against_the_paper(experiment, mse)} {_against_the_others(experiment, mse)}"
+    net, perfect = mse.loc[nets[0]], mse.loc[_PERFECT]
+    first = (
+        "Scored as the authors' script scores Zhao's net, the true depth itself has an MSE of "
+        f"{_error(perfect, unit)}, {factor(perfect['mean'] / net['paper_mean'])} times the "
+        f"{_printed(net, unit)} that the paper prints for that net."
+    )
+    second = f'The net (row "{title(nets[0])}") has {_error(net, unit)}'
+    if beside is not None and nets[0] in (fair := measured(beside)).index:
+        ratio = factor(net["mean"] / fair.loc[nets[0], "mean"])
+        second += f", {ratio} times the error that it has when scored like every other method"
+    return f"{first} {second}."
+
+
+def _of_seeds(experiment: Experiment) -> str:
+    table = experiment.table().set_index(["method", "metric"])
+    unit = experiment.mse_unit
+    ranges, lags = [], []
+    for method in dict.fromkeys(table.index.get_level_values("method")):
+        mse = table.loc[(method, "mse")]
+        low, high = (plus_minus(mse[end], unit=unit) for end in ("min", "max"))
+        ratio = factor(mse["max"] / mse["min"])
+        span = f"{low} to {high} × {power(unit)}"
+        ranges.append(f"{ratio} times the smallest for {title(method)} ({span})")
+        moving, anew = (
+            table.loc[(method, f"autoencoder_mse_{statistics}"), "median"]
+            for statistics in ("inference", "reestimated")
+        )
+        lags.append(f"{factor(moving / anew)} for {title(method)}")
+    return (
+        f"Over {int(table['count'].max())} seeds the largest MSE is {enumeration(ranges)}. The "
+        "autoencoder's median error with the moving statistics of batch normalisation, over that "
+        f"with statistics estimated anew for the same weights, is {enumeration(lags)}."
+    )
+
+
+def _of_parameters(experiment: Experiment) -> str:
+    table = experiment.table().set_index("method")
+    ours, known = table.loc[_OURS], table["trainable"].dropna()
+    printed = f"{int(ours['paper']):,}" if ours["paper"].isdigit() else ours["paper"]
+    most = known.idxmax()
+    first = (
+        f"{title(_OURS)} has {ours['trainable']:,.0f} trainable parameters where the paper prints "
+        f"{printed}; {title(most)} has the most, {known[most]:,.0f}."
+    )
+    others = table[~table.index.isin(_SAME_METHOD)]
+    timed = others["ms_per_face"].dropna()
+    if not len(timed) or pd.isna(ours["ms_per_face"]):
+        return first
+    slower = [title(method) for method in timed.index[timed > ours["ms_per_face"]]]
+    return (
+        f"{first} It takes {ours['ms_per_face']:.3g} ms a face, more than "
+        f"{len(timed) - len(slower)} of the {len(timed)} other methods timed here"
+        f"{f'; {enumeration(slower)} take more' if slower else ''}."
+    )
+
+
+def _error(row: pd.Series, unit: float) -> str:
+    return f"({plus_minus(row['mean'], row['std'], unit)}) × {power(unit)}"
+
+
+def _printed(row: pd.Series, unit: float) -> str:
+    return f"({as_quoted(row['paper_mean'], row['paper_std'], unit)}) × {power(unit)}"

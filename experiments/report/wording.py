@@ -1,0 +1,110 @@
+"""What the report says of experiments, figures and face models: words, no numbers."""
+
+from __future__ import annotations
+
+ABOUT = (
+    "DeepMDS-Keras reproduces “Deep-MDS Framework for Recovering the 3D Shape of 2D Landmarks from "
+    "a Single Image” (Kamyab and Azimifar): an autoencoder turns the landmarks of any view into "
+    "those seen from the front, a small network estimates the 3D distance of every pair of them, "
+    "and non-metric multidimensional scaling turns the distances into a shape."
+)
+HOW_TO_READ = (
+    "**MSE** is the mean square over all coordinates after a Procrustes alignment with scale and "
+    "reflection, in squares of the min-max unit of a face; lower is better.",
+    "**Depth correlation** is the trace of the correlation of the landmarks, at most their number; "
+    "higher is better. **Across faces** is the sum over landmarks of the correlation of depth "
+    "across faces, likewise.",
+    "**Mirrored** is the share of faces that the alignment had to reflect, **found** the share "
+    "in which a method found the face.",
+    "**Difference** is ours minus the paper's, and in brackets ours over the paper's.",
+)
+# Title and introduction by the folder's name.
+EXPERIMENTS = {
+    "bfm": (
+        "The paper's BFM table",
+        "Random faces of the face model, neutral, seen in the views of the paper: {train_faces} to "
+        "train on, {test_faces} to test. The 72 landmarks of one view go in, their 3D shape comes "
+        "out.",
+    ),
+    "bfm-evaluator-released": (
+        "BFM, scored by the authors' script",
+        "The same predictions. The authors' script joins the depth that Zhao's net predicts, "
+        "rescaled by itself, to the true x and y; every other method is scored as before.",
+    ),
+    "flame": (
+        "The paper's CASIA-3D table",
+        "Photos and scans of expressive faces, 51 landmarks: {frames} frames to train on, {scans} "
+        "scans to test, less those in whose photo no face is found or whose registration fails. "
+        "For the truth stands what a fit of the face model to the photo finds on "
+        "the scan, as in the paper.",
+    ),
+    "flame-true-landmarks": (
+        "CASIA-3D, against the true landmarks",
+        "The same predictions. The true landmarks are known because the scans are made from a "
+        "face model.",
+    ),
+    "celeba": (
+        "The paper's CelebA table",
+        "{photos} photos of faces, 72 landmarks. For the truth stands a fit of the face model to "
+        "landmarks and edges of the photo, as in the paper.",
+    ),
+    "celeba-true-landmarks": (
+        "CelebA, against the true landmarks",
+        "The same predictions. The true landmarks are known because the photos are renders of a "
+        "face model.",
+    ),
+    "celeba-flame": (
+        "The paper's CelebA faces with FLAME's landmarks",
+        "Photos with 51 landmarks and no truth: what each method makes of them.",
+    ),
+    "parameters": (
+        "Parameters and time",
+        "The paper's table of trainable parameters and time complexity.",
+    ),
+    "seeds": (
+        "How much is luck",
+        "The paper's recipe and the one with a decayed learning rate, trained from {n_seeds} "
+        "seeds each.",
+    ),
+    "pretrained": (
+        "The weights that ship with the package",
+        "Trained for photos, on views that are centred and err as a landmark detector does; tested "
+        "on other faces of the same model, on such views and on exact ones.",
+    ),
+}
+TABLES = {
+    "seeds": "Over the seeds: median, mean, s.d. of a sample, and range.",
+    "pretrained": "MSE in squares of the min-max unit of a face.",
+}
+# By the stage that makes what stands in.
+DATA_SETS = {
+    "frames": "CoMA: its registered meshes need registration",
+    "scans": "CASIA-3D FaceV1: its photos and scans need registration",
+    "photos": "CelebA: its photos must be downloaded by hand",
+}
+FIGURES = {
+    "summary": "Every method: ours filled, the paper's hollow.",
+    "qualitative": "Typical faces: input view, frontal view, truth and every method.",
+    "casia": "Photos of typical faces: frontal view, truth and every method.",
+    "celeba": "Photos of typical faces: frontal view, truth and every method.",
+    "celeba_flame": "What every method makes of the photos.",
+    "fits": "The face model fitted to photos, and how far it is from the true landmarks.",
+    "renders": "What MobileFace sees; the lower half with the landmarks.",
+    "photos": "What MobileFace sees; the lower half with the landmarks.",
+    "error_per_landmark": "Where on the face the error is.",
+    "error_per_pose": "Error by projection and pose.",
+    "error_per_expression": "Error by expression.",
+    "scans": "Photos, scans, the landmarks found on them, and how far they are from the true ones.",
+    "learning_curves": "Learning curves.",
+    "seed_spread": "Error of every training run.",
+    "batchnorm_lag": "The autoencoder's error by moving statistics, by those of the mini-batch, "
+    "and by statistics estimated anew.",
+}
+MODELS = {
+    "openhead": ("the open head", "it is the default"),
+    "ict": ("ICT faces", "open, but to be downloaded: ICT-FaceKit, MIT licence"),
+    "bfm2009": ("Basel Face Model 2009", "the paper's model; its licence must be asked for"),
+    "bfm2017": ("Basel Face Model 2017", "its licence must be asked for"),
+    "bfm2019": ("Basel Face Model 2019", "its licence must be asked for"),
+    "flame": ("FLAME", "needs registration, and so do CoMA and CASIA-3D, which it is used with"),
+}
