@@ -192,7 +192,7 @@ def environment(experiments: list[Experiment]) -> list[Block]:
         made = own.manifest
         facts = {
             "Machine": made["platform"],
-            "Processor": made["processor"],
+            "Processor": made.get("processor", "not recorded"),
             "Python": made["python"],
             **made["packages"],
             "Face model (sha256)": made["model_sha256"],
