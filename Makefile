@@ -42,7 +42,7 @@ FLAME := build/$(MODEL)/flame-$(SIZES)$(if $(COMA),-coma)$(if $(CASIA),-casia)
 # CelebA is where it is said to be, or in DATA=.
 CELEBA_DIR := $(or $(CELEBA),$(patsubst %/img_align_celeba,%,$(firstword \
   $(if $(DATA),$(wildcard $(DATA)/img_align_celeba $(DATA)/*/img_align_celeba)))))
-PHOTOS := build/$(MODEL)/celeba-$(SIZES)$(if $(CELEBA_DIR),-celeba)
+PHOTOS := build/$(MODEL)/celeba-$(SIZES)$(if $(CELEBA_DIR),-real)
 RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS)
 # RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.

@@ -8,84 +8,21 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from data_gen.crops import crop
 from data_gen.dataset import Dataset, save_dataset
 from data_gen.edge_fitting import EdgeFitter
 from data_gen.errors import DataError
 from data_gen.models import load_model
-from data_gen.morphable_model import MorphableModel
 from data_gen.projections import Cameras, camera_angles
-from data_gen.rendering import MARGIN
-from deepmds_keras.detection.dlib_landmarks import DlibLandmarks
-from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.inputs import USED, crop_files
-from experiments.photo_sources import TestPhoto, photo_source
-from experiments.run import Run, one_core, parse_run, stage
-
-_PHOTOS_PER_FILE = 100
-
-
-def fit_photos(run: Run, source, model: MorphableModel, fitter: EdgeFitter, file: int) -> int:
-    """Write what was found in one file's worth of photos.
-
-    Returns:
-        Number of photos.
-    """
-    numbers = numbers_of(file, len(source))
-    landmark_model = model.restrict(model.landmarks[run.scheme])
-    with one_core():
-        rows = [fitted(photo, landmark_model, fitter) for photo in source.photos(numbers)]
-    write_arrays(
-        photos_file(run, file), {key: np.stack([row[key] for row in rows]) for key in rows[0]}, {}
-    )
-    return len(numbers)
-
-
-def fitted(photo: TestPhoto, landmark_model: MorphableModel, fitter: EdgeFitter) -> dict:
-    """A row of the table of photos."""
-    n = landmark_model.n_vertices
-    row = {
-        "name": np.array(photo.name),
-        "status": np.array("no face found"),
-        "image": np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
-        "crop_landmarks": np.full((n, 2), np.nan),
-        "detected": np.full((68, 2), np.nan),
-        "landmarks": np.full((n, 3), np.nan),
-        "pixels": np.full((n, 2), np.nan),
-        "truth": np.full((n, 3), np.nan) if photo.truth is None else photo.truth,
-        "true_pixels": np.full((n, 2), np.nan) if photo.pixels is None else photo.pixels,
-        "rotation": np.full((3, 3), np.nan),
-        "fit_rms": np.array(np.nan),
-        "edge_share": np.array(np.nan),
-    }
-    if isinstance(photo.image, DataError):
-        return row | {"status": np.array(f"unreadable: {photo.image}")}
-    detected = _detector().detect(photo.image)
-    if detected is None:
-        return row
-    row["detected"] = detected
-    try:
-        fit = fitter.fit(detected, photo.image)
-    except DataError as error:
-        return row | {"status": np.array(str(error))}
-    row |= {"fit_rms": np.array(fit.rms), "edge_share": np.array(fit.edge_share)}
-    shape = landmark_model.shape(fit.identity)
-    pixels = fit.project(shape)
-    row["image"], row["crop_landmarks"] = crop(photo.image, pixels, IMAGE_SIZE, MARGIN)
-    return row | {
-        "status": np.array(USED),
-        "landmarks": shape,
-        "pixels": pixels,
-        "rotation": fit.rotation,
-    }
+from experiments.photo_fits import files_of, fit_photos, numbers_of, photos_file
+from experiments.photo_sources import photo_source
+from experiments.run import Run, parse_run, stage
 
 
 def collect(run: Run, source) -> dict:
@@ -132,24 +69,6 @@ def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Datas
 def counted(status: np.ndarray) -> dict[str, int]:
     """Photos by status, the details of each left out."""
     return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
-
-
-def files_of(source) -> range:
-    return range(-(-len(source) // _PHOTOS_PER_FILE))
-
-
-def numbers_of(file: int, n: int) -> range:
-    return range(file * _PHOTOS_PER_FILE, min((file + 1) * _PHOTOS_PER_FILE, n))
-
-
-def photos_file(run: Run, file: int) -> Path:
-    return run.work / "photos" / f"{file:04}.npz"
-
-
-@cache
-def _detector() -> DlibLandmarks:
-    """One for each process: its model is large."""
-    return DlibLandmarks()
 
 
 def main(arguments: list[str] | None = None) -> None:

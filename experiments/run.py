@@ -159,8 +159,8 @@ class Run:
     @property
     def _given(self) -> str:
         """Which data sets were named, for folders: others hold what stands in for them."""
-        named = (name for name in ("coma", "casia", "celeba") if getattr(self, name))
-        return "".join(f"-{name}" for name in named)
+        suffixes = {"coma": "-coma", "casia": "-casia", "celeba": "-real"}
+        return "".join(suffix for name, suffix in suffixes.items() if getattr(self, name))
 
 
 def parse_run(description: str, arguments: list[str] | None = None) -> Run:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _FIT_COLOUR, _DETECTED_COLOUR = "#0072B2", "#FFD000"
 _COLOURS = (_FIT_COLOUR, "#8C6D31")
-_PHOTO_INCHES, _ROW_INCHES, _HISTOGRAM_INCHES = 1.35, 1.55, 1.9
+_PHOTO_INCHES, _PHOTO_ROW, _SHAPE_ROW, _HISTOGRAM_INCHES, _HEAD = 1.35, 1.62, 0.95, 1.75, 0.36
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +56,12 @@ def fits(
     """
     n = len(photos)
     below = 0 if distances is None else _HISTOGRAM_INCHES
-    width, top = n * _PHOTO_INCHES, 0.3
-    height = top + _ROW_INCHES * 2 + 0.25 + below
-    figure = Figure(figsize=(max(width, 4.2), height))
+    height = _HEAD + _PHOTO_ROW + _SHAPE_ROW + below
+    figure = Figure(figsize=(max(n * _PHOTO_INCHES, 4.2), height))
     wide = figure.get_figwidth() / n
     for k, photo in enumerate(photos):
         high, across = photo.image.shape[:2]
-        axes = _panel(figure, k * wide, height - top - _ROW_INCHES, wide, _ROW_INCHES - 0.05)
+        axes = _panel(figure, k * wide, below + _SHAPE_ROW, wide, _PHOTO_ROW - 0.05)
         axes.imshow(photo.image, extent=(0, across, high, 0))
         draw_wireframe(
             axes, photo.projected, scheme.polylines, colour=_FIT_COLOUR, linewidth=0.7, dot_area=1
@@ -70,7 +69,7 @@ def fits(
         axes.scatter(*photo.detected.T, s=1.5, c=_DETECTED_COLOUR, linewidths=0, zorder=3)
         bare(axes, (0, across, high, 0))
 
-        axes = _panel(figure, k * wide, below + 0.25, wide, _ROW_INCHES)
+        axes = _panel(figure, k * wide, below, wide, _SHAPE_ROW)
         fitted = photo.fitted
         if photo.truth is not None:
             fitted = align(photo.fitted, photo.truth)
@@ -83,11 +82,11 @@ def fits(
             draw_wireframe(axes, front - (shift / 2, 0), scheme.polylines, colour=colour)
             draw_wireframe(axes, side + (shift, 0), scheme.polylines, colour=colour)
         reach = 0.62 * np.ptp(fitted[:, 1])
-        bare(axes, (-1.6 * shift, 1.6 * shift, -reach, reach))
+        bare(axes, (-1.4 * shift, 1.5 * shift, -reach, reach))
     figure.text(
-        0.02, 1 - 0.08 / height, "Photos: landmarks detected (yellow), model fitted (blue).  "
+        0.02, 1 - 0.08 / height, "Photos: landmarks detected (yellow), model fitted (blue).\n"
         "Below: fitted and, in grey, true shape, from the front and the side.",
-        va="top", size=6.2, color=INK,
+        va="top", size=6.5, color=INK,
     )  # fmt: skip
     if distances is not None:
         axes = _panel(figure, 0.55, 0.42, figure.get_figwidth() - 0.7, below - 0.5)
@@ -99,7 +98,8 @@ def fits(
         axes.set(
             xlabel="root mean square distance from the true landmarks, mm", ylabel="test faces"
         )
-        axes.legend()
+        axes.set_ylim(0, 1.4 * axes.get_ylim()[1])
+        axes.legend(loc="upper right", ncols=2)
     return figure
 
 
