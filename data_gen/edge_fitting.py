@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_gen.edges import EdgeMatcher, ImageEdges, Surface, edges_about
 from data_gen.errors import DataError
@@ -13,10 +12,10 @@ from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.landmarks import load_vertices
 from data_gen.mesh import largest_component
 from data_gen.morphable_model import MorphableModel
+from data_gen.orthographic_camera import N_POSE, OrthographicCamera
 from data_gen.visibility import part_of
 
 N_LANDMARKS, _N_JAW = 68, 17
-_N_POSE = 6  # rotation vector, logarithm of the scale, translation
 # Those of Bas et al.: of the mean squared distance of edges and that of landmarks, in pixels, and
 # of the mean squared coefficient.
 _EDGES, _LANDMARKS, _PRIOR = 0.45, 0.15, 0.40
@@ -152,7 +151,7 @@ class EdgeFitter:
         edges = edges_about(landmarks, image, _AROUND * unit, round(unit / _PIXELS_PER_MM))
         edges = ImageEdges(edges.points * (1, -1), edges.normals * (1, -1))
         matcher = EdgeMatcher(edges, _REACH * unit, _TURN * unit)
-        pose = _Pose(start.rotation, start.scale, start.translation)
+        pose = OrthographicCamera(start.rotation, start.scale, start.translation)
         identity = start.identity.clip(-_BOX, _BOX)
         converged, n_rounds = False, 0
         while not converged and n_rounds < _MAX_ROUNDS:
@@ -172,7 +171,7 @@ class EdgeFitter:
                 [distances * weights, missed],
                 identity,
             )
-            previous, identity = identity, (identity + step[_N_POSE:]).clip(-_BOX, _BOX)
+            previous, identity = identity, (identity + step[N_POSE:]).clip(-_BOX, _BOX)
             pose = pose.moved(step)
             change = max(np.abs(identity - previous).max(), 10 * np.abs(step[:4]).max())
             converged = bool(change < _TOLERANCE)
@@ -190,41 +189,15 @@ class EdgeFitter:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    rotation: np.ndarray
-    scale: float
-    translation: np.ndarray  # pixels, y up
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        return self.scale * points @ self.rotation[:2].T + self.translation
-
-    def jacobian(self, points: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        """Derivatives of the projected points by pose and coefficients: `(6 + K, n, 2)`."""
-        by_pose = np.zeros((_N_POSE, len(points), 2))
-        x, y, z = self.scale * self.rotation @ points.T
-        by_pose[1, :, 0], by_pose[2, :, 0] = z, -y
-        by_pose[0, :, 1], by_pose[2, :, 1] = -z, x
-        by_pose[3, :, 0], by_pose[3, :, 1] = x, y
-        by_pose[4, :, 0] = by_pose[5, :, 1] = 1
-        return np.concatenate([by_pose, self.scale * basis @ self.rotation[:2].T])
-
-    def moved(self, step: np.ndarray) -> _Pose:
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        return _Pose(
-            turn @ self.rotation, self.scale * np.exp(step[3]), self.translation + step[4:6]
-        )
-
-
 def _most_probable_step(
     jacobians: list[np.ndarray], residuals: list[np.ndarray], identity: np.ndarray
 ) -> np.ndarray:
     """Gauss-Newton step of pose and coefficients, `(6 + K,)`, for standard-normal coefficients."""
     jacobian = np.concatenate([part.reshape(len(part), -1) for part in jacobians], axis=1)
     curvature = jacobian @ jacobian.T
-    curvature.flat[_N_POSE * (len(curvature) + 1) :: len(curvature) + 1] += 1
+    curvature.flat[N_POSE * (len(curvature) + 1) :: len(curvature) + 1] += 1
     gradient = jacobian @ np.concatenate([part.ravel() for part in residuals])
-    gradient[_N_POSE:] += identity
+    gradient[N_POSE:] += identity
     return np.linalg.solve(curvature, -gradient)
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_gen.errors import DataError
 from data_gen.morphable_model import MorphableModel
+from data_gen.orthographic_camera import N_POSE, OrthographicCamera
 
-_N_POSE = 6  # rotation vector, logarithm of the scale, translation
 _DAMPING = 1e-3  # of the first step, as a share of the diagonal
 _LEAST_DAMPING = 1e-7  # far below any effect, yet a few failed steps bring it back
 _BLENDSHAPE_SD = 0.3  # fits to photos then stay between about -0.5 and 0.7
@@ -154,14 +153,14 @@ class LandmarkFitter:
         while not converged and n_iterations < self._max_iterations:
             n_iterations += 1
             if curvature is None:
-                jacobian = self._jacobian(pose, shape) / noise
+                jacobian = pose.jacobian(shape, self._basis).reshape(-1, 2 * len(shape)) / noise
                 curvature = jacobian @ jacobian.T
-                curvature.flat[_N_POSE * (len(curvature) + 1) :: len(curvature) + 1] += 1
+                curvature.flat[N_POSE * (len(curvature) + 1) :: len(curvature) + 1] += 1
                 gradient = jacobian @ residuals.ravel()
-                gradient[_N_POSE:] += coefficients
+                gradient[N_POSE:] += coefficients
             damped = curvature + damping * np.diag(np.diag(curvature))
             step = np.linalg.solve(damped, -gradient)
-            new_pose, new_coefficients = pose.moved(step), coefficients + step[_N_POSE:]
+            new_pose, new_coefficients = pose.moved(step), coefficients + step[N_POSE:]
             new_shape = self._mean + np.tensordot(new_coefficients, self._basis, 1)
             new_residuals = (new_pose.project(new_shape) - points) / noise
             new_cost = (new_residuals**2).sum() + (new_coefficients**2).sum()
@@ -198,35 +197,8 @@ class LandmarkFitter:
             )
         return points
 
-    def _jacobian(self, pose: _Pose, shape: np.ndarray) -> np.ndarray:
-        """Derivatives of the projected points by pose and coefficients: `(6 + n, 2 L)`."""
-        by_pose = np.zeros((_N_POSE, len(shape), 2))
-        x, y, z = pose.scale * pose.rotation @ shape.T
-        by_pose[1, :, 0], by_pose[2, :, 0] = z, -y
-        by_pose[0, :, 1], by_pose[2, :, 1] = -z, x
-        by_pose[3, :, 0], by_pose[3, :, 1] = x, y
-        by_pose[4, :, 0] = by_pose[5, :, 1] = 1
-        by_shape = pose.scale * self._basis @ pose.rotation[:2].T
-        return np.concatenate([by_pose, by_shape]).reshape(_N_POSE + len(by_shape), -1)
 
-
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    rotation: np.ndarray
-    scale: float
-    translation: np.ndarray
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        return self.scale * points @ self.rotation[:2].T + self.translation
-
-    def moved(self, step: np.ndarray) -> _Pose:
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        return _Pose(
-            turn @ self.rotation, self.scale * np.exp(step[3]), self.translation + step[4:6]
-        )
-
-
-def _starting_pose(shape: np.ndarray, points: np.ndarray) -> _Pose:
+def _starting_pose(shape: np.ndarray, points: np.ndarray) -> OrthographicCamera:
     """The scaled orthographic camera nearest to the best affine one, of centred landmarks."""
     translation = points.mean(0)
     affine = np.linalg.lstsq(shape, points - translation, rcond=None)[0].T
@@ -238,4 +210,4 @@ def _starting_pose(shape: np.ndarray, points: np.ndarray) -> _Pose:
             "points must be of a face seen from in front, x to the right and y up. "
             "Received one seen from behind or mirrored."
         )
-    return _Pose(rotation, sizes.mean(), translation)
+    return OrthographicCamera(rotation, sizes.mean(), translation)
