@@ -2,7 +2,47 @@
 
 from __future__ import annotations
 
-from deepmds_keras.predict.command import main
+import io
+import logging
+import os
+import sys
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.predict.arguments import parse
+
+_STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Do what the arguments ask for, and end the process with the status that `--help` states."""
+    options = parse(arguments)
+    _be_quiet()
+    try:
+        # Not before: --help and wrong arguments are answered without its many imports.
+        from deepmds_keras.predict.command import complain, run
+
+        failed = run(options)
+    except InputError as error:
+        complain(error)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("Stopped. The same command goes on from here.", file=sys.stderr)
+        sys.exit(_STOPPED)
+    except BrokenPipeError:  # who read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    sys.exit(1 if failed else 0)
+
+
+def _be_quiet() -> None:
+    """Leaves the terminal to the command: no notices of TensorFlow, and no text that it refuses."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")  # its start-up notice; same sums everywhere
+    logging.getLogger("tensorflow").setLevel(logging.ERROR)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
 
 if __name__ == "__main__":
     main()

@@ -44,38 +44,67 @@ class HeadPose:
 def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
     """The scaled orthographic camera that sees a shape about as the view has it.
 
-    The best affine camera, and of its matrix the nearest rotation times a scale (the POS algorithm
-    of DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations).
-
     Args:
         view: `(L, 2)` landmarks in the image, y up.
         shape: `(L, 3)` the same landmarks, +x to the subject's left, +y up, +z out of the face.
 
     Raises:
-        InputError: Unequal numbers of landmarks, NaN, infinity or degenerate landmarks, or a view
-            that no turned head gives: a mirrored one.
+        InputError: Unequal numbers of landmarks, NaN, infinity or degenerate landmarks, several
+            faces, or a view that no turned head gives: a mirrored one.
     """
-    view, shape = check_points(view, "view", 2)[0], check_points(shape, "shape", 3)[0]
-    if len(view) != len(shape):
+    if np.ndim(view) != 2 or np.ndim(shape) != 2:
         raise InputError(
-            "view and shape must have the same landmarks. "
-            f"Received {len(view)} and {len(shape)}."
+            "view and shape must be of one face, (L, 2) and (L, 3). "
+            f"Received shapes {np.shape(view)} and {np.shape(shape)}."
         )
-    centre, seen = shape.mean(0), view.mean(0)
-    affine = np.linalg.lstsq(shape - centre, view - seen, rcond=None)[0].T
-    u, sizes, vt = np.linalg.svd(affine, full_matrices=False)
-    rows = u @ vt
-    rotation = np.vstack([rows, np.cross(*rows)])
-    if rotation[2, 2] <= 0:
+    (pose,) = head_poses(view, shape)
+    if pose.rotation[2, 2] <= 0:
         raise InputError(
             "view must show the face from in front, x to the right and y up. "
             "Received one that is mirrored, or seen from behind."
         )
-    yaw, minus_pitch, roll = Rotation.from_matrix(rotation).as_euler("yxz", degrees=True)
-    scale = float(sizes.mean())
-    translation = seen - scale * rotation[:2] @ centre
-    off = scale * shape @ rotation[:2].T + translation - view
-    residual = np.sqrt((off**2).sum(1).mean()) / np.ptp(view, axis=0).max()
-    return HeadPose(
-        float(yaw), float(-minus_pitch), float(roll), rotation, scale, translation, float(residual)
-    )
+    return pose
+
+
+def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
+    """`head_pose` of many faces; one that is mirrored comes out as seen from behind.
+
+    The best affine camera, and of its matrix the nearest rotation times a scale (the POS algorithm
+    of DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
+    minimise the distances in the image over rotations instead would not do: shapes are estimates,
+    and the pitch of a nearly frontal one then depends on their errors most.
+
+    Args:
+        views: `(n, L, 2)`, y up.
+        shapes: `(n, L, 3)` as for `head_pose`.
+
+    Raises:
+        InputError: Unequal numbers, NaN, infinity or degenerate landmarks.
+    """
+    views, shapes = check_points(views, "view", 2), check_points(shapes, "shape", 3)
+    if views.shape[:2] != shapes.shape[:2]:
+        raise InputError(
+            "view and shape must have the same faces and landmarks. "
+            f"Received {views.shape[:2]} and {shapes.shape[:2]}."
+        )
+    centre, seen = shapes.mean(1, keepdims=True), views.mean(1, keepdims=True)
+    u, sizes, vt = np.linalg.svd(np.linalg.pinv(shapes - centre) @ (views - seen), False)
+    rows = np.swapaxes(u @ vt, 1, 2)
+    rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
+    scales = sizes.mean(1)
+    turned = scales[:, None, None] * np.swapaxes(rows, 1, 2)
+    translations = seen - centre @ turned
+    off = shapes @ turned + translations - views
+    residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
+    angles = Rotation.from_matrix(rotations).as_euler("yxz", degrees=True) * (1, -1, 1)
+    return [
+        HeadPose(*angle, rotation, scale, translation[0], residual)
+        for angle, rotation, scale, translation, residual in zip(
+            angles.tolist(),
+            rotations,
+            scales.tolist(),
+            translations,
+            residuals.tolist(),
+            strict=True,
+        )
+    ]

@@ -161,4 +161,6 @@ def pretrained_path(name: str) -> Path:
 
 
 def _line(error: Exception) -> str:
+    if "allow_pickle" in str(error):  # numpy's advice for whatever it does not know
+        return "Received a file of another kind."
     return f"Received {type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -16,8 +16,8 @@ from data_gen.expressions import (
 )
 from data_gen.frames_standin import make_frames
 from data_gen.ict import load_ict
-from deepmds_keras.landmarks import load_scheme
 from data_gen.openhead import load_openhead
+from deepmds_keras.landmarks import load_scheme
 
 ICT = Path(__file__).parents[1] / ".." / "shared" / "ict-facekit"
 SCHEME = load_scheme("ibug51")

@@ -8,8 +8,8 @@ import pytest
 
 from data_gen.dataset import make_dataset
 from data_gen.images import make_scene, render
-from deepmds_keras.landmarks import load_scheme
 from data_gen.openhead import load_openhead
+from deepmds_keras.landmarks import load_scheme
 from experiments.figures import style
 from experiments.figures.curves import batchnorm_lag, learning_curves
 from experiments.figures.errors import error_per_condition, error_per_landmark, error_per_pose

@@ -115,7 +115,8 @@ def test_landmarks_are_unique_and_closed_under_mirroring(model, arrays):
 def test_landmark_tables_and_asset_agree(model, scheme):
     from data_gen.landmarks import load_vertices
 
-    np.testing.assert_array_equal(load_vertices(scheme).vertices["openhead"], model.landmarks[scheme])
+    expected = load_vertices(scheme).vertices["openhead"]
+    np.testing.assert_array_equal(expected, model.landmarks[scheme])
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68"])

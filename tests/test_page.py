@@ -312,7 +312,7 @@ def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):
     faces = [replace(face, name=f"photo-{i}") for i in range(5)]
     faces[3] = replace(faces[3], photo=None, unit="mm", shape=160 * face.shape)
     page = page_of(faces, (None if face.photo is None else photo for face in faces))
-    assert page.title() == "5 3D faces"
+    assert page.title() == "5 faces in 3D"
     assert page.locator("h2").all_inner_texts() == [face.name for face in faces]
     assert page.locator("img").count() == 4
     for which in range(5):

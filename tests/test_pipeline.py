@@ -168,7 +168,7 @@ def test_bad_input_is_named(shipped, test_faces):
     views[1, 5] = np.nan
     with pytest.raises(InputError, match="NaN or infinity in face 1"):
         shipped.predict(views)
-    with pytest.raises(InputError, match="name must be one of openhead-bfm72, openhead-ibug51. Received 'bfm'"):
+    with pytest.raises(InputError, match="openhead-bfm72, openhead-ibug51. Received 'bfm'"):
         DeepMDS.pretrained("bfm")
     with pytest.raises(InputError, match="4 views and 3 shapes"):
         DeepMDS().fit(test_faces.views[:4], test_faces.landmarks[:3])

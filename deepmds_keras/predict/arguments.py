@@ -21,7 +21,8 @@ examples:
   deepmds predict photos/ --out faces --jobs 4
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
-Exit status: 0, or 1 if a source could not be used (the others are done), 2 for wrong arguments."""
+A run that was stopped goes on by the same command. Exit status: 0, or 1 if a source could not be
+used (the others are done), 2 for wrong arguments, 130 if Ctrl-C stopped it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Options:
 
 
 def parse(arguments: list[str] | None = None) -> Options:
-    """Read the command line; wrong arguments end the process with one line and status 2."""
+    """Read the command line; wrong arguments end the process, with the usage and status 2."""
     parser = argparse.ArgumentParser(
         prog="deepmds", description="3D face landmarks from a single image, by Deep-MDS."
     )

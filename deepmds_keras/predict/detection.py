@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -15,21 +16,29 @@ from deepmds_keras.photos import open_photo
 
 DETECTORS = ("dlib", "mediapipe")
 SCHEME = "ibug51"
-_HELP = {
-    "dlib": "try --detector mediapipe, or give the landmarks instead of the photo",
-    "mediapipe": "try --detector dlib, or give the landmarks instead of the photo",
-}
+
+
+def find_detector(detector: str, mediapipe_python: str | None) -> str | None:
+    """What `faces_in_photos` needs: the interpreter of MediaPipe's environment; dlib needs none.
+
+    Raises:
+        InputError: The detector is not installed; says how to.
+    """
+    if detector == "mediapipe":
+        return str(mediapipe_landmarks.find_python(mediapipe_python))
+    _dlib()
+    return None
 
 
 def faces_in_photos(
-    photos: list[Path], detector: str, python: Path | None
+    photos: list[Path], detector: str, mediapipe_python: str | None
 ) -> list[np.ndarray | InputError]:
     """What is found in each photo.
 
     Args:
         photos: Files.
         detector: One of `DETECTORS`.
-        python: Interpreter of the environment with MediaPipe; dlib needs none.
+        mediapipe_python: As from `find_detector`.
 
     Returns:
         For each photo `(n, 51, 2)` pixels, x right and y down, of all its faces, the largest first;
@@ -38,34 +47,44 @@ def faces_in_photos(
     Raises:
         InputError: The detector itself cannot be used.
     """
-    find = _by_dlib if detector == "dlib" else _by_mediapipe
-    opened = [_opened(path) for path in photos]
-    found = iter(find([photo for photo in opened if not isinstance(photo, InputError)], python))
-    results: list[np.ndarray | InputError] = []
-    for path, photo in zip(photos, opened, strict=True):
-        faces = photo if isinstance(photo, InputError) else next(found)
-        if not len(faces.args if isinstance(faces, InputError) else faces):
-            faces = InputError(f"{path}: no face found by {detector}; {_HELP[detector]}.")
-        results.append(faces)
-    return results
+    unreadable: dict[Path, InputError] = {}
+
+    def readable() -> Iterator[np.ndarray]:
+        """One by one: a photo may take 200 MB."""
+        for path in photos:
+            try:
+                yield open_photo(path)
+            except InputError as error:
+                unreadable[path] = error
+
+    if detector == "dlib":
+        found = _by_dlib(readable())
+    else:
+        found = _by_mediapipe(readable(), mediapipe_python)
+    found = iter(list(found))  # all are looked at now, and `unreadable` is complete
+    return [
+        unreadable[path] if path in unreadable else _some(next(found), path, detector)
+        for path in photos
+    ]
 
 
-def _opened(path: Path) -> np.ndarray | InputError:
-    try:
-        return open_photo(path)
-    except InputError as error:
-        return error
+def _some(faces: np.ndarray, photo: Path, detector: str) -> np.ndarray | InputError:
+    if len(faces):
+        return faces
+    (other,) = set(DETECTORS) - {detector}
+    return InputError(
+        f"{photo}: no face found by {detector}; try --detector {other}, or give the landmarks "
+        "instead of the photo."
+    )
 
 
-def _by_dlib(photos: list[np.ndarray], _: None) -> list[np.ndarray]:
-    return [convert(_dlib().detect_all(photo), "ibug68", SCHEME) for photo in photos]
+def _by_dlib(photos: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    return (convert(_dlib().detect_all(photo), "ibug68", SCHEME) for photo in photos)
 
 
-def _by_mediapipe(photos: list[np.ndarray], python: Path) -> list[np.ndarray]:
-    if not photos:
-        return []
+def _by_mediapipe(photos: Iterable[np.ndarray], python: str) -> Iterator[np.ndarray]:
     meshes = mediapipe_landmarks.detect_all(photos, python)
-    return [convert(mesh[..., :2].astype(float), "mediapipe", SCHEME) for mesh in meshes]
+    return (convert(mesh[..., :2].astype(float), "mediapipe", SCHEME) for mesh in meshes)
 
 
 @cache

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+import deepmds_keras
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import SIZES
-from deepmds_keras.pipeline import DeepMDS
-from deepmds_keras.pose import HeadPose, head_pose
+from deepmds_keras.pose import HeadPose, head_poses
 from deepmds_keras.predict.faces import Face, Found
+from deepmds_keras.weights import pretrained_path
 
 PRETRAINED = {"ibug51": "openhead-ibug51", "bfm72": "openhead-bfm72"}
-# Turns of the heads that the shipped weights were trained on, degrees.
+# Turns of the heads that the shipped weights were trained on, degrees; and the error with which
+# poses of such heads are found, root mean square.
 _TRAINED = {"yaw": 50, "pitch": 25, "roll": 30}
+_POSE_ERROR = 5
+# Residual of a pose beyond which landmarks hardly are those of the shape. It is 0.03 to 0.08 for
+# faces in photos and for those of the training; 0.16 and more if the brows are swapped or all
+# landmarks are in another order by one, above 0.3 if they are shuffled.
+_LOOSE = 0.12
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
-_LOOSE = 0.07  # residual of a pose beyond which landmarks hardly are those of the shape
 
 
 def estimate(
-    found: Found, *, model: str | None = None, interocular: float | None = None, jobs: int = 1
+    found: Found,
+    *,
+    model: str | None = None,
+    interocular: float | None = None,
+    jobs: int = 1,
+    progress: Callable[[int], object] | None = None,
 ) -> list[Face]:
     """The shapes of all faces of a source.
 
@@ -33,10 +46,10 @@ def estimate(
         interocular: Millimetres between the outer corners of the eyes; None leaves the shapes in
             the unit of `normalise`.
         jobs: Processes for the embedding.
+        progress: Called with the number of faces just done.
 
     Raises:
-        InputError: The model cannot be read or takes other landmarks, or the landmarks are not of
-            a face.
+        InputError: The model cannot be read or takes other landmarks.
     """
     estimator = load_model(model or PRETRAINED[found.scheme])
     if estimator.n_landmarks != SIZES[found.scheme]:
@@ -45,39 +58,33 @@ def estimate(
             f"{model}. Received {SIZES[found.scheme]}."
         )
     views = found.landmarks * (1, -1)
-    shapes = estimator.set_params(n_jobs=jobs).predict(views)
+    shapes = estimator.set_params(n_jobs=jobs).predict(views, progress=progress)
     if interocular is not None:
         right, left = map(load_scheme(found.scheme).names.index, _CORNERS)
         apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
         shapes = shapes * (interocular / apart)[:, None, None]
-    faces = []
-    for name, landmarks, view, shape in zip(
-        found.names, found.landmarks, views, shapes, strict=True
-    ):
-        try:
-            pose = head_pose(view, shape)
-        except InputError as error:
-            raise InputError(f"{found.source}, face {name}: {error}") from None
-        faces.append(
-            Face(
-                name=name,
-                source=found.source,
-                photo=found.source if found.is_photo else None,
-                scheme=found.scheme,
-                landmarks=landmarks,
-                shape=shape,
-                unit="normalised" if interocular is None else "mm",
-                pose=pose,
-                notes=_notes(pose),
-            )
+    return [
+        Face(
+            name=name,
+            source=found.source,
+            photo=found.source if found.is_photo else None,
+            scheme=found.scheme,
+            landmarks=landmarks,
+            shape=shape,
+            unit="normalised" if interocular is None else "mm",
+            pose=pose,
+            notes=_notes(pose, estimator.centre_views),
         )
-    return faces
+        for name, landmarks, shape, pose in zip(
+            found.names, found.landmarks, shapes, head_poses(views, shapes), strict=True
+        )
+    ]
 
 
-def described(scheme: str, model: str | None) -> dict[str, str]:
+def describe_model(scheme: str, model: str | None) -> dict[str, str]:
     """Name and provenance of a model, for the files that are written."""
     if model is not None:
-        return {"name": str(model), "weights": "given by the user"}
+        return {"name": model, "weights": "given by the user"}
     return {
         "name": PRETRAINED[scheme],
         "weights": "shipped with deepmds-keras (MIT); trained on landmarks of the embedded open "
@@ -85,32 +92,63 @@ def described(scheme: str, model: str | None) -> dict[str, str]:
     }
 
 
+def hash_weights(model: str | None) -> str:
+    """SHA-256 of the weights that a run may use: of one model, or of all that are its defaults.
+
+    Raises:
+        InputError: There is no such model.
+    """
+    digest = hashlib.sha256()
+    for path in map(_weights_path, (model,) if model else PRETRAINED.values()):
+        try:
+            digest.update(path.read_bytes())
+        except OSError as error:
+            raise InputError(
+                f"{path} must be a file that DeepMDS.save() wrote. Received: {error.strerror}."
+            ) from None
+    return digest.hexdigest()
+
+
 @cache
-def load_model(name: str) -> DeepMDS:
+def load_model(name: str) -> deepmds_keras.DeepMDS:
     """Shipped weights by name, or a file.
 
     Raises:
         InputError: Neither.
     """
-    return DeepMDS.load(name) if Path(name).suffix else DeepMDS.pretrained(name)
+    return deepmds_keras.DeepMDS.load(_weights_path(name))  # loads TensorFlow, the first time
 
 
-def _notes(pose: HeadPose) -> tuple[str, ...]:
-    turned = [
-        f"{angle} {getattr(pose, angle):+.0f}°"
-        for angle, most in _TRAINED.items()
-        if abs(getattr(pose, angle)) > most
-    ]
+def _weights_path(name: str) -> Path:
+    path = Path(name)
+    if path.suffix or path.exists():
+        return path
+    try:
+        return pretrained_path(name)
+    except InputError as error:
+        raise InputError(f"model must be a file of DeepMDS.save(), or its {error}") from None
+
+
+def _notes(pose: HeadPose, centred: bool) -> tuple[str, ...]:
     notes = []
-    if turned:
-        limits = ", ".join(f"{angle} ±{most}°" for angle, most in _TRAINED.items())
+    beyond = {
+        f"{angle} {getattr(pose, angle):+.0f}°": f"±{most}°"
+        for angle, most in _TRAINED.items()
+        if abs(getattr(pose, angle)) > most + _POSE_ERROR
+    }
+    if beyond:
         notes.append(
-            f"turned farther than the faces of the training ({', '.join(turned)}; {limits}): the "
-            "shape is a guess"
+            f"turned farther than the faces of the training: {', '.join(beyond)}, where they had "
+            f"at most {', '.join(beyond.values())}; the shape is a guess"
         )
     if pose.residual > _LOOSE:
         notes.append(
-            f"the shape, turned back, misses the landmarks by {100 * pose.residual:.0f} % of their "
-            "extent: they may not be those of a face"
+            f"the shape, turned back, misses the landmarks by {100 * pose.residual:.0f} % of the "
+            "face's size (RMS): they may be in another order, or not those of a face"
+        )
+    if not centred:
+        notes.append(
+            "the model was trained on views in the coordinates of a face model "
+            "(centre_views=False): the shape depends on where the landmarks have their origin"
         )
     return tuple(notes)

@@ -82,7 +82,8 @@ def _check_size(path: Path, max_bytes: int) -> None:
     size = path.stat().st_size
     if not 0 < size <= max_bytes:
         found = f"{size:,} bytes" if size else "an empty file"
-        raise InputError(f"{path} must have at most {max_bytes >> 20} MiB. Received {found}.")
+        most = f"at most {max_bytes >> 20} MiB"
+        raise InputError(f"{path} must hold landmarks, in {most}. Received {found}.")
 
 
 def _read_npy(path: Path) -> np.ndarray:

@@ -46,7 +46,7 @@ def write_page(
     """
     described = [_described(face, photo) for face, photo in zip(faces, photos, strict=True)]
     schemes = {name: _scheme(name) for name in {face.scheme for face in faces}}
-    title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} 3D faces"
+    title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
     template = (_FOLDER / "page.html").read_text(encoding="utf-8")
     template = template.replace("{{wireframe}}", wireframe_script())
     values = {

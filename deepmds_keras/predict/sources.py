@@ -14,6 +14,7 @@ PHOTO_SUFFIXES = (
     *(".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".jp2", ".pbm", ".pgm", ".png", ".pnm"),
     *(".ppm", ".tga", ".tif", ".tiff", ".webp"),
 )
+_RESERVED = ("deepmds", "summary")  # the record, and the picture of all faces
 
 
 def is_photo(path: Path) -> bool:
@@ -53,9 +54,10 @@ def name_sources(sources: Sequence[Path]) -> list[str]:
     """A name for the results of each source, its stem where that is free.
 
     Names differ by more than capitals, and none is another with a number behind a hyphen, as
-    `name_faces` makes them: of `a.jpg`, `a.png` and `a-1.jpg` come `a`, `a_png` and `a-1_jpg`.
+    `name_faces` makes them: of `a.jpg`, `a.png` and `a-1.jpg` come `a`, `a_png` and `a-1_jpg`. None
+    is that of a file of the whole run.
     """
-    names, taken, numbered = [], set(), set()
+    names, taken, numbered = [], {*_RESERVED}, set()
 
     def clashes(name: str) -> bool:
         return name in taken or name in numbered or _unnumbered(name) in taken
@@ -90,8 +92,10 @@ def check_folder(folder: Path, sources: Iterable[Path], suffixes: Iterable[str])
         suffixes: Of the results, such as `".csv"`.
 
     Raises:
-        InputError: A source with one of the suffixes lies in the folder.
+        InputError: It is a file, or a source with one of the suffixes lies in it.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} must be a folder for the results. Received a file.")
     folder, suffixes = folder.resolve(), {*suffixes}
     for source in sources:
         if source.suffix.lower() in suffixes and source.resolve().parent == folder:

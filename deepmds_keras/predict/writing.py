@@ -16,7 +16,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         InputError: It cannot be written.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    # Of a long name the beginning, lest the temporary one is longer than names may be.
+    partial = path.with_name(f".{path.name[:32]}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(content)
