@@ -32,7 +32,7 @@ _TRUE, _FIT = "true_landmarks", "model_fit"
 _DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
 _MAPPED = ("mean_shape", "linear", "zhao", "mobileface", "ours")
 _NOT_SHOWN = ("ours_released",)  # in the picture: to the eye those of `ours`
-_YAWS = (-20.0, -8.0, 8.0, 20.0)  # degrees: a face about each is shown
+_YAWS = (-18.0, 0.0, 18.0)  # degrees: a face about each is shown
 _PHOTO = 112  # pixels of a side of a photo in a picture
 _RENDERS = 24
 

@@ -112,17 +112,21 @@ def test_a_stopped_run_goes_on(whole, work, tmp_path):
     assert not (copy / "predictions").exists()  # of an earlier test set
 
 
-def test_celeba_as_distributed_takes_the_place_of_the_stand_in(whole, tmp_path):
-    """Photos of the stand-in, laid out as CelebA's: one of them is damaged, one shows nobody."""
+def write_photos(folder, n):
+    """Photos of the stand-in under the names of CelebA's."""
     from data_gen.openhead import load_openhead
     from data_gen.photos_standin import PhotosStandin
 
+    for number, photo in enumerate(PhotosStandin(load_openhead(), n, [3]).photos(range(n)), 1):
+        Image.fromarray(photo.image).save(folder / f"{number:06}.jpg")
+
+
+def test_celeba_as_distributed_takes_the_place_of_the_stand_in(whole, tmp_path, apart):
+    """Laid out as CelebA is; one photo is damaged, one shows nobody, one is not for testing."""
     shutil.copytree(whole / "build", tmp_path / "build")
     images = tmp_path / "celeba" / "img_align_celeba"
     images.mkdir(parents=True)
-    photos = PhotosStandin(load_openhead(), 22, [3]).photos(range(22))
-    for number, photo in enumerate(photos, start=1):
-        Image.fromarray(photo.image).save(images / f"{number:06}.jpg")
+    apart(write_photos, images, 22)
     (images / "000021.jpg").write_bytes(b"no photo")
     Image.new("RGB", (178, 218), "grey").save(images / "000022.jpg")
     lines = [f"{number:06}.jpg {0 if number == 20 else 2}" for number in range(1, 23)]
