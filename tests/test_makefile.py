@@ -60,3 +60,36 @@ def test_the_flame_track_runs_what_is_missing(tmp_path):
     assert would_run("MEDIAPIPE=no") == ["rings", "ringnet", "flame", "show"]
     assert would_run("MEDIAPIPE=no", "RINGNET=x/ring_6_68641") == ["ringnet", "flame", "show"]
     assert "MEDIAPIPE must be yes or no. Received x" in would_run("MEDIAPIPE=x")
+
+
+def test_celeba_is_found_in_data_and_has_a_folder_of_its_own(tmp_path):
+    (tmp_path / "venv").mkdir()
+    (tmp_path / "venv" / ".ready").touch()
+    (tmp_path / "data" / "CelebA" / "img_align_celeba").mkdir(parents=True)
+
+    def said(*variables):
+        command = ["make", "-n", "reproduce-celeba", f"VENV={tmp_path}/venv", *variables]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True).stdout
+
+    for given in (f"DATA={tmp_path}/data", f"DATA={tmp_path}/data/CelebA",
+                  f"CELEBA={tmp_path}/data/CelebA"):  # fmt: skip
+        assert f"--celeba '{tmp_path}/data/CelebA'" in said(given), given
+    assert "--celeba ''" in said() and "--celeba ''" in said("MODEL=ict", "DATA=data/ict-facekit")
+
+
+def test_the_celeba_experiment_takes_the_networks_of_the_bfm_track(tmp_path):
+    (tmp_path / "venv").mkdir()
+    (tmp_path / "venv" / ".ready").touch()
+    bfm = tmp_path / "bfm"
+    bfm.mkdir()
+    for record in ("faces", "images", "networks", "mobileface"):
+        (bfm / f"{record}.json").touch()
+
+    def would_run(*variables):
+        return stages_of(tmp_path, "reproduce-celeba", "PHOTOS", f"BUILD={bfm}", *variables)
+
+    assert {*would_run()} == {"photos", "predictions", "mobileface", "celeba", "show"}
+    assert "mobileface" not in would_run("MOBILEFACE=no")
+    figure = would_run("MOBILEFACE=no", "TF_FLAME=x", "RINGNET=no", "MEDIAPIPE=no",
+                       f"FLAME={tmp_path}/flame")  # fmt: skip
+    assert {"frames", "networks", "celeba_flame"} <= {*figure} and "ringnet" not in figure
