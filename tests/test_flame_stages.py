@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data_gen.dataset import load_dataset
+from data_gen.dataset import load_dataset, save_dataset
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from experiments.presets import SMOKE
 from experiments.run import AUTHORS_FILES
@@ -92,7 +93,8 @@ def test_the_test_set_holds_detected_views_and_found_landmarks(work):
     test = load_dataset(work / "test.npz")
     with np.load(work / "scans.npz", allow_pickle=False) as scans:
         used = scans["status"] == "used"
-        assert np.array_equal(test.views, np.float32(scans["detected"][used] * (1, -1)))
+        seen = scans["detected"][used] * (1, -1)
+        assert np.allclose(test.views, seen - seen.mean(1, keepdims=True), atol=1e-3)
         truth, found = scans["truth"][used], scans["landmarks"][used]
         pixels = np.linalg.norm(scans["detected"][used] - scans["true_pixels"][used], axis=2)
     assert np.array_equal(test.landmarks, np.float32(found))
@@ -100,6 +102,24 @@ def test_the_test_set_holds_detected_views_and_found_landmarks(work):
     assert 0.5 < pixels.mean() < 10
     assert 0.5 < np.linalg.norm(found - truth, axis=2).mean() < 8
     assert np.abs(test.cameras.yaw).max() < 40
+
+
+def test_views_are_centred_in_training_too_but_not_by_the_released_protocol(whole, work, tmp_path):
+    """Min-max scaling of both axes together sees where the origin is."""
+    assert np.abs(load_dataset(work / "train.npz").views.mean(1)).max() < 1e-3
+    assert run("frames", tmp_path, "--protocol", "released").returncode == 0
+    released = tmp_path / "build" / "openhead" / "flame-smoke-released-seed0" / "train.npz"
+    assert np.abs(load_dataset(released).views.mean(1)).max() > 5  # mm
+
+
+def test_a_test_set_of_uncentred_views_is_refused(whole, work, tmp_path):
+    shutil.copytree(whole / "build", tmp_path / "build")
+    copy = tmp_path / "build" / work.relative_to(whole / "build") / "test.npz"
+    old = load_dataset(copy)
+    save_dataset(copy, replace(old, description={k: v for k, v in old.description.items()
+                                                 if k != "views"}))  # fmt: skip
+    done = run("flame", tmp_path)
+    assert done.returncode == 2 and "made by an earlier version" in done.stderr
 
 
 def test_table_stands_beside_the_papers(whole):
@@ -170,7 +190,7 @@ def test_a_stopped_search_of_scans_goes_on(whole, work, tmp_path):
         (["--model", "bfm2009"], "DATA= must be the file or folder of bfm2009"),
         (["--model", "flame"], "DATA= must be the file or folder of flame"),
         (["--casia", "/nowhere"], "/nowhere: must be the folder of CASIA-3D FaceV1"),
-        (["--evaluator", "released"], "--evaluator must be paper on the FLAME track"),
+        (["--evaluator", "released"], "--evaluator must be paper but for the BFM track"),
         (["--authors", "/nowhere"], "--authors must be a folder with AE_occ2orth_FLAME.h5"),
     ],
 )
