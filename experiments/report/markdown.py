@@ -43,7 +43,7 @@ def _block(block: Block, folder: Path) -> str:
             return f"![{_inline(caption)}]({address})\n\n{_inline(caption)}"
         case Faces(_, _, examples):
             count = len(examples["faces"])
-            return f"{count} faces can be turned about in [index.html](index.html)."
+            return f"{count} faces can be turned about in `index.html`, which `make report` writes."
         case Fold(title, inner):
             body = markdown(inner, folder)
             return f"<details><summary>{_inline(title)}</summary>\n\n{body}\n</details>"

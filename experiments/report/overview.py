@@ -222,9 +222,8 @@ def reports_elsewhere(results: Path) -> dict[str, str]:
     """What is to be said of the other face models that have results in `results/<model>`."""
     said = {}
     for model in wording.MODELS:
-        page = results / model / REPORT / "index.html"
-        if page.is_file():
-            said[model] = f"[its own report](../../{model}/{REPORT}/index.html)."
+        if (results / model / REPORT / "report.md").is_file():
+            said[model] = f"[its own report](../../{model}/{REPORT}/report.md)."
         elif [*(results / model).glob("*/manifest.json")]:
             said[model] = f"run; `make report MODEL={model}` writes its own report."
     return said
