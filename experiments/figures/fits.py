@@ -99,7 +99,7 @@ def fits(
             xlabel="root mean square distance from the true landmarks, mm", ylabel="test faces"
         )
         axes.set_ylim(0, 1.4 * axes.get_ylim()[1])
-        axes.legend(loc="upper right", ncols=2)
+        axes.legend(loc="upper right")
     return figure
 
 
