@@ -338,12 +338,13 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     detection._dlib.cache_clear()
     Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
     points = save(tmp_path / "a.npy", landmarks)
-    status, said, errors = run(tmp_path / "photo.png", points)
+    status, said, (line,) = run(tmp_path / "photo.png")
     assert (status, said) == (1, "")
-    (line,) = errors
     assert "pip install dlib-bin face_recognition_models" in line
     assert not (tmp_path / "out").exists()
-    assert run(points, "--format", "csv")[0] == 0
+    status, _, (line,) = run(tmp_path / "photo.png", points, "--format", "csv")
+    assert status == 1 and "1 photo cannot be used. dlib must be installed" in line
+    assert (tmp_path / "out" / "a.csv").is_file()
     detector = ("--detector", "mediapipe", "--mediapipe-python", tmp_path / "none")
     status, _, (line,) = run(tmp_path / "photo.png", *detector)
     assert status == 1

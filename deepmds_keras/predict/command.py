@@ -65,9 +65,10 @@ def run(options: Options) -> int:
         )
     if not todo:
         return len(errors)
-    options = _ready(options, any(is_photo(source) for source, _ in todo))
+    options, usable = _ready(options, todo)
+    failed, shown = len(errors) + len(todo) - len(usable), []
+    todo = usable
     record.save()  # now, lest all the work is done for a folder that takes no results
-    failed, shown = len(errors), []
     with tqdm(total=len(todo), unit="source", disable=len(todo) == 1) as bar:
         for chunk in _chunks(todo, options.jobs * _SOURCES_PER_TASK):
             try:
@@ -95,14 +96,28 @@ def complain(error: InputError) -> None:
     tqdm.write(f"error: {_printable(str(error))}", file=sys.stderr)
 
 
-def _ready(options: Options, with_photos: bool) -> Options:
-    """The options with what they leave open; what is lacking is said before the work begins."""
-    if with_photos:
-        python = find_detector(options.detector, options.mediapipe_python)
-        options = replace(options, mediapipe_python=python)
+def _ready(
+    options: Options, todo: list[tuple[Path, str]]
+) -> tuple[Options, list[tuple[Path, str]]]:
+    """The options with what they leave open, and what can be done with what is installed.
+
+    What is lacking is said before the work begins. Without a detector files of landmarks are left.
+    """
     if options.model is not None:
         load_model(options.model)
-    return replace(options, jobs=cpu_count() if options.jobs == -1 else options.jobs)
+    options = replace(options, jobs=cpu_count() if options.jobs == -1 else options.jobs)
+    given = [(source, name) for source, name in todo if not is_photo(source)]
+    if len(given) == len(todo):
+        return options, todo
+    try:
+        python = find_detector(options.detector, options.mediapipe_python)
+    except InputError as error:
+        if not given:
+            raise
+        n = len(todo) - len(given)
+        complain(InputError(f"{n} photo{'s' * (n > 1)} cannot be used. {error}"))
+        return options, given
+    return replace(options, mediapipe_python=python), todo
 
 
 def _results(
