@@ -66,6 +66,12 @@ def written(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+def arrays_of(path):
+    """All arrays of an npz, which is closed again."""
+    with np.load(path) as file:
+        return dict(file)
+
+
 def save(path, landmarks):
     np.save(path, landmarks)
     return path
@@ -219,7 +225,7 @@ def test_options_reach_the_results(tmp_path, run, landmarks, monkeypatch):
     arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
     for folder, options in (("rough", ()), ("smooth", ("--smooth", 2))):
         assert run(*arguments, *options, "--out", tmp_path / folder)[0] == 0
-    rough, smooth = (np.load(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
+    rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
     assert np.allclose(rough["landmarks"], frames)
     assert json.loads(str(rough["description"]))["unit"] == "mm"
     apart = np.linalg.norm(rough["shape"][:, 28] - rough["shape"][:, 19], axis=1)
@@ -284,7 +290,7 @@ def test_results_that_another_source_overwrote_are_made_again(tmp_path, run, lan
         save(tmp_path / folder / "a.npy", landmarks + shift)
     for folder, shift in (("x", 0), ("y", 9), ("x", 0)):
         assert run(tmp_path / folder / "a.npy", "--format", "npz")[0] == 0
-        assert np.allclose(np.load(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
+        assert np.allclose(arrays_of(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
 
 
 def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
@@ -377,7 +383,7 @@ def test_mediapipe_finds_the_faces_too(tmp_path, run, heads):
     assert status == 1
     assert "nobody.png: no face found by mediapipe; try --detector dlib" in errors[0]
     assert "text.jpg must be a photo" in errors[1]
-    found = np.load(tmp_path / "out" / "head.npz")
+    found = arrays_of(tmp_path / "out" / "head.npz")
     assert np.abs(found["landmarks"][0] - heads[1][1]).mean() < 4
     assert found["yaw"][0] == pytest.approx(-10, abs=8)
 

@@ -73,7 +73,8 @@ def test_landmarks_are_found_on_another_person_of_the_same_mesh(head, anchors):
 @pytest.mark.parametrize("kind", ["names in the file", "eos"])
 def test_open_head_landmarks_land_on_those_of_ict(head, kind):
     ict = load_ict(SHARED / "ict-facekit")
-    numbers = np.load(SHARED / "ict-facekit" / "ict_light.npz")["vertex_index"]
+    with np.load(SHARED / "ict-facekit" / "ict_light.npz") as file:
+        numbers = file["vertex_index"]
     if kind == "eos":
         scheme = load_vertices("ibug68")
         known = list(scheme.anchors["bfm2017"])

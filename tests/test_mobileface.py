@@ -50,7 +50,8 @@ def test_seed_sets_every_initial_weight():
 
 @pytest.mark.skipif(not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent")
 def test_the_authors_weights_give_what_they_gave():
-    oracle = np.load(RELEASED / "oracle.npz")
+    with np.load(RELEASED / "oracle.npz") as file:
+        oracle = dict(file)
     model = MobileFace(np.zeros((72, 3)), np.zeros((199, 72, 3)))
     model.load_released(RELEASED / "deep_mobileface_occ.h5")
     images = np.rint((oracle["images"] + 1) * 127.5)
