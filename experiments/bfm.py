@@ -11,10 +11,9 @@ import pandas as pd
 from data_gen.projections import PROJECTIONS
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
-from experiments.examples import write_examples
+from experiments.face_figures import draw_faces, draw_landmark_errors
 from experiments.figures.curves import learning_curves
-from experiments.figures.errors import error_per_landmark, error_per_pose
-from experiments.figures.qualitative import qualitative
+from experiments.figures.errors import error_per_pose
 from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.inputs import (
@@ -30,7 +29,7 @@ from experiments.parameters import write_parameter_table
 from experiments.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
 from experiments.results import write_results
 from experiments.run import Run, parse_run, stage
-from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
+from experiments.scores import Scores, evaluate, load_predictions
 
 _STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 # Drawn in the figures; the others differ from these in training or test views only.
@@ -81,22 +80,11 @@ def draw(
     save(learning_curves(load_histories(run), mobileface), figures, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
-    shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
-    figure = qualitative(
-        test.views[faces],
-        predictions["ours"]["frontal"][faces],
-        test.shapes[faces],
-        {method: own.aligned[faces] for method, own in shown.items()},
-        scheme,
-        titles,
-        {method: own.mse[faces] for method, own in shown.items()},
+    frontal = predictions["ours"]["frontal"]
+    draw_faces(
+        folder, "qualitative", scheme, test, frontal, drawn, faces, titles, not_shown=_NOT_SHOWN
     )
-    save(figure, figures, "qualitative")
-    write_examples(folder, scheme, test, drawn, faces, titles)
-
-    errors = landmark_errors(drawn, test)
-    figure = error_per_landmark(errors, scheme, test.shapes.mean(0), _MAPPED)
-    save(figure, figures, "error_per_landmark")
+    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
 
     cameras = test.cameras
     poses = pd.DataFrame(

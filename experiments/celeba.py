@@ -13,19 +13,18 @@ from deepmds_keras.alignment import align
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
-from experiments.examples import write_examples
-from experiments.figures.errors import error_per_landmark
+from experiments.face_figures import draw_faces, draw_landmark_errors
 from experiments.figures.fits import FittedPhoto, fits
-from experiments.figures.qualitative import Photos, qualitative
+from experiments.figures.qualitative import Photos
 from experiments.figures.renders import renders
 from experiments.figures.style import save
-from experiments.inputs import USED, Faces, crop_files, load_faces
+from experiments.inputs import USED, Faces, crop_files, load_faces, of_used
 from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
 from experiments.photo_sources import photo_source
 from experiments.results import write_results
 from experiments.run import Run, load_record, parse_run, stage
-from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
+from experiments.scores import Scores, evaluate, load_predictions
 from experiments.truths import against
 
 _TRUE, _FIT = "true_landmarks", "model_fit"
@@ -39,17 +38,17 @@ _RENDERS = 24
 
 def notes(run: Run, methods: Container[str]) -> dict[str, str]:
     """What a reader must know of a method, or why it has no number of ours."""
-    found = {
-        _FIT: "no method here: what the paper takes for the truth, scored against the true one",
-    }
+    found = {}
+    if _FIT in methods:
+        found[_FIT] = (
+            "no method here: what the paper takes for the truth, scored against the true one"
+        )
     if "mobileface" not in methods:
         found["mobileface"] = "left out (MOBILEFACE=no)"
     else:
         found["mobileface"] = "trained on renders before an empty background, as on the BFM track"
     if "authors_weights" not in methods:
         found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
-    if _FIT not in methods:
-        del found[_FIT]
     return found
 
 
@@ -101,23 +100,15 @@ def draw(
     titles, faces = shown_faces(test, scores["ours"].mse)
     shown_photos = photos_of(run, photos, faces)
     squares = [crop(p.image, p.projected, _PHOTO, MARGIN) for p in shown_photos]
-    shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
-    figure = qualitative(
-        test.views[faces],
-        frontal[faces],
-        test.shapes[faces],
-        {method: own.aligned[faces] for method, own in shown.items()},
-        scheme,
-        titles,
-        {method: own.mse[faces] for method, own in shown.items()},
-        Photos(*map(np.stack, zip(*squares, strict=True))),
-    )
-    save(figure, figures, "celeba")
-    write_examples(folder, scheme, test, drawn, faces, titles)
+    draw_faces(
+        folder, "celeba", scheme, test, frontal, drawn, faces, titles,
+        not_shown=_NOT_SHOWN, photos=Photos(*map(np.stack, zip(*squares, strict=True))),
+    )  # fmt: skip
+    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
 
     distances = None
     if truth is not None:
-        fitted = photos["landmarks"][photos["status"] == USED]
+        fitted = of_used(photos, "landmarks")
         mean = MeanShape().fit(test.views, truth).predict(test.views)
         distances = {
             "fitted to the photo": _root_mean_square(align(fitted, truth) - truth),
@@ -128,11 +119,6 @@ def draw(
     files = crop_files(run, len(test.views))
     first = range(min(_RENDERS, len(test.views)))
     save(renders(files[slice(len(first))], files.landmarks(first), scheme), figures, "photos")
-    errors = landmark_errors(drawn, test)
-    maps = [method for method in _MAPPED if method in errors]
-    save(
-        error_per_landmark(errors, scheme, test.shapes.mean(0), maps), figures, "error_per_landmark"
-    )
 
 
 def _root_mean_square(differences: np.ndarray) -> np.ndarray:
@@ -147,8 +133,7 @@ def main(arguments: list[str] | None = None) -> None:
         loaded = load_predictions(run)
         shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
         descriptions = {method: described for method, (_, described) in loaded.items()}
-        used = photos["status"] == USED
-        truth, fitted = photos["truth"][used], photos["landmarks"][used]
+        truth, fitted = of_used(photos, "truth"), of_used(photos, "landmarks")
         known = not np.isnan(truth).any()
         here = shapes | {_TRUE: truth} if known else shapes
         folders = [run.experiment_results("celeba")]

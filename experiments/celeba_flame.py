@@ -13,7 +13,6 @@ from data_gen.crops import crop
 from data_gen.errors import DataError
 from deepmds_keras.alignment import align
 from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
-from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.photos import IMAGE_SIZE, open_photo
@@ -107,10 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
     folder = run.experiment_results("celeba-flame")
     with stage(run, "celeba-flame") as record:
         photos, landmarks = read_folder(Path(run.tf_flame))
-        try:
-            images = [open_photo(path) for path in photos]
-        except InputError as error:
-            raise DataError(str(error)) from None
+        images = [open_photo(path) for path in photos]
         shapes = shapes_of(flame, photos, images, landmarks)
         squares = [crop(*pair, _PHOTO, CROP_MARGIN)
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from data_gen.errors import DataError
 from data_gen.ground_truth import GroundTruth, Registration
 from data_gen.scans import Scan
 from data_gen.writing import whole_file
-from deepmds_keras.detection.dlib_landmarks import DlibLandmarks
+from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.weights import write_arrays
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED
 from experiments.run import Run, one_core
@@ -84,7 +83,7 @@ def _examined(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | Non
     """What is written of a scan, and how its truth was found, if it was."""
     row = _refused(scan.name, "no face found")
     row["condition"] = np.array(scan.condition)
-    detected = _detector().detect(scan.image)
+    detected = shared_detector().detect(scan.image)
     if detected is None:
         return row, None
     pixels = detected[_JAW:]
@@ -135,12 +134,6 @@ def _refused(name: str, status: str) -> dict:
         "fit_rms": np.array(np.nan),
         "icp_rms": np.array(np.nan),
     }
-
-
-@cache
-def _detector() -> DlibLandmarks:
-    """One for each process: its model is large."""
-    return DlibLandmarks()
 
 
 def subject_file(run: Run, subject: int) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +11,26 @@ from PIL import Image
 from data_gen.image_files import ImageFiles
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
-from experiments.examples import write_examples
+from experiments.face_figures import draw_faces, draw_landmark_errors
 from experiments.figures.curves import learning_curves
-from experiments.figures.errors import error_per_condition, error_per_landmark
+from experiments.figures.errors import error_per_condition
 from experiments.figures.ground_truth import Example, ground_truth
-from experiments.figures.qualitative import Photos, qualitative
+from experiments.figures.qualitative import Photos
 from experiments.figures.style import save
-from experiments.inputs import CROP_SIZE, USED, Faces, crop_files, load_faces, load_histories
+from experiments.inputs import (
+    CROP_SIZE,
+    USED,
+    Faces,
+    crop_files,
+    load_faces,
+    load_histories,
+    of_used,
+)
 from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
 from experiments.results import write_results
 from experiments.run import Run, parse_run, stage
-from experiments.scores import Scores, evaluate, landmark_errors, load_predictions
+from experiments.scores import Scores, evaluate, load_predictions
 from experiments.truths import against
 
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
@@ -48,11 +55,6 @@ _CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
     """What is known of every scan beside the test set, see `scans.examine`; also of the unused."""
     return read_arrays(run.work / "scans.npz")[0]
-
-
-def of_used(scans: Mapping[str, np.ndarray], key: str) -> np.ndarray:
-    """An array of the scans that gave a test face."""
-    return scans[key][scans["status"] == USED]
 
 
 def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
@@ -103,25 +105,11 @@ def draw(
     files = crop_files(run, len(test.views))
     photos = Photos(*map(np.stack, zip(*(small_photo(files, k) for k in faces), strict=True)))
     titles = [conditions[k].replace("_", " ") for k in faces]
-    shown = {method: own for method, own in drawn.items() if method not in _NOT_SHOWN}
-    figure = qualitative(
-        test.views[faces],
-        frontal[faces],
-        test.shapes[faces],
-        {method: own.aligned[faces] for method, own in shown.items()},
-        scheme,
-        titles,
-        {method: own.mse[faces] for method, own in shown.items()},
-        photos,
-    )
-    save(figure, figures, "casia")
-    write_examples(folder, scheme, test, drawn, faces, titles)
-
-    errors = landmark_errors(drawn, test)
-    maps = [method for method in _MAPPED if method in errors]
-    save(
-        error_per_landmark(errors, scheme, test.shapes.mean(0), maps), figures, "error_per_landmark"
-    )
+    draw_faces(
+        folder, "casia", scheme, test, frontal, drawn, faces, titles,
+        not_shown=_NOT_SHOWN, photos=photos,
+    )  # fmt: skip
+    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
     if len({*conditions}) > 1:
         rows = [
             pd.DataFrame({"method": method, "condition": conditions, "mse": own.mse})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from deepmds_keras.weights import read_arrays
 from experiments.methods import DEEP_MDS, network_names
 from experiments.run import Run, load_record
 
-USED = "used"  # status of a scan that gave a test face
+USED = "used"  # status of a scan, or photo, that gave a test face
 _CENTRED = "centred"
 # Of the photos of the FLAME track: the size that RingNet takes, about all of the face.
 CROP_SIZE, CROP_MARGIN = 224, 2.0
@@ -116,6 +117,11 @@ def load_rings(run: Run) -> tuple[ImageFiles, np.ndarray, np.ndarray]:
     files.check(load_record(run, "rings")["checksums"]["rings"])
     subjects = np.arange(len(files)) // run.preset.ring_images
     return files, files.landmarks(range(len(files))), subjects
+
+
+def of_used(table: Mapping[str, np.ndarray], key: str) -> np.ndarray:
+    """An array of the scans, or photos, that gave a test face."""
+    return table[key][table["status"] == USED]
 
 
 def load_crops(run: Run) -> ImageFiles:

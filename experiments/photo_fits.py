@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from data_gen.edge_fitting import EdgeFitter
 from data_gen.errors import DataError
 from data_gen.morphable_model import MorphableModel
 from data_gen.rendering import MARGIN
-from deepmds_keras.detection.dlib_landmarks import DlibLandmarks
+from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import write_arrays
 from experiments.inputs import USED
@@ -57,7 +56,7 @@ def fitted(photo: TestPhoto, landmark_model: MorphableModel, fitter: EdgeFitter)
     }
     if isinstance(photo.image, DataError):
         return row | {"status": np.array(f"unreadable: {photo.image}")}
-    detected = _detector().detect(photo.image)
+    detected = shared_detector().detect(photo.image)
     if detected is None:
         return row
     row["detected"] = detected
@@ -87,9 +86,3 @@ def numbers_of(file: int, n: int) -> range:
 
 def photos_file(run: Run, file: int) -> Path:
     return run.work / "photos" / f"{file:04}.npz"
-
-
-@cache
-def _detector() -> DlibLandmarks:
-    """One for each process: its model is large."""
-    return DlibLandmarks()

@@ -7,22 +7,21 @@ by the camera of the fit, the landmarks that they are given.
 from __future__ import annotations
 
 import shutil
-from collections import Counter
 
 import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from data_gen.dataset import Dataset, save_dataset
+from data_gen.dataset import Dataset
 from data_gen.edge_fitting import EdgeFitter
-from data_gen.errors import DataError
 from data_gen.models import load_model
 from data_gen.projections import Cameras, camera_angles
-from deepmds_keras.weights import read_arrays, write_arrays
-from experiments.inputs import USED, crop_files
+from deepmds_keras.weights import read_arrays
+from experiments.inputs import USED
 from experiments.photo_fits import files_of, fit_photos, numbers_of, photos_file
 from experiments.photo_sources import photo_source
 from experiments.run import Run, parse_run, stage
+from experiments.test_sets import save_test_set
 
 
 def collect(run: Run, source) -> dict:
@@ -33,22 +32,8 @@ def collect(run: Run, source) -> dict:
     """
     parts = [read_arrays(photos_file(run, file))[0] for file in files_of(source)]
     table = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    used = table["status"] == USED
-    if not used.any():
-        raise DataError(
-            f"At least one photo must give a test face. Received {len(used)}, of which: "
-            + "; ".join(f"{n} {status}" for status, n in counted(table["status"]).items())
-        )
-    images = table.pop("image")[used]
-    files = crop_files(run, int(used.sum()))
-    for file, faces in enumerate(files.ranges()):
-        rows = slice(faces.start, faces.stop)
-        files.save(file, images[rows], np.float32(table["crop_landmarks"][used][rows]))
-    # What methods made of another test set is of no use.
-    shutil.rmtree(run.work / "predictions", ignore_errors=True)
-    save_dataset(run.work / "test.npz", _test_set(run, table, used))
-    write_arrays(run.work / "photos.npz", table, {})
-    return {"photos": counted(table["status"]), "checksums": {"test": files.checksums()}}
+    images = iter(table.pop("image")[table["status"] == USED])
+    return save_test_set(run, "photo", table, images, lambda used: _test_set(run, table, used))
 
 
 def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Dataset:
@@ -64,11 +49,6 @@ def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Datas
     description = {"model": run.model, "scheme": run.scheme, "truth": "fit to photos"}
     none = np.empty((n, 0), np.float32)
     return Dataset(none, none, np.float32(landmarks), np.float32(views), cameras, description)
-
-
-def counted(status: np.ndarray) -> dict[str, int]:
-    """Photos by status, the details of each left out."""
-    return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
 
 
 def main(arguments: list[str] | None = None) -> None:

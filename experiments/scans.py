@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +11,16 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from data_gen.casia import write_index
-from data_gen.dataset import Dataset, save_dataset
-from data_gen.errors import DataError
+from data_gen.dataset import Dataset
 from data_gen.ground_truth import GroundTruth
 from data_gen.models import load_model
 from data_gen.projections import Cameras, camera_angles
 from data_gen.scans_standin import ScansStandin
-from deepmds_keras.weights import read_arrays, write_arrays
+from deepmds_keras.weights import read_arrays
 from experiments.examination import CasiaScans, examine, images_file, subject_file
-from experiments.inputs import USED, crop_files, in_photos
+from experiments.inputs import in_photos
 from experiments.run import Run, parse_run, stage, write_bytes
+from experiments.test_sets import save_test_set
 
 _STREAM = 5  # of random numbers of a run: the stand-in's scans
 
@@ -42,22 +41,8 @@ def collect(run: Run, n_subjects: int) -> dict:
         for key, array in arrays.items():
             parts.setdefault(key, []).append(array)
     table = {key: np.concatenate(arrays) for key, arrays in parts.items()}
-    used = table["status"] == USED
-    if not used.any():
-        raise DataError(
-            f"At least one scan must give a test face. Received {n_scans}, of which: "
-            + "; ".join(f"{n} {status}" for status, n in _counted(table["status"]).items())
-        )
-    files = crop_files(run, int(used.sum()))
     images = chain.from_iterable(np.load(images_file(run, k)) for k in range(n_subjects))
-    landmarks = np.float32(table["crop_landmarks"][used])
-    for file, faces in enumerate(files.ranges()):
-        files.save(file, np.stack([*islice(images, len(faces))]), landmarks[faces])
-    # What methods made of another test set, as of an index since edited, is of no use.
-    shutil.rmtree(run.work / "predictions", ignore_errors=True)
-    save_dataset(run.work / "test.npz", _test_set(run, table, used))
-    write_arrays(run.work / "scans.npz", table, {})
-    return {"scans": _counted(table["status"]), "checksums": {"test": files.checksums()}}
+    return save_test_set(run, "scan", table, images, lambda used: _test_set(run, table, used))
 
 
 def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Dataset:
@@ -86,11 +71,6 @@ def casia_scans(run: Run, folder: Path) -> CasiaScans:
         shutil.rmtree(scans)
     write_bytes(chosen, content)
     return source
-
-
-def _counted(status: np.ndarray) -> dict[str, int]:
-    """Scans by status, the details of each left out."""
-    return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
 
 
 def main(arguments: list[str] | None = None) -> None:

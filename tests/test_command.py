@@ -19,9 +19,10 @@ from data_gen.openhead import load_openhead
 from data_gen.photo_views import draw_photo_views
 from deepmds_keras import DeepMDS, __version__
 from deepmds_keras.__main__ import main
+from deepmds_keras.detection import dlib_landmarks
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.predict import command, detection
+from deepmds_keras.predict import command
 
 ROOT = Path(__file__).parents[1]
 TABLES = ("csv", "json", "ply", "obj", "png")
@@ -341,7 +342,7 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     tmp_path, run, landmarks, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, "dlib", None)
-    detection._dlib.cache_clear()
+    dlib_landmarks.shared_detector.cache_clear()
     Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
     points = save(tmp_path / "a.npy", landmarks)
     status, said, (line,) = run(tmp_path / "photo.png")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial import ConvexHull, KDTree
-from threadpoolctl import threadpool_limits
 
 from data_gen.albedo import Albedo
 from data_gen.edge_fitting import EdgeFitter
@@ -20,6 +19,7 @@ from data_gen.rendering import Frames, Renderer, draw_lights
 from deepmds_keras.alignment import align
 from deepmds_keras.normalisation import normalise
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 N, SIZE, SCALE = 60, 218, 0.6  # faces, pixels, pixels per mm
 LEFT_OUT = 20  # columns on either side: images are 178 wide
 NOISE = 1.5  # mm
@@ -43,13 +43,6 @@ def portraits():
     images = renderer.draw(posed, posed, albedo, frames, lights, grounds)[:, :, LEFT_OUT:-LEFT_OUT]
     renderer.close()
     return identity, rotations(cameras), images, frames.pixels(landmarks[..., :2]) - (LEFT_OUT, 0)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """The matrices are so small that threads would only wait for each other."""
-    with threadpool_limits(1):
-        yield
 
 
 @pytest.fixture(scope="module")

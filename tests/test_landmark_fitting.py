@@ -4,21 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
 
 from data_gen.errors import DataError
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.openhead import load_openhead
 from data_gen.projections import Cameras, rotations
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """The matrices are so small that threads would only wait for each other."""
-    with threadpool_limits(1):
-        yield
 
 
 @pytest.fixture(scope="module")

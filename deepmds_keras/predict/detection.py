@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from deepmds_keras.detection import mediapipe_landmarks
-from deepmds_keras.detection.dlib_landmarks import DlibLandmarks
+from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.photos import open_photo
@@ -26,7 +25,7 @@ def find_detector(detector: str, mediapipe_python: str | None) -> str | None:
     """
     if detector == "mediapipe":
         return str(mediapipe_landmarks.find_python(mediapipe_python))
-    _dlib()
+    shared_detector()
     return None
 
 
@@ -79,15 +78,9 @@ def _some(faces: np.ndarray, photo: Path, detector: str) -> np.ndarray | InputEr
 
 
 def _by_dlib(photos: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    return (convert(_dlib().detect_all(photo), "ibug68", SCHEME) for photo in photos)
+    return (convert(shared_detector().detect_all(photo), "ibug68", SCHEME) for photo in photos)
 
 
 def _by_mediapipe(photos: Iterable[np.ndarray], python: str) -> Iterator[np.ndarray]:
     meshes = mediapipe_landmarks.detect_all(photos, python)
     return (convert(mesh[..., :2].astype(float), "mediapipe", SCHEME) for mesh in meshes)
-
-
-@cache
-def _dlib() -> DlibLandmarks:
-    """One for each process: its model is large."""
-    return DlibLandmarks()

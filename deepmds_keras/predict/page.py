@@ -62,11 +62,12 @@ def write_page(
 
 
 def wireframe_script() -> str:
-    """The JavaScript of `drawWireframe` and `wireframeButtons`, to be put into a page.
+    """The JavaScript of `element`, `drawWireframe` and `wireframeButtons`, to be put into a page.
 
-    Its first comment describes both.
+    Comments before them describe them.
     """
-    return (_FOLDER / "wireframe.js").read_text(encoding="utf-8")
+    files = (_FOLDER / name for name in ("element.js", "wireframe.js"))
+    return "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def json_in_html(value: object) -> str:

@@ -278,11 +278,9 @@ function drawWireframe(canvas, options) {
 }
 
 function wireframeButtons(view, photo = null) {
-  const bar = document.createElement("div");
-  bar.className = "wireframe-buttons";
+  const bar = element("div", { class: "wireframe-buttons" });
   const add = (text, action) => {
-    const button = document.createElement("button");
-    [button.type, button.textContent] = ["button", text];
+    const button = element("button", { type: "button" }, text);
     button.addEventListener("click", () => action(button));
     bar.append(button);
     return button;

@@ -1,15 +1,6 @@
 /* Tables that sort by the column whose heading is pressed, and faces that turn. */
 "use strict";
 
-function element(tag, attributes = {}, ...children) {
-  const made = tag.startsWith("svg:")
-    ? document.createElementNS("http://www.w3.org/2000/svg", tag.slice(4))
-    : document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.append(...children);
-  return made;
-}
-
 /* Place of a heading among the cells of a row; headings of one row may span two. */
 function columnOf(heading, table) {
   const [top, bottom] = table.tHead.rows;
