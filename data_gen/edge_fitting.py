@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_gen.edges import EdgeMatcher, ImageEdges, Surface, edges_about
+from data_gen.edges import EdgeMatcher, ImageEdges, edges_about
 from data_gen.errors import DataError
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.landmarks import load_vertices
 from data_gen.mesh import largest_component
 from data_gen.morphable_model import MorphableModel
+from data_gen.occluding_edges import Surface
 from data_gen.orthographic_camera import N_POSE, OrthographicCamera
 from data_gen.visibility import part_of
 

@@ -9,10 +9,11 @@ from scipy.spatial import ConvexHull, KDTree
 
 from data_gen.albedo import Albedo
 from data_gen.edge_fitting import EdgeFitter
-from data_gen.edges import EdgeMatcher, ImageEdges, Surface, edges_about, find_edges
+from data_gen.edges import EdgeMatcher, ImageEdges, edges_about, find_edges
 from data_gen.errors import DataError
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.morphable_model import MorphableModel
+from data_gen.occluding_edges import Surface
 from data_gen.openhead import load_openhead
 from data_gen.projections import Cameras, in_camera_frame, rotations
 from data_gen.rendering import Frames, Renderer, draw_lights
