@@ -114,7 +114,8 @@ class MorphableModel:
         """
 
         def pick(basis):
-            return None if basis is None else basis[..., vertices, :]
+            # Contiguous, unlike by an index: a basis is not copied again for every face.
+            return None if basis is None else np.take(basis, vertices, axis=-2)
 
         return replace(
             self,

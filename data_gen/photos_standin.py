@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
@@ -101,10 +101,7 @@ class PhotosStandin:
             if scheme in model.landmarks
         }
         seen = seen_vertices(model, SCHEME, whole=True)
-        part = part_of(model, seen)
-        # Contiguous, the basis need not be copied for every face.
-        basis = np.ascontiguousarray(part.identity_basis_times_sd)
-        self._model = replace(part, identity_basis_times_sd=basis)
+        self._model = part_of(model, seen)
         self._albedo = Albedo(model, seen)
         height = self._model.mean[:, 1]
         self._rim = height < height.min() + _RIM_MM
