@@ -401,6 +401,22 @@ def test_photos_are_tested_with_the_networks_of_the_other_table(results):
     assert all("celeba from that of 2026-01-02 03:59" in problem for problem in problems)
 
 
+def test_real_photos_and_their_stand_in_are_no_runs_of_the_same_stage(results):
+    run = Run("openhead", SMOKE, results=results)
+    given = dataclasses.replace(run, celeba="data/celeba")
+    networks = stage("networks", 2)
+    for own, minute in ((run, 30), (given, 40)):
+        stages = [stage("faces", minute), stage("photos", minute), networks]
+        folder = write_experiment(own, "celeba", MSE, stages, {}, 1e-5, "reproduce-celeba")
+    assert folder.name == "celeba-real"
+    assert stale(folder_of(results)) == []
+    # The networks are one and the same.
+    stages[-1] = stage("networks", 1)
+    write_experiment(given, "celeba", MSE, stages, {}, 1e-5, "reproduce-celeba")
+    (problem,) = stale(folder_of(results))
+    assert "celeba-real was made from stage networks of 2026-01-02 03:01" in problem
+
+
 def test_photos_with_51_landmarks_are_of_the_networks_of_the_expressive_faces(results):
     run = dataclasses.replace(Run("openhead", SMOKE, results=results), track="celeba")
     folder = run.experiment_results("celeba-flame")

@@ -24,6 +24,13 @@ _STAGES_OF = {
     "celeba-flame": "celeba-flame",
 }
 _NETWORKS_OF = {"bfm": "bfm", "flame": "flame", "celeba": "bfm", "celeba-flame": "flame"}
+# Endings of folders, by data sets given in place of stand-ins, that the stages are made from.
+_DATA_SETS_OF = {
+    "bfm": set(),
+    "flame": {"coma", "casia"},
+    "celeba": {"real"},
+    "celeba-flame": {"coma", "casia", "real"},
+}
 _ALWAYS_MADE = ("seeds", "pretrained")  # by their targets, whether or not they were before
 
 
@@ -83,7 +90,7 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
         for record in experiment.manifest["stages"] if source else ():
             name = record["stage"]
             owner = _NETWORKS_OF[source] if name == "networks" else source
-            key = (owner, name, *_settings(experiment))
+            key = (owner, name, *_settings(experiment, _DATA_SETS_OF[owner]))
             made[key].append((record["started"], experiment))
     problems = {}
     for (_, stage, *_), runs in made.items():
@@ -100,9 +107,9 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
     return [*problems.values()]
 
 
-def _settings(experiment: Experiment) -> tuple:
-    """What decides which stages a run has, beside its track."""
-    data_sets = {"coma", "casia"} & {*experiment.variant.split("-")}
+def _settings(experiment: Experiment, named: set[str]) -> tuple:
+    """What decides which stages a run has, beside its track: of the data sets, those `named`."""
+    data_sets = named & {*experiment.variant.split("-")}
     return (experiment.manifest["protocol"], experiment.manifest["seed"], *sorted(data_sets))
 
 
