@@ -59,6 +59,29 @@ def printed(experiment: str, metric: str, path: Path = PUBLISHED) -> dict[str, s
     return dict(zip(rows["method"], rows["printed"], strict=True))
 
 
+def printed_number(table: str, metric: str, method: str = "", path: Path = PUBLISHED) -> float:
+    """One number that the paper prints, in plain units.
+
+    Args:
+        table: As in the transcription, such as `"tab:cmp_bfm"` or `"text:bfm"`.
+        metric: Such as `"mse"`.
+        method: Of the paper; empty for a number that is of none.
+        path: The transcription.
+
+    Raises:
+        InputError: There is no such number, or more than one.
+    """
+    rows = pd.read_csv(path, dtype=str, keep_default_na=False)
+    rows = rows[(rows["table"] == table) & (rows["metric"] == metric) & (rows["method"] == method)]
+    rows = rows[rows["value"] != ""]
+    if len(rows) != 1:
+        raise InputError(
+            f"{path} must have one number {metric} of {method or 'no method'} in {table}. "
+            f"Received {len(rows)}."
+        )
+    return _plain(rows["value"].iloc[0], rows["unit"].iloc[0])
+
+
 def _rows(experiment: str, path: Path) -> pd.DataFrame:
     if experiment not in SOURCES:
         raise InputError(

@@ -23,7 +23,7 @@ from experiments.report.__main__ import main
 from experiments.report.experiment import load_experiments
 from experiments.report.html import page as html_page
 from experiments.report.markdown import markdown
-from experiments.report.numbers import as_quoted, difference, duration, factor, plus_minus
+from experiments.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.report.overview import reports_elsewhere
 from experiments.report.sections import report
 from experiments.report.staleness import stale

@@ -11,7 +11,7 @@ import pandas as pd
 from experiments.report import wording
 from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
 from experiments.report.experiment import COMMANDS, REPORT, Experiment
-from experiments.report.numbers import (
+from experiments.numbers import (
     NOTHING,
     as_quoted,
     duration,

@@ -20,7 +20,7 @@ from experiments.report.blocks import (
     Table,
 )
 from experiments.report.experiment import REPORT, Experiment
-from experiments.report.numbers import duration, power
+from experiments.numbers import duration, power
 from experiments.report.overview import (
     at_a_glance,
     environment,

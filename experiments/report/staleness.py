@@ -10,7 +10,7 @@ from deepmds_keras.errors import InputError
 from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.published import PUBLISHED
 from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
-from experiments.report.numbers import moment
+from experiments.numbers import moment
 
 # Whose stages an experiment is made from, and whose networks. Others have stages of their own.
 _STAGES_OF = {

@@ -6,7 +6,7 @@ import pandas as pd
 
 from experiments.methods import BY_ID, DEEP_MDS, title
 from experiments.report.experiment import Experiment
-from experiments.report.numbers import as_quoted, enumeration, factor, plus_minus, power
+from experiments.numbers import as_quoted, enumeration, factor, plus_minus, power
 
 _OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
 _SAME_METHOD = (*DEEP_MDS, "authors_weights")

@@ -11,7 +11,7 @@ from experiments.figures.style import colour
 from experiments.methods import BY_ID, title
 from experiments.report.blocks import Cell, Column, Table
 from experiments.report.experiment import Experiment
-from experiments.report.numbers import (
+from experiments.numbers import (
     NOTHING,
     as_quoted,
     difference,

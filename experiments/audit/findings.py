@@ -1,0 +1,48 @@
+"""What a check says of a claim."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+HOLDS = "holds"
+WITH_CONDITION = "holds with a condition"
+UNKNOWN = "cannot be checked"
+DOES_NOT_HOLD = "does not hold"
+# As they are listed: what holds comes first.
+VERDICTS = (HOLDS, WITH_CONDITION, UNKNOWN, DOES_NOT_HOLD)
+
+# Errors within this factor count as alike wherever the paper calls methods or views comparable.
+ALIKE = 1.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Verdict on one claim.
+
+    Attributes:
+        verdict: One of `VERDICTS`.
+        evidence: Sentences with the numbers that were measured.
+        condition: Under which the claim holds, or what is missing to check it; else empty.
+    """
+
+    verdict: str
+    evidence: str
+    condition: str = ""
+
+
+def holds(evidence: str) -> Finding:
+    return Finding(HOLDS, evidence)
+
+
+def holds_if(condition: str, evidence: str) -> Finding:
+    """The claim holds under a condition, such as `"for yaws up to 45°"`."""
+    return Finding(WITH_CONDITION, evidence, condition)
+
+
+def unknown(missing: str, evidence: str = "") -> Finding:
+    """The claim cannot be checked without something, such as `"the Basel Face Model 2009"`."""
+    return Finding(UNKNOWN, evidence, missing)
+
+
+def does_not_hold(evidence: str) -> Finding:
+    return Finding(DOES_NOT_HOLD, evidence)
