@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba report seeds pretrained openhead test lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report seeds pretrained openhead test lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -146,6 +146,16 @@ $(PHOTOS)/celeba-flame.json: $(FLAME)/networks.json \
     $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json) \
     $(if $(filter-out no,$(MEDIAPIPE)),| $(MEDIAPIPE_READY))
 	@$(STAGE).celeba_flame $(RUN_CELEBA)
+
+ablation: $(BUILD)/ablation.json ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
+	@$(STAGE).ablation $(RUN)
+
+$(BUILD)/ablation.json: $(BUILD)/networks.json
+	@$(STAGE).ablation $(RUN)
+
+# Always run: it reads the tables of whatever other targets were run.
+audit: $(TABLE) $(BUILD)/ablation.json ## which claims of the paper hold: results/audit/   (10 min after ablation)
+	@$(STAGE).audit $(RUN) $(FLAME_FILES) --celeba '$(CELEBA_DIR)'
 
 report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
 	@$(STAGE).report --model $(MODEL) --preset $(PRESET)

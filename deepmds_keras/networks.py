@@ -39,7 +39,9 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
     return keras.Model(view, frontal, name=f"autoencoder_{n_landmarks}")
 
 
-def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.Model:
+def build_dissimilarity_net(
+    variant: str = "paper", *, seed: int = 0, short_connection: bool = True
+) -> keras.Model:
     """The five-layer net that estimates the 3D distance of a pair of landmarks.
 
     Five hidden layers of 20 units with a short connection, which the released code makes by
@@ -49,6 +51,7 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
         variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
             (5 features, 2,423 of 2,625); see `pair_features`.
         seed: Of the initial weights.
+        short_connection: False leaves it out, to see what it is good for.
 
     Returns:
         Model from `(P, F)` features to `(P, 1)` distances in the unit of `normalise`.
@@ -63,11 +66,13 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
     x = dense(pair, 20, "hidden_1")
     second = x = dense(x, 20, "hidden_2")
     x = dense(x, 20, "hidden_3")
-    fourth = dense(x, 20, "hidden_4")
-    x = layers.Concatenate(name="short_connection")([second, fourth])
+    x = dense(x, 20, "hidden_4")
+    if short_connection:
+        x = layers.Concatenate(name="short_connection")([second, x])
     x = dense(x, 20, "hidden_5")
     distance = dense(x, 1, "distance", activated=False)
-    return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
+    name = f"dissimilarity_{variant}" + "_chain" * (not short_connection)
+    return keras.Model(pair, distance, name=name)
 
 
 def draw_kernels(network: keras.Model, seed: int) -> None:

@@ -21,6 +21,7 @@ from deepmds_keras.weights import read_checkpoint, write_checkpoint
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
 _DISSIMILARITY_CHECK_FACES = 50
+_SHUFFLED = 1  # stream of random numbers beside that of `face_order`
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ def train_dissimilarity_net(
     recipe: Recipe,
     *,
     variant: str = "paper",
+    shuffled: bool = False,
+    short_connection: bool = True,
     seed: int = 0,
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
@@ -114,7 +117,9 @@ def train_dissimilarity_net(
         frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
         shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
         recipe: Epochs, steps (faces) in an epoch and learning rate.
-        variant: As for `build_dissimilarity_net`.
+        variant, short_connection: As for `build_dissimilarity_net`.
+        shuffled: Whether a mini-batch is as many pairs as one face has, drawn from all faces (the
+            other scheme of the paper's "Ablation Study").
         seed: Of the initial weights and of the order of the faces.
         checkpoint: File to go on from, and to write after every epoch.
         progress: Called after every epoch with its losses.
@@ -131,7 +136,7 @@ def train_dissimilarity_net(
     else:
         first, second = np.triu_indices(n_landmarks, 1)
     steps = recipe.steps_per_epoch or n
-    model = build_dissimilarity_net(variant, seed=seed)
+    model = build_dissimilarity_net(variant, seed=seed, short_connection=short_connection)
     # Element-wise work on thousands of pairs is most of a step: fused, it takes half the time.
     model.compile(
         recipe.optimizer(steps),
@@ -141,16 +146,32 @@ def train_dissimilarity_net(
     )
 
     def batches(epoch: int) -> tf.data.Dataset:
-        faces = face_order(n, steps, seed, epoch)
-        data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
         # Pairs are made beside the training, a few faces ahead: all at once fill the memory.
-        return data.map(lambda *face: pairs(*face, tnp)).prefetch(_STEPS_PER_CALL)
+        if shuffled:
+            rng = np.random.default_rng([seed, epoch, _SHUFFLED])
+            draws = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
+            data = tf.data.Dataset.from_tensor_slices((*draws,)).map(drawn_pairs)
+        else:
+            faces = face_order(n, steps, seed, epoch)
+            data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
+            data = data.map(lambda *face: pairs(*face, tnp))
+        return data.prefetch(_STEPS_PER_CALL)
 
     def pairs(frontal, shapes, xp):
-        ends = [xp.take(frontal, landmarks, axis=-2) for landmarks in (first, second)]
-        difference = xp.take(shapes, first, axis=-2) - xp.take(shapes, second, axis=-2)
-        distance = xp.sqrt(xp.sum(xp.square(difference), axis=-1, keepdims=True))
-        return proximities(*ends, variant, xp), distance
+        views, points = (
+            [xp.take(array, landmarks, axis=-2) for landmarks in (first, second)]
+            for array in (frontal, shapes)
+        )
+        return features_and_distance(views, points, xp)
+
+    def drawn_pairs(faces, drawn):
+        ends = [tf.stack([faces, tf.gather(i, drawn)], axis=-1) for i in (first, second)]
+        views, points = ([tf.gather_nd(a, end) for end in ends] for a in (frontal, shapes))
+        return features_and_distance(views, points, tnp)
+
+    def features_and_distance(views, points, xp):
+        squares = xp.square(points[0] - points[1])
+        return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
 
     check = slice(min(n, _DISSIMILARITY_CHECK_FACES))
     check_features, check_distances = pairs(frontal[check], shapes[check], np)
@@ -161,6 +182,8 @@ def train_dissimilarity_net(
         return float(np.mean((predicted - check_distances.reshape(-1, 1)) ** 2))
 
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
+    if shuffled:
+        label["shuffled"] = True
     return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
 
 

@@ -42,6 +42,10 @@ class Faces:
     posed: np.ndarray
     cameras: Cameras
 
+    def __getitem__(self, faces) -> Faces:
+        """Some of the faces, by a slice, a mask or their numbers."""
+        return Faces(**{name: own[faces] for name, own in vars(self).items()})
+
 
 def in_photos(run: Run, dataset: Dataset) -> Dataset:
     """A data set of the FLAME track with views as the run's protocol places them.

@@ -67,6 +67,13 @@ def duration(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
+def size(value: int | str | list[int]) -> str:
+    """A size of a preset, of which some are several."""
+    if isinstance(value, list):
+        return enumeration([*map(size, value)])
+    return f"{value:,}" if isinstance(value, int) else value
+
+
 def moment(iso: str) -> str:
     """Date and time of day in UTC, of one that `run.stage` records."""
     then = datetime.datetime.fromisoformat(iso).astimezone(datetime.timezone.utc)

@@ -69,4 +69,6 @@ def _numbers(text: str, path: Path) -> dict[str, float]:
         pairs = [part.split("=") for part in text.split(";") if part.strip()]
         return {name.strip(): float(value) for name, value in pairs}
     except ValueError:
-        raise InputError(f"{path}: numbers must be name=value; name=value. Received {text}.") from None
+        raise InputError(
+            f"{path}: numbers must be name=value; name=value. Received {text}."
+        ) from None

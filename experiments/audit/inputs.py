@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,8 +18,9 @@ from experiments.inputs import Faces, load_faces
 from experiments.run import Run
 from experiments.scores import Scores, load_predictions, score
 
-# Stages of `make reproduce-bfm` whose files the checks read.
-_STAGES = ("faces", "networks", "predictions", "mobileface")
+# Stages whose files the checks read.
+_STAGES = ("faces", "networks", "predictions", "mobileface", "ablation")
+_DATA_SETS = {"flame": ("coma", "casia"), "celeba": ("celeba",)}  # that a track's results are of
 _AUDITED = 3  # stream of random numbers beside those of the data sets and subsets
 
 
@@ -26,11 +28,14 @@ class Inputs:
     """Arrays of a run of the BFM track, each read when it is first asked for.
 
     Args:
-        run: The run, whose stages up to the predictions are done.
+        run: The run, whose stages up to the predictions are done. Data sets that it names are those
+            of the results that are read.
     """
 
     def __init__(self, run: Run):
-        self.run = run
+        self.run = replace(run, coma=None, casia=None, celeba=None)
+        self.tables: dict[str, str] = {}  # tables read and their hashes
+        self._named = run
 
     @cached_property
     def train(self) -> Faces:
@@ -90,8 +95,13 @@ class Inputs:
 
     def results(self, experiment: str, name: str = "metrics.csv") -> pd.DataFrame | None:
         """A table in `results/<model>/<experiment>`, or None: that target was not run."""
-        path = self.run.experiment_results(experiment) / name
-        return pd.read_csv(path) if path.exists() else None
+        data_sets = _DATA_SETS.get(experiment.split("-")[0], ())
+        run = replace(self.run, **{key: getattr(self._named, key) for key in data_sets})
+        path = run.experiment_results(experiment) / name
+        if not path.exists():
+            return None
+        self.tables[path.relative_to(run.model_results).as_posix()] = sha256_of([path])
+        return pd.read_csv(path)
 
     @cached_property
     def key(self) -> dict[str, str]:

@@ -16,6 +16,7 @@ from experiments.published import PUBLISHED, SOURCES
 REPORT = "report"
 # Experiments in the order of the report, and the target that makes each.
 COMMANDS = {
+    "audit": "make audit",
     "bfm": "make reproduce-bfm",
     "bfm-evaluator-released": "make reproduce-bfm EVALUATOR=released",
     "flame": "make reproduce-flame",
@@ -24,9 +25,11 @@ COMMANDS = {
     "celeba-true-landmarks": "make reproduce-celeba",
     "celeba-flame": "make reproduce-celeba TF_FLAME=dir",
     "parameters": "make reproduce-bfm",
+    "ablation": "make ablation",
     "seeds": "make seeds",
     "pretrained": "make pretrained",
 }
+_OF_BFM = ("audit", "ablation", "seeds")  # on its faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ class Experiment:
     @property
     def track(self) -> str:
         """Which of the paper's tables it stands beside: one of `published.SOURCES`, or another."""
-        return "bfm" if self.base == "seeds" else self.base.split("-")[0]
+        return "bfm" if self.base in _OF_BFM else self.base.split("-")[0]
 
     def table(self, name: str = "table.csv") -> pd.DataFrame:
         return pd.read_csv(self.folder / name)

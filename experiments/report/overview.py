@@ -6,11 +6,9 @@ import math
 from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
-from experiments.report import wording
-from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
-from experiments.report.experiment import COMMANDS, REPORT, Experiment
 from experiments.numbers import (
     NOTHING,
     as_quoted,
@@ -18,7 +16,11 @@ from experiments.numbers import (
     factor,
     plus_minus,
     power,
+    size,
 )
+from experiments.report import wording
+from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
+from experiments.report.experiment import COMMANDS, REPORT, Experiment
 from experiments.report.summaries import better_than_ours, measured
 from experiments.report.tables import method_cell, metric_head, time_cell
 
@@ -109,7 +111,8 @@ def what_was_run(experiments: list[Experiment]) -> list[Block]:
     sizes = {name: value for own in experiments for name, value in own.manifest["preset"].items()}
     sizes.pop("name", None)
     size_rows = tuple(
-        (Cell(name.replace("_", " ")), Cell(f"{value:,}", value)) for name, value in sizes.items()
+        (Cell(name.replace("_", " ")), Cell(size(value), np.max(value)))
+        for name, value in sizes.items()
     )
     size_columns = (Column("Size", numeric=False), Column("Value"))
     size_table = Table("Sizes of the preset.", size_columns, size_rows)

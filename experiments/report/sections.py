@@ -6,6 +6,7 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.figures.style import colour
 from experiments.manifest import MANIFEST
 from experiments.methods import title
+from experiments.numbers import duration, power, size
 from experiments.report import wording
 from experiments.report.blocks import (
     Block,
@@ -19,8 +20,8 @@ from experiments.report.blocks import (
     Picture,
     Table,
 )
+from experiments.report.claims import claim_blocks, read_claims
 from experiments.report.experiment import REPORT, Experiment
-from experiments.numbers import duration, power
 from experiments.report.overview import (
     at_a_glance,
     environment,
@@ -30,6 +31,7 @@ from experiments.report.overview import (
 )
 from experiments.report.summaries import summary
 from experiments.report.tables import (
+    ablation_table,
     criteria_table,
     method_cell,
     other_criteria_table,
@@ -41,7 +43,7 @@ from experiments.report.tables import (
 
 # Of a stage's record: what tables have of their own, or nobody asks for.
 _NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",
-              "methods", "processes_mb", "rows"}  # fmt: skip
+              "methods", "processes_mb", "rows", "tables"}  # fmt: skip
 
 
 def report(model: str, experiments: list[Experiment], elsewhere: dict[str, str]) -> list[Block]:
@@ -95,16 +97,19 @@ def _section(experiment: Experiment, experiments: list[Experiment]) -> list[Bloc
 
 def _grouped(sizes: dict) -> dict[str, str]:
     """Sizes of a preset as they are read."""
-    return {
-        name: f"{value:,}" if isinstance(value, int) else value for name, value in sizes.items()
-    }
+    return {name: size(value) for name, value in sizes.items()}
 
 
 def _tables(experiment: Experiment) -> list[Block]:
+    if experiment.has("claims.csv"):
+        names = {name: full for name, (full, _) in wording.MODELS.items()}
+        return claim_blocks(read_claims(experiment.folder / "claims.csv"), names)
     if not experiment.has("table.csv"):
         return []
     if experiment.base == "parameters":
         return [parameters_table(experiment)]
+    if experiment.base == "ablation":
+        return [ablation_table(experiment)]
     if not experiment.compared:
         caption = wording.TABLES.get(experiment.base, "As in `table.csv`.")
         return [plain_table(experiment, caption)]

@@ -8,12 +8,14 @@ from pathlib import Path
 from data_gen.model_files import sha256_of
 from deepmds_keras.errors import InputError
 from experiments.manifest import MANIFEST, files_of, read_manifest
+from experiments.numbers import moment
 from experiments.published import PUBLISHED
 from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
-from experiments.numbers import moment
 
 # Whose stages an experiment is made from, and whose networks. Others have stages of their own.
 _STAGES_OF = {
+    "audit": "bfm",
+    "ablation": "bfm",
     "bfm": "bfm",
     "bfm-evaluator-released": "bfm",
     "parameters": "bfm",
@@ -31,7 +33,7 @@ _DATA_SETS_OF = {
     "celeba": {"real"},
     "celeba-flame": {"coma", "casia", "real"},
 }
-_ALWAYS_MADE = ("seeds", "pretrained")  # by their targets, whether or not they were before
+_ALWAYS_MADE = ("audit", "seeds", "pretrained")  # by their targets, whether or not they were before
 
 
 def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
@@ -75,10 +77,26 @@ def _changed(experiment: Experiment) -> list[str]:
     listed = experiment.manifest["files"]
     missing = [name for name in listed if name not in now]
     edited = [name for name, digest in listed.items() if now.get(name, digest) != digest]
+    stages = experiment.manifest["stages"]
+    read = [name for record in stages for name in _changed_tables(experiment, record)]
     return [
         f"{', '.join(names)} {word}"
-        for names, word in ((missing, "missing"), (edited, "changed since the run"))
+        for names, word in (
+            (missing, "missing"),
+            (edited, "changed since the run"),
+            (read, "changed since it was read"),
+        )
         if names
+    ]
+
+
+def _changed_tables(experiment: Experiment, record: dict) -> list[str]:
+    """Tables of other experiments that a stage read, and that are others now."""
+    tables = {name: experiment.folder.parent / name for name in record.get("tables", {})}
+    return [
+        name
+        for name, path in tables.items()
+        if not path.exists() or sha256_of([path]) != record["tables"][name]
     ]
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 
 from experiments.methods import BY_ID, DEEP_MDS, title
-from experiments.report.experiment import Experiment
 from experiments.numbers import as_quoted, enumeration, factor, plus_minus, power
+from experiments.report.experiment import Experiment
 
 _OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
 _SAME_METHOD = (*DEEP_MDS, "authors_weights")
@@ -41,6 +41,8 @@ def summary(experiment: Experiment, others: list[Experiment]) -> str:
         experiment: Of which to speak.
         others: All of the report, of which some are compared with.
     """
+    if experiment.has("claims.csv"):
+        return ""  # its tables begin with it
     if experiment.base == "parameters":
         return _of_parameters(experiment)
     if experiment.base == "seeds":

@@ -7,10 +7,9 @@ import math
 
 import pandas as pd
 
+from experiments.ablation import HEADS, rows_of
 from experiments.figures.style import colour
 from experiments.methods import BY_ID, title
-from experiments.report.blocks import Cell, Column, Table
-from experiments.report.experiment import Experiment
 from experiments.numbers import (
     NOTHING,
     as_quoted,
@@ -21,6 +20,8 @@ from experiments.numbers import (
     power,
     scientific,
 )
+from experiments.report.blocks import Cell, Column, Table
+from experiments.report.experiment import Experiment
 
 _CRITERIA = {"mse": "MSE", "depth_corr": "Depth correlation"}
 _OF_PAPER = "in the paper, "
@@ -190,6 +191,13 @@ def parameters_table(experiment: Experiment) -> Table:
         "model."
     )
     return Table(caption, tuple(columns), tuple(rows))
+
+
+def ablation_table(experiment: Experiment) -> Table:
+    """Losses and errors of every variant: mean and s.d. over its seeds."""
+    columns = [Column(head, numeric=name != "variant") for name, head in HEADS.items()]
+    rows = tuple(tuple(map(Cell, row)) for row in rows_of(experiment.table()))
+    return Table("Mean ± s.d. over the seeds.", tuple(columns), rows)
 
 
 def plain_table(experiment: Experiment, caption: str) -> Table:

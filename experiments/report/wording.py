@@ -57,6 +57,16 @@ EXPERIMENTS = {
         "The paper's CelebA faces with FLAME's landmarks",
         "Photos with 51 landmarks and no truth: what each method makes of them.",
     ),
+    "audit": (
+        "Which claims of the paper hold",
+        "Each claim of the paper as a check that is run here.",
+    ),
+    "ablation": (
+        "What the parts are good for",
+        "The dissimilarity net trained {n_seeds} times in each of several ways, on the frontal "
+        "views of one autoencoder, and both networks on fewer faces; scored on "
+        "{subset_size} test faces.",
+    ),
     "parameters": (
         "Parameters and time",
         "The paper's table of trainable parameters and time complexity.",
@@ -96,6 +106,14 @@ FIGURES = {
     "error_per_expression": "Error by expression.",
     "scans": "Photos, scans, the landmarks found on them, and how far they are from the true ones.",
     "learning_curves": "Learning curves.",
+    "poses": "Error by pose and field of view; the shaded part was trained on.",
+    "disturbances": "Error by noise on the landmarks and by landmarks that are missing.",
+    "bias": "How much of a face's difference from the mean shape a method finds: by how much it "
+    "shrinks it, and how well it correlates.",
+    "spectra": "Eigenvalues of the doubly centred squared dissimilarities.",
+    "timings": "Time by number of landmarks.",
+    "mini_batches": "Losses of the dissimilarity net, by what a mini-batch holds.",
+    "training_faces": "Error by number of training faces.",
     "seed_spread": "Error of every training run.",
     "batchnorm_lag": "The autoencoder's error by moving statistics, by those of the mini-batch, "
     "and by statistics estimated anew.",

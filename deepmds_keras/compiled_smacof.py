@@ -1,0 +1,186 @@
+"""What `batched_mds.smacof` does, compiled by numba."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from deepmds_keras.batched_mds import COINCIDENT, TIE
+
+# Terms of a sum may be reordered, which vector instructions need; NaN and infinity keep their
+# rules.
+_REORDERED = {"reassoc", "contract", "nsz"}
+
+
+def _compiled(function):
+    """Compiled, the machine code kept on disk unless no folder for it can be written."""
+    options = {"error_model": "numpy", "nogil": True, "fastmath": _REORDERED}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)
+
+
+@_compiled
+def smacof(pairs, order, start, max_iter, eps):
+    """As `batched_mds.smacof`, for C-contiguous arrays."""
+    n, n_landmarks, n_components = start.shape
+    n_pairs = pairs.shape[1]
+    solved, stress, n_iter = np.empty_like(start), np.empty(n), np.empty(n, np.int64)
+    points, moved = np.empty((n_components, n_landmarks)), np.empty((n_components, n_landmarks))
+    distances, disparities, ratios = np.empty(n_pairs), np.empty(n_pairs), np.empty(n_pairs)
+    all_positions, all_tied = np.empty(n_pairs, np.uint32), np.empty(n_pairs, np.bool_)
+    values, sums, weights = np.empty(n_pairs), np.empty(n_pairs), np.empty(n_pairs)
+    blocks, new_blocks = np.empty(n_pairs + 1, np.uint32), np.empty(n_pairs + 1, np.uint32)
+    for face in range(n):
+        n_known = _read_order(pairs[face], order[face], all_positions, all_tied)
+        positions, tied = all_positions[:n_known], all_tied[:n_known]
+        blocks[0], blocks[1], n_blocks = 0, n_known, 1
+        disparities[:] = pairs[face]  # of the first iteration, as in smacof for R
+        points[:] = start[face].T
+        _pair_distances(points, distances)
+        previous = np.inf
+        for iteration in range(1, max_iter + 1):
+            if iteration > 1:
+                for rank in range(n_known):
+                    values[rank] = distances[positions[rank]]
+                n_blocks = _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights)
+                blocks[: n_blocks + 1] = new_blocks[: n_blocks + 1]
+                for block in range(n_blocks):
+                    mean = sums[block] / weights[block]
+                    for rank in range(blocks[block], blocks[block + 1]):
+                        disparities[positions[rank]] = mean
+            _rescale(disparities)
+            _move(points, distances, disparities, ratios, moved)
+            _pair_distances(points, distances)
+            raw, size = _raw_stress(distances, disparities)
+            if iteration > 1 and (previous - raw) / size < eps:
+                break
+            previous = raw
+        solved[face], stress[face], n_iter[face] = points.T, np.sqrt(raw / size), iteration
+    return solved, stress, n_iter
+
+
+@_compiled
+def _read_order(pairs, order, positions, tied):
+    """Fill the positions of the known pairs and whether each ties with the one before it."""
+    n_known, smallest = 0, -np.inf
+    for position in order:
+        if pairs[position] != 0:
+            positions[n_known] = position
+            tied[n_known] = pairs[position] - smallest < TIE
+            if not tied[n_known]:
+                smallest = pairs[position]
+            n_known += 1
+    return n_known
+
+
+@_compiled
+def _pair_distances(points, distances):
+    """Fill the distances of the pairs of `(k, L)` points."""
+    n_landmarks, first = points.shape[1], 0
+    distances[:] = 0
+    for landmark in range(n_landmarks - 1):
+        row = distances[first : first + n_landmarks - 1 - landmark]
+        for axis in range(len(points)):
+            own, others = points[axis, landmark], points[axis, landmark + 1 :]
+            for i in range(len(row)):
+                row[i] += (own - others[i]) ** 2
+        first += len(row)
+    for pair in range(len(distances)):
+        distances[pair] = np.sqrt(distances[pair])
+
+
+@_compiled
+def _rescale(disparities):
+    squares = 0.0
+    for pair in range(len(disparities)):
+        squares += disparities[pair] ** 2
+    scale = np.sqrt(len(disparities) / squares)
+    for pair in range(len(disparities)):
+        disparities[pair] *= scale
+
+
+@_compiled
+def _move(points, distances, disparities, ratios, moved):
+    """Guttman transform of the points, in place."""
+    n_landmarks, first = points.shape[1], 0
+    for pair in range(len(ratios)):
+        distance = distances[pair]
+        ratios[pair] = disparities[pair] / (COINCIDENT if distance == 0 else distance)
+    moved[:] = 0
+    for landmark in range(n_landmarks - 1):
+        row = ratios[first : first + n_landmarks - 1 - landmark]
+        for axis in range(len(points)):
+            own, others = points[axis, landmark], points[axis, landmark + 1 :]
+            pulled, total = moved[axis, landmark + 1 :], 0.0
+            for i in range(len(row)):
+                pull = row[i] * (own - others[i])
+                pulled[i] -= pull
+                total += pull
+            moved[axis, landmark] += total
+        first += len(row)
+    points[:] = moved / n_landmarks
+
+
+@_compiled
+def _raw_stress(distances, disparities):
+    raw, size = 0.0, 0.0
+    for pair in range(len(distances)):
+        raw += (distances[pair] - disparities[pair]) ** 2
+        size += distances[pair] ** 2
+    return raw, size
+
+
+@_compiled
+def _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights):
+    """Isotonic regression by pooling adjacent violators, begun from the blocks of another one.
+
+    Violators may be pooled in any order. A block of which no beginning lies below its mean would
+    end in one piece, so it enters whole; any other enters value by value, ties together. From one
+    iteration to the next over nine of ten blocks stay whole, which leaves little to pool.
+
+    Args:
+        values: `(P,)` numbers to make ascending.
+        tied: `(P,)` whether each belongs together with the one before it.
+        blocks: `(n_blocks + 1,)` where the given blocks begin, and the end.
+        n_blocks: Their number.
+        new_blocks: Filled with where the blocks of the solution begin, and the end.
+        sums: Filled with the sums of their values.
+        weights: Filled with the numbers of their values.
+
+    Returns:
+        The number of blocks of the solution.
+    """
+    n_new = 0
+    for block in range(n_blocks):
+        rank, end = blocks[block], blocks[block + 1]
+        total = 0.0
+        for i in range(rank, end):
+            total += values[i]
+        mean, excess, whole = total / (end - rank), 0.0, True
+        for i in range(rank, end - 1):
+            excess += values[i] - mean
+            if excess < 0 and not tied[i + 1]:
+                whole = False
+                break
+        while rank < end:
+            first = rank
+            if whole:
+                rank = end
+            else:
+                total = values[rank]
+                rank += 1
+                while rank < end and tied[rank]:
+                    total += values[rank]
+                    rank += 1
+            weight = float(rank - first)
+            while n_new > 0 and sums[n_new - 1] * weight >= total * weights[n_new - 1]:
+                n_new -= 1
+                total += sums[n_new]
+                weight += weights[n_new]
+                first = new_blocks[n_new]
+            sums[n_new], weights[n_new], new_blocks[n_new] = total, weight, first
+            n_new += 1
+    new_blocks[n_new] = len(values)
+    return n_new

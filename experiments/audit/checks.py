@@ -1,0 +1,86 @@
+"""Which function checks which claim."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+
+from experiments.audit import (
+    bias,
+    complexity,
+    criteria,
+    dissimilarity,
+    elsewhere,
+    noise,
+    occlusion,
+    parameters,
+    perspective,
+    poses,
+    ranking,
+    significance,
+    training,
+    zhao,
+)
+from experiments.audit.findings import Finding
+
+_TOPICS = (
+    dissimilarity, parameters, complexity, poses, perspective, occlusion, training, criteria,
+    significance, ranking, zhao, bias, elsewhere, noise,
+)  # fmt: skip
+# By name: modules whose `measure` gives their checks the inputs.
+TOPICS: dict[str, ModuleType] = {module.__name__.rpartition(".")[2]: module for module in _TOPICS}
+# What is measured anew each time: it takes seconds, or is of results that may have changed.
+NOT_KEPT = ("parameters", "training", "ranking", "zhao", "elsewhere")
+
+# By the ids of `results/published/claims.csv`.
+CHECKS: dict[str, Callable[..., Finding]] = {
+    "symmetric": dissimilarity.symmetric,
+    "exact-distances": dissimilarity.exact_distances,
+    "rank-above-two": dissimilarity.rank_above_two,
+    "distance-rank": dissimilarity.distance_rank,
+    "shape-classes": dissimilarity.shape_classes,
+    "parameters-dissimilarity": parameters.below_bound,
+    "parameters-ours": parameters.ours,
+    "parameters-zhao": parameters.zhao,
+    "parameters-mobileface": parameters.mobileface,
+    "parameters-ringnet": parameters.ringnet,
+    "parameters-fewest": parameters.fewest,
+    "inference-time": parameters.inference_time,
+    "cubic-time": complexity.cubic_time,
+    "many-landmarks": complexity.many_landmarks,
+    "frontal-view": poses.frontal_view,
+    "autoencoder-needed": poses.autoencoder_needed,
+    "projection-independent": poses.projection_independent,
+    "perspective-views": perspective.TODO,
+    "occlusion": occlusion.TODO,
+    "mini-batches": training.same_face_batches,
+    "short-connection": training.short_connection,
+    "mse-formula": criteria.mse_formula,
+    "depth-corr-meaning": criteria.depth_corr_meaning,
+    "depth-corr-percent": criteria.depth_corr_percent,
+    "casia-depth-corr": criteria.casia_depth_corr,
+    "p-value": significance.p_value,
+    "significance": significance.samplings,
+    "bfm-mse": ranking.as_printed,
+    "training-luck": training.known_to,
+    "trivial-case": ranking.beats_constant,
+    "bfm-rank": ranking.second,
+    "zhao-score": zhao.bfm_score,
+    "zhao-orthographic": zhao.orthographic_only,
+    "unbiased": bias.TODO,
+    "model-based-bias": bias.TODO,
+    "celeba-aldrian": ranking.celeba_beats_aldrian,
+    "celeba-mobileface": ranking.celeba_like_mobileface,
+    "celeba-zhao": zhao.celeba_score,
+    "casia-comparable": ranking.casia_like_others,
+    "bfm-triangles": elsewhere.triangles,
+    "first-use": elsewhere.first_use,
+    "landmark-noise": noise.TODO,
+    "missing-landmarks": occlusion.TODO,
+    "training-faces": training.enough_faces,
+}
+
+
+def topic_of(check: Callable[..., Finding]) -> str:
+    """Which of `TOPICS` gives a check its inputs."""
+    return check.__module__.rpartition(".")[2]

@@ -1,0 +1,317 @@
+"""Claims on dissimilarities: what the net learns, what MDS makes of it, and ranks of distances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepmds_keras.alignment import align, is_mirrored
+from deepmds_keras.embedding import check_dissimilarities, classical_scaling, embed
+from deepmds_keras.metrics import mse
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.proximities import proximities
+from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
+from experiments.audit.inputs import Inputs
+from experiments.numbers import enumeration, scientific
+
+if TYPE_CHECKING:
+    from deepmds_keras.pipeline import DeepMDS
+
+# Shares below which a number is nothing but rounding: of float32, in which networks compute, and
+# of float64, in which all else does.
+_FLOAT32 = 1e-5
+_FLOAT64 = 1e-9
+# How far an eigenvalue, or an error, must stand out from another one to be called larger.
+_CLEARLY = 2
+_DIMENSIONS = (1, 2, 3, 4, 5, 6)
+_CLOUDS = 50  # random ones of each dimension or class
+_FEW_POINTS, _MANY_DIMENSIONS = 5, 10
+_SHOWN = 8  # eigenvalues
+_TRUE, _LEARNT, _FRONTAL = "true 3D distances", "learnt dissimilarities", "frontal view"
+
+
+def measure(inputs: Inputs) -> dict:
+    """What the checks below name, on the audited test faces and on points made up at random."""
+    model = inputs.method("ours")
+    rng = np.random.default_rng(inputs.run.seed)
+    views = inputs.test.views[inputs.audited]
+    shapes = inputs.test.shapes[inputs.audited].astype(float)
+    frontal = model.frontalise(views)
+    outputs, swapped = net_outputs(model, frontal), net_outputs(model, frontal, swapped=True)
+    return {
+        "n_faces": len(shapes),
+        "asymmetry": float(np.abs(outputs - swapped).max()),
+        "largest_output": float(np.abs(outputs).max()),
+        "from_exact": _from_exact(shapes, inputs.method("mean_shape").predict(views)),
+        **_of_learnt(model.dissimilarities(views), frontal.astype(float), shapes),
+        **_ranks(shapes, rng),
+        "classes": _classes(model, shapes[:_CLOUDS], rng),
+    }
+
+
+def symmetric(asymmetry: float, largest_output: float, n_faces: int) -> Finding:
+    """Does the net answer the same whichever landmark of a pair comes first?"""
+    evidence = (
+        f"The net was given every pair of landmarks of {n_faces} test faces in both orders. "
+        f"Its two outputs differ by {scientific(asymmetry, 2)} at most, where the largest output "
+        f"is {scientific(largest_output, 3)}."
+    )
+    if asymmetry <= _FLOAT32 * largest_output:
+        return holds(evidence)
+    return does_not_hold(evidence)
+
+
+def exact_distances(from_exact: Mapping[str, float], n_faces: int) -> Finding:
+    """Is nothing but rounding left where MDS is given the true distances?"""
+    classical, non_metric = from_exact["classical"], from_exact["non_metric"]
+    bound = _FLOAT64 * from_exact["mean_shape"]
+    evidence = (
+        f"From the true distances of {n_faces} test faces classical scaling leaves an MSE of "
+        f"{scientific(classical, 2)} and non-metric MDS one of {scientific(non_metric, 2)}; "
+        f"the mean shape has {scientific(from_exact['mean_shape'], 3)}."
+    )
+    if classical > bound:
+        return does_not_hold(evidence)
+    if non_metric > bound:
+        return holds_if("by classical scaling, not by non-metric MDS", evidence)
+    left_open = ["place", "direction"]
+    if from_exact["mirrored"] > 0:
+        left_open.append("mirror image")
+        evidence += (
+            f" {100 * from_exact['mirrored']:.3g} % of the faces come out of non-metric MDS as in "
+            "a mirror; without a reflection to align them, its MSE is "
+            f"{scientific(from_exact['unreflected'], 3)}."
+        )
+    return holds_if(
+        f"but for {enumeration(left_open)}, which distances do not tell, and for the scale, which "
+        "non-metric MDS leaves open",
+        evidence,
+    )
+
+
+def rank_above_two(
+    spectra: Mapping[str, Sequence[float]],
+    effective_numbers: Mapping[str, float],
+    matrix_ranks: Mapping[str, int],
+    lifted: Mapping[str, float],
+    n_faces: int,
+) -> Finding:
+    """Does a third eigenvalue stand out, and does its component make the shape better?"""
+    _, _, third, fourth, *_ = spectra[_LEARNT]
+    true, flat = spectra[_TRUE][2], abs(spectra[_FRONTAL][2])
+    effective = [f"{effective_numbers[name]:.2f}" for name in (_TRUE, _LEARNT, _FRONTAL)]
+    ranks = [f"{matrix_ranks[name]}" for name in (_TRUE, _LEARNT, _FRONTAL)]
+    evidence = (
+        f"Of the eigenvalues of the doubly centred squared dissimilarities of {n_faces} test "
+        f"faces, the third has a share of {_percent(third)} in the sum of absolute values and the "
+        f"fourth one of {_percent(abs(fourth))}; with true distances the third has "
+        f"{_percent(true)}, with distances in the frontal view {_percent(flat)} (effective "
+        f"numbers, true, learnt and frontal: {enumeration(effective)}). Classical scaling has an "
+        f"MSE of {scientific(lifted['two'], 3)} with two components and of "
+        f"{scientific(lifted['three'], 3)} with three. A rank alone lifts nothing: the matrices "
+        f"themselves have ranks {enumeration(ranks)}, and square roots of the frontal view's "
+        f"distances a third eigenvalue of {_percent(lifted['roots_third'])}, but with it an MSE of "
+        f"{scientific(lifted['roots'], 3)}."
+    )
+    stands_out = third > _CLEARLY * abs(fourth) and third > _CLEARLY * flat
+    lifts = lifted["two"] > _CLEARLY * lifted["three"]
+    return holds(evidence) if stands_out and lifts else does_not_hold(evidence)
+
+
+def distance_rank(
+    ranks: Sequence[Mapping[str, int]], residual: float, flat_rank: int, few_points_rank: int
+) -> Finding:
+    """Have the distances of points of D dimensions rank D - 1, in any matrix made of them?"""
+    listed = {key: enumeration([str(row[key]) for row in ranks]) for key in ranks[0]}
+    evidence = (
+        f"For points of {listed['dimensions']} dimensions, the last of them faces, the doubly "
+        f"centred squared distances have ranks {listed['centred']}, the squared distances "
+        f"{listed['squared']} and the distances {listed['distances']}. Classical scaling with D "
+        f"components gives the points back but for {scientific(residual, 1)} of their variance. "
+        f"Readings in favour of the paper: the rank is {flat_rank} of 3D points in a plane, and "
+        f"{few_points_rank} of {_FEW_POINTS} points of {_MANY_DIMENSIONS} dimensions, which is "
+        "that of n points, n − 1 at most."
+    )
+    as_claimed = any(
+        all(row[matrix] == row["dimensions"] - 1 for row in ranks)
+        for matrix in ("centred", "squared", "distances")
+    )
+    return holds(evidence) if as_claimed else does_not_hold(evidence)
+
+
+def shape_classes(classes: Mapping[str, Mapping[str, float]]) -> Finding:
+    """Does MDS, or else the net trained on faces, fail on shapes of other classes?"""
+    others = [name for name in classes if name != "faces"]
+    residual = max(max(own["classical"], own["non_metric"]) for own in classes.values())
+    learnt = [
+        f"{_percent(own['learnt'])} on {name} ({_percent(own['flat'])})"
+        for name, own in classes.items()
+    ]
+    evidence = (
+        f"From true distances MDS gives back faces, {enumeration(others)}, to "
+        f"{scientific(residual, 1)} of their variance at worst. The net trained on faces and given "
+        f"true frontal views leaves {enumeration(learnt)} of the variance; in brackets what an "
+        "answer without depth leaves. Nets trained on several classes were not tried."
+    )
+    if residual > _FLOAT64:
+        return holds(evidence)
+    # What is no better than an answer without depth is not recovered.
+    fails = [_CLEARLY * classes[name]["learnt"] > classes[name]["flat"] for name in others]
+    if all(fails):
+        return holds_if("of dissimilarities learnt from faces, not of MDS", evidence)
+    return does_not_hold(evidence)
+
+
+def net_outputs(model: DeepMDS, frontal: np.ndarray, *, swapped: bool = False) -> np.ndarray:
+    """The dissimilarity net's output for every pair of landmarks of frontal views.
+
+    Args:
+        model: Trained.
+        frontal: `(n, L, 2)`.
+        swapped: Whether each pair is given the other way round.
+
+    Returns:
+        `(n, L (L - 1) / 2)`.
+    """
+    from deepmds_keras.networks import forward  # Here: who only judges need not load TensorFlow.
+
+    points = np.float32(normalise(frontal))
+    pair = np.triu_indices(points.shape[1], 1)
+    first, second = pair[::-1] if swapped else pair
+    features = proximities(points[:, first], points[:, second], model.variant)
+    flat = features.reshape(-1, features.shape[-1])
+    return forward(model.dissimilarity_net_, flat).reshape(features.shape[:2])
+
+
+def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
+    """`(n, L, L)` → minus half the squares, whose rows and columns sum to 0 (Torgerson 1952)."""
+    centring = np.eye(dissimilarities.shape[-1]) - 1 / dissimilarities.shape[-1]
+    return -0.5 * centring @ np.square(dissimilarities) @ centring
+
+
+def eigenvalues(dissimilarities: np.ndarray) -> np.ndarray:
+    """Of the doubly centred squares: `(n, L)`, the largest in absolute value first.
+
+    Divided by the sum of their absolute values, so that a rank is told from a scale.
+    """
+    values = np.linalg.eigvalsh(doubly_centred(dissimilarities))
+    order = np.argsort(-np.abs(values), axis=1)
+    return np.take_along_axis(values, order, 1) / np.abs(values).sum(1, keepdims=True)
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    """Of all pairs: `(n, L, d)` → `(n, L, L)`."""
+    return np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+
+
+def _from_exact(shapes, mean_shapes):
+    exact = distances(shapes)
+    non_metric = embed(exact)
+    unreflected = mse(align(non_metric, shapes, reflection=False), shapes)
+    return {
+        "classical": _error(classical_scaling(exact), shapes),
+        "non_metric": _error(non_metric, shapes),
+        "unreflected": float(unreflected.mean()),
+        "mirrored": float(is_mirrored(non_metric, shapes).mean()),
+        "mean_shape": _error(mean_shapes, shapes),
+    }
+
+
+def _of_learnt(learnt, frontal, shapes):
+    learnt = check_dissimilarities(np.abs(learnt))
+    matrices = {_TRUE: distances(shapes), _LEARNT: learnt, _FRONTAL: distances(frontal)}
+    shares = {name: eigenvalues(own) for name, own in matrices.items()}
+    roots = np.sqrt(matrices[_FRONTAL])
+    in_a_plane = np.pad(classical_scaling(learnt, 2), ((0, 0), (0, 0), (0, 1)))
+    return {
+        # Where the sign differs from face to face: the mean size with the sign of most.
+        "spectra": {
+            name: (np.abs(own).mean(0) * np.where(np.median(own, 0) < 0, -1, 1))[:_SHOWN].tolist()
+            for name, own in shares.items()
+        },
+        "effective_numbers": {
+            name: float((1 / np.square(own).sum(1)).mean()) for name, own in shares.items()
+        },
+        "matrix_ranks": {name: _rank(own) for name, own in matrices.items()},
+        "lifted": {
+            "two": _error(in_a_plane, shapes),
+            "three": _error(classical_scaling(learnt), shapes),
+            "roots": _error(classical_scaling(roots), shapes),
+            "roots_third": float(eigenvalues(roots)[:, 2].mean()),
+        },
+    }
+
+
+def _ranks(shapes, rng):
+    n_landmarks = shapes.shape[1]
+    clouds = [rng.standard_normal((_CLOUDS, n_landmarks, size)) for size in _DIMENSIONS]
+    few = rng.standard_normal((_CLOUDS, _FEW_POINTS, _MANY_DIMENSIONS))
+    rows, residuals = [], []
+    for points in (*clouds, shapes):
+        matrices, n_dimensions = distances(points), points.shape[-1]
+        back = align(classical_scaling(matrices, n_dimensions), points)
+        residuals.append(np.mean((back - points) ** 2) / _variance(points).mean())
+        rows.append(
+            {
+                "dimensions": n_dimensions,
+                "centred": _rank(doubly_centred(matrices)),
+                "squared": _rank(np.square(matrices)),
+                "distances": _rank(matrices),
+            }
+        )
+    return {
+        "ranks": rows,
+        "residual": float(max(residuals)),
+        "flat_rank": _rank(doubly_centred(distances(shapes * (1, 1, 0)))),
+        "few_points_rank": _rank(doubly_centred(distances(few))),
+    }
+
+
+def _classes(model, faces, rng):
+    clouds = rng.standard_normal((len(faces), faces.shape[1], 3))
+    balls = clouds / np.linalg.norm(clouds, axis=-1, keepdims=True)
+    classes = {
+        "faces": faces,
+        "random clouds": clouds,
+        # Scaled by its largest coordinate a random direction ends on a side of the cube.
+        "cubes": clouds / np.abs(clouds).max(-1, keepdims=True),
+        "half spheres": np.concatenate([balls[..., :2], np.abs(balls[..., 2:])], axis=-1),
+    }
+    return {name: _class_errors(model, normalise(shapes)) for name, shapes in classes.items()}
+
+
+def _class_errors(model, shapes):
+    exact = distances(shapes)
+    learnt = np.zeros_like(exact)
+    first, second = np.triu_indices(shapes.shape[1], 1)
+    learnt[:, first, second] = np.abs(net_outputs(model, shapes[..., :2]))
+    answers = {
+        "classical": classical_scaling(exact),
+        "non_metric": embed(exact),
+        "learnt": embed(learnt + np.swapaxes(learnt, 1, 2)),
+        "flat": shapes * (1, 1, 0),
+    }
+    return {
+        name: float((mse(align(points, shapes), shapes) / _variance(shapes)).mean())
+        for name, points in answers.items()
+    }
+
+
+def _error(points, shapes) -> float:
+    return float(mse(align(points, shapes), shapes).mean())
+
+
+def _variance(points):
+    return np.mean((points - points.mean(1, keepdims=True)) ** 2, axis=(1, 2))
+
+
+def _rank(matrices) -> int:
+    """That of most matrices `(n, L, L)`."""
+    sizes = np.linalg.svd(matrices, compute_uv=False)
+    return int(np.median((sizes > _FLOAT64 * sizes[:, :1]).sum(1)))
+
+
+def _percent(share: float) -> str:
+    return f"{scientific(100 * share, 2)} %"

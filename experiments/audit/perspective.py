@@ -1,0 +1,148 @@
+"""What is perspective in the views that are called so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from data_gen.photo_views import DETECTOR_SD_MM
+from data_gen.projections import PROJECTIONS, PROTOCOLS, Cameras, draw_cameras, project
+from deepmds_keras.alignment import align
+from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
+from experiments.audit.inputs import Inputs
+from experiments.numbers import scientific
+
+# Degrees: the most that the paper draws, and what MATLAB's help likens to a normal and to a
+# wide-angle lens.
+ANGLES = (5, 25, 60)
+# Share of the face's size below which views are the same but for the rounding of the computer.
+_ROUNDING = 1e-9
+_DRAWN = 10_000  # cameras of a protocol
+_CAMERAS = 4  # stream of random numbers beside those of the data sets, subsets and audited faces
+
+
+def measure(inputs: Inputs) -> dict:
+    """How views with a field of view differ from orthographic ones, as shares of the face's size.
+
+    Both are of the same faces and poses; shift, turn and scale of a whole view are left out.
+    """
+    rng = np.random.default_rng([inputs.run.seed, _CAMERAS])
+    drawn = {protocol: draw_cameras(_DRAWN, rng, protocol) for protocol in PROTOCOLS}
+    perspective = {
+        protocol: cameras.projection == PROJECTIONS.index("perspective")
+        for protocol, cameras in drawn.items()
+    }
+    seen = {protocol: drawn[protocol][own] for protocol, own in perspective.items()}
+    normalised = inputs.test.shapes[inputs.audited].astype(float)
+    landmarks = inputs.test_dataset.landmarks[inputs.audited].astype(float)
+    unit_mm = inputs.test.unit_mm[inputs.audited]
+    n = len(landmarks)
+
+    released = seen["released"][np.arange(n)]
+    orthographic = _through(normalised, released, 0)
+    views = {angle: _through(normalised, released, angle) for angle in ANGLES}
+    text = seen["paper"][np.arange(n)]
+    flat = project(landmarks, replace(text, field_of_view=np.zeros(n)))
+    by_text = {
+        angle: project(landmarks, replace(text, field_of_view=np.full(n, float(angle))))
+        for angle in ANGLES
+    }
+    return {
+        "faces_seen": n,
+        "released_undivided": {
+            angle: _difference(own[..., :2], orthographic[..., :2]) for angle, own in views.items()
+        },
+        "released_divided": {
+            angle: _difference(own[..., :2] / own[..., 3:], orthographic[..., :2])
+            for angle, own in views.items()
+        },
+        "text": {angle: _difference(own, flat, unit_mm) for angle, own in by_text.items()},
+        "perspective_share": {key: float(own.mean()) for key, own in perspective.items()},
+        "detector_rms": float(np.sqrt(np.mean(2 * (DETECTOR_SD_MM / unit_mm) ** 2))),
+    }
+
+
+def perspective_views(
+    released_undivided: dict,
+    released_divided: dict,
+    text: dict,
+    perspective_share: dict,
+    detector_rms: float,
+    faces_seen: int,
+) -> Finding:
+    """A field of view changes views: those of the released generator, and those of the text."""
+    smallest = min(text, key=float)
+    released = max(own["max"] for own in released_undivided.values())
+    evidence = (
+        f"The released generator takes the first two rows of MATLAB's viewmtx and never divides by "
+        f"the fourth. That matrix, rebuilt here from its documentation, gives {faces_seen} faces "
+        f"views with fields of view of {smallest}° to {max(text, key=float)}° that are the "
+        f"orthographic ones to {scientific(released, 2)} of the face's size, but for shift, turn "
+        f"and scale of the whole; divided, they would differ by "
+        f"{released_divided[smallest]['rms']:.2%} (r.m.s.) at {smallest}°. Views as the text "
+        f"describes them, which this project makes by default, differ by "
+        f"{text[smallest]['rms']:.2%}, at most {text[smallest]['max']:.2%}, where a landmark "
+        f"detector errs by {detector_rms:.1%}. Called perspective are "
+        f"{perspective_share['paper']:.0%} of the text's views and "
+        f"{perspective_share['released']:.0%} of the released generator's."
+    )
+    if text[smallest]["max"] <= _ROUNDING:
+        return does_not_hold(evidence)
+    if released <= _ROUNDING:
+        return holds_if("they are made as the text says, not as the released code does", evidence)
+    return holds(evidence)
+
+
+def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.ndarray:
+    """The matrix of MATLAB's function of that name, `(4, 4)`, from its public documentation.
+
+    The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
+    a field of view the unit cube fills that angle: the target lies where the sphere around the cube
+    is nearest to the viewer, and the fourth row holds 1 less the depth beyond it in units of the
+    viewer's distance. The help names the origin as the target; its worked examples, which this
+    function reproduces, have the one described here.
+
+    https://www.mathworks.com/help/matlab/ref/viewmtx.html
+
+    Args:
+        azimuth, elevation: Degrees.
+        field_of_view: Degrees; 0 is orthographic.
+
+    Returns:
+        Matrix to be multiplied from the left to `(x, y, z, 1)`. Its first two rows, divided by the
+        fourth, are the view, x to the right and y up.
+    """
+    turn, rise = np.deg2rad([azimuth, elevation])
+    towards = np.array([np.cos(rise) * np.sin(turn), -np.cos(rise) * np.cos(turn), np.sin(rise)])
+    right = np.array([np.cos(turn), np.sin(turn), 0.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(towards, right), towards
+    if field_of_view == 0:
+        return matrix
+    target = np.full(3, 0.5) + np.sqrt(3) / 2 * towards
+    matrix[:3, 3] = -matrix[:3, :3] @ target
+    distance = np.sqrt(2) / 2 / np.tan(np.deg2rad(field_of_view) / 2)
+    matrix[3] = np.array([0, 0, 0, 1]) - matrix[2] / distance
+    return matrix
+
+
+def _through(shapes: np.ndarray, cameras: Cameras, field_of_view: float) -> np.ndarray:
+    """Homogeneous views of the released generator, `(n, L, 4)`.
+
+    Its base camera looks along z, from an elevation of 90: an azimuth from there is a roll, and an
+    elevation below it a pitch.
+    """
+    points = np.concatenate([shapes, np.ones((*shapes.shape[:2], 1))], axis=2)
+    matrices = [
+        viewmtx(-roll, 90 - pitch, field_of_view)
+        for roll, pitch in zip(cameras.roll, cameras.pitch, strict=True)
+    ]
+    return points @ np.swapaxes(matrices, 1, 2)
+
+
+def _difference(views: np.ndarray, others: np.ndarray, size: np.ndarray | float = 1.0) -> dict:
+    """Root mean square and largest distance of landmarks, once views lie over others."""
+    aligned = align(views, others, reflection=False)
+    distances = np.linalg.norm(aligned - others, axis=2) / np.reshape(size, (-1, 1))
+    return {"rms": float(np.sqrt(np.mean(distances**2))), "max": float(distances.max())}

@@ -1,0 +1,57 @@
+"""The method with one of its parts changed: what can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from experiments.run import Run
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How one training differs from the paper's method.
+
+    Attributes:
+        id, title: In files; in tables and figures.
+        schedule: Learning rate of both networks.
+        shuffled, short_connection: As for `train_dissimilarity_net`.
+        with_autoencoder: Whether the net is given the autoencoder's frontal views, or the views as
+            they are.
+        faces: Training faces of both networks, the first of all; None for all, and the run's own
+            autoencoder.
+    """
+
+    id: str
+    title: str
+    schedule: str = "constant"
+    shuffled: bool = False
+    short_connection: bool = True
+    with_autoencoder: bool = True
+    faces: int | None = None
+
+    def file(self, run: Run, seed: int, kind: str = "json") -> Path:
+        """Of its scores, or (`"npz"`) of its dissimilarity net."""
+        faces = "" if self.faces is None else f"-{self.faces}"
+        return run.work / "ablation" / f"{self.id}{faces}-seed{seed}.{kind}"
+
+
+VARIANTS = (
+    Variant("same_face", "The paper's method: mini-batches of one face"),
+    Variant("shuffled", "Shuffled mini-batches", shuffled=True),
+    Variant("same_face_stable", "Mini-batches of one face, decayed rate", "cosine"),
+    Variant("shuffled_stable", "Shuffled mini-batches, decayed rate", "cosine", shuffled=True),
+    Variant("no_short_connection", "Without the short connection", short_connection=False),
+    Variant("no_autoencoder", "Without the autoencoder", with_autoencoder=False),
+)
+FEWER_FACES = (
+    Variant("fewer_faces", "Fewer training faces"),
+    Variant("fewer_faces_stable", "Fewer training faces, decayed rate", "cosine"),
+)
+TITLES = {variant.id: variant.title for variant in (*VARIANTS, *FEWER_FACES)}
+
+
+def fewer_faces(run: Run) -> list[Variant]:
+    """`FEWER_FACES` for every number of them."""
+    sizes = run.preset.training_sizes
+    return [replace(variant, faces=n) for variant in FEWER_FACES for n in sizes]
