@@ -81,11 +81,15 @@ def draw_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") -> C
         )
     through_viewmtx = draw < 0.3
     turned = (draw >= 0.3) & (draw < 0.6)
+    # The roll comes first there, the pitch after it.
+    roll, pitch = (np.deg2rad(a) for a in (2 * azimuth - 45, elevation))
+    tilted = camera_angles(_about(0, -pitch) @ _about(2, roll))
+    yaw, pitch, roll = np.where(through_viewmtx, tilted, 0.0)
     return Cameras(
         projection=through_viewmtx.astype(int),
-        yaw=np.where(turned, turn, none),
-        pitch=np.where(through_viewmtx, elevation, none),
-        roll=np.where(through_viewmtx, 2 * azimuth - 45, none),
+        yaw=np.where(turned, turn, yaw),
+        pitch=pitch,
+        roll=roll,
         field_of_view=none,
     )
 

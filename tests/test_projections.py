@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_gen.errors import DataError
-from data_gen.projections import Cameras, draw_cameras, in_camera_frame, project
+from data_gen.projections import Cameras, draw_cameras, in_camera_frame, project, rotations
 
 
 def cameras(n=1, **angles):
@@ -83,10 +83,16 @@ def test_released_protocol():
     drawn = draw_cameras(20_000, np.random.default_rng(0), "released")
     through_viewmtx = drawn.projection == 1
     assert abs(through_viewmtx.mean() - 0.3) < 0.02
-    assert abs((drawn.yaw != 0).mean() - 0.2) < 0.02  # two of three yaws in 30 % of the faces
-    assert np.ptp(drawn.roll[through_viewmtx]) > 88
-    assert (drawn.yaw[through_viewmtx] == 0).all()
+    rest = drawn[~through_viewmtx]
+    assert abs((rest.yaw != 0).mean() - 2 / 7) < 0.02  # two of three yaws in 30 of 70 %
+    assert (rest.pitch == 0).all() and (rest.roll == 0).all()
     assert (drawn.field_of_view == 0).all()
+    # Where the viewer stands, in the frame of the face, as `viewmtx` is told: about z, then down.
+    x, y, z = rotations(drawn[through_viewmtx])[:, 2].T
+    azimuth, elevation = np.rad2deg([np.arctan2(x, -y), np.arcsin(np.minimum(z, 1))])
+    for values, low, high in ((azimuth, -45, 45), (elevation, 60, 90)):
+        assert low <= values.min() < low + 1 and high - 1 < values.max() <= high
+    assert abs(np.corrcoef(azimuth, elevation)[0, 1]) < 0.05
 
 
 def test_same_random_numbers_same_cameras():

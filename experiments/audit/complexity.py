@@ -75,8 +75,8 @@ def cubic_time(
         f"the embedding of a face grows as the number to the power {whole_slope:.2f}; that of the "
         f"net alone as {slopes[NET]:.2f}, of the embedding as {slopes[EMBEDDING]:.2f}, of its "
         f"classical start as {slopes[START]:.2f} and of one SMACOF iteration as "
-        f"{slopes[ITERATION]:.2f}. With so many landmarks about {iterations[-1]:.0f} iterations are "
-        f"needed, with so few {iterations[0]:.0f}."
+        f"{slopes[ITERATION]:.2f}. The iterations needed are about {iterations[0]:.0f} at first "
+        f"and {iterations[-1]:.0f} at last."
     )
     if whole_slope > exponent + _TOLERANCE:
         return does_not_hold(evidence)

@@ -19,10 +19,8 @@ from experiments.numbers import enumeration, scientific
 if TYPE_CHECKING:
     from deepmds_keras.pipeline import DeepMDS
 
-# Shares below which a number is nothing but rounding: of float32, in which networks compute, and
-# of float64, in which all else does.
-_FLOAT32 = 1e-5
-_FLOAT64 = 1e-9
+# Shares below which a number is nothing but rounding: of networks, and of all else.
+_FLOAT32, _FLOAT64 = 1e-5, 1e-9
 # How far an eigenvalue, or an error, must stand out from another one to be called larger.
 _CLEARLY = 2
 _DIMENSIONS = (1, 2, 3, 4, 5, 6)
@@ -39,10 +37,10 @@ def measure(inputs: Inputs) -> dict:
     views = inputs.test.views[inputs.audited]
     shapes = inputs.test.shapes[inputs.audited].astype(float)
     frontal = model.frontalise(views)
-    outputs, swapped = net_outputs(model, frontal), net_outputs(model, frontal, swapped=True)
+    outputs = net_outputs(model, frontal)
     return {
         "n_faces": len(shapes),
-        "asymmetry": float(np.abs(outputs - swapped).max()),
+        "asymmetry": float(np.abs(outputs - net_outputs(model, frontal, swapped=True)).max()),
         "largest_output": float(np.abs(outputs).max()),
         "from_exact": _from_exact(shapes, inputs.method("mean_shape").predict(views)),
         **_of_learnt(model.dissimilarities(views), frontal.astype(float), shapes),
@@ -58,9 +56,7 @@ def symmetric(asymmetry: float, largest_output: float, n_faces: int) -> Finding:
         f"Its two outputs differ by {scientific(asymmetry, 2)} at most, where the largest output "
         f"is {scientific(largest_output, 3)}."
     )
-    if asymmetry <= _FLOAT32 * largest_output:
-        return holds(evidence)
-    return does_not_hold(evidence)
+    return (holds if asymmetry <= _FLOAT32 * largest_output else does_not_hold)(evidence)
 
 
 def exact_distances(from_exact: Mapping[str, float], n_faces: int) -> Finding:
@@ -92,23 +88,20 @@ def exact_distances(from_exact: Mapping[str, float], n_faces: int) -> Finding:
 
 
 def rank_above_two(
-    spectra: Mapping[str, Sequence[float]],
-    effective_numbers: Mapping[str, float],
-    matrix_ranks: Mapping[str, int],
-    lifted: Mapping[str, float],
+    spectra: Mapping, effective_numbers: Mapping, matrix_ranks: Mapping, lifted: Mapping,
     n_faces: int,
-) -> Finding:
+) -> Finding:  # fmt: skip
     """Does a third eigenvalue stand out, and does its component make the shape better?"""
     _, _, third, fourth, *_ = spectra[_LEARNT]
     true, flat = spectra[_TRUE][2], abs(spectra[_FRONTAL][2])
-    effective = [f"{effective_numbers[name]:.2f}" for name in (_TRUE, _LEARNT, _FRONTAL)]
-    ranks = [f"{matrix_ranks[name]}" for name in (_TRUE, _LEARNT, _FRONTAL)]
+    effective = [f"{number:.2f}" for number in effective_numbers.values()]
+    ranks = [str(rank) for rank in matrix_ranks.values()]
     evidence = (
         f"Of the eigenvalues of the doubly centred squared dissimilarities of {n_faces} test "
         f"faces, the third has a share of {_percent(third)} in the sum of absolute values and the "
         f"fourth one of {_percent(abs(fourth))}; with true distances the third has "
         f"{_percent(true)}, with distances in the frontal view {_percent(flat)} (effective "
-        f"numbers, true, learnt and frontal: {enumeration(effective)}). Classical scaling has an "
+        f"numbers of true, learnt and frontal: {enumeration(effective)}). Classical scaling has an "
         f"MSE of {scientific(lifted['two'], 3)} with two components and of "
         f"{scientific(lifted['three'], 3)} with three. A rank alone lifts nothing: the matrices "
         f"themselves have ranks {enumeration(ranks)}, and square roots of the frontal view's "
@@ -117,7 +110,7 @@ def rank_above_two(
     )
     stands_out = third > _CLEARLY * abs(fourth) and third > _CLEARLY * flat
     lifts = lifted["two"] > _CLEARLY * lifted["three"]
-    return holds(evidence) if stands_out and lifts else does_not_hold(evidence)
+    return (holds if stands_out and lifts else does_not_hold)(evidence)
 
 
 def distance_rank(
@@ -138,7 +131,7 @@ def distance_rank(
         all(row[matrix] == row["dimensions"] - 1 for row in ranks)
         for matrix in ("centred", "squared", "distances")
     )
-    return holds(evidence) if as_claimed else does_not_hold(evidence)
+    return (holds if as_claimed else does_not_hold)(evidence)
 
 
 def shape_classes(classes: Mapping[str, Mapping[str, float]]) -> Finding:
@@ -153,27 +146,21 @@ def shape_classes(classes: Mapping[str, Mapping[str, float]]) -> Finding:
         f"From true distances MDS gives back faces, {enumeration(others)}, to "
         f"{scientific(residual, 1)} of their variance at worst. The net trained on faces and given "
         f"true frontal views leaves {enumeration(learnt)} of the variance; in brackets what an "
-        "answer without depth leaves. Nets trained on several classes were not tried."
+        "answer without depth leaves. A view tells the depth of faces and half spheres only. Nets "
+        "trained on several classes were not tried."
     )
     if residual > _FLOAT64:
         return holds(evidence)
     # What is no better than an answer without depth is not recovered.
     fails = [_CLEARLY * classes[name]["learnt"] > classes[name]["flat"] for name in others]
-    if all(fails):
-        return holds_if("of dissimilarities learnt from faces, not of MDS", evidence)
-    return does_not_hold(evidence)
+    condition = "of dissimilarities learnt from faces, not of MDS"
+    return holds_if(condition, evidence) if all(fails) else does_not_hold(evidence)
 
 
 def net_outputs(model: DeepMDS, frontal: np.ndarray, *, swapped: bool = False) -> np.ndarray:
-    """The dissimilarity net's output for every pair of landmarks of frontal views.
+    """What the net makes of all pairs, or of all the other way round.
 
-    Args:
-        model: Trained.
-        frontal: `(n, L, 2)`.
-        swapped: Whether each pair is given the other way round.
-
-    Returns:
-        `(n, L (L - 1) / 2)`.
+    `(n, L, 2)` frontal views → `(n, L (L - 1) / 2)`.
     """
     from deepmds_keras.networks import forward  # Here: who only judges need not load TensorFlow.
 
@@ -192,10 +179,7 @@ def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def eigenvalues(dissimilarities: np.ndarray) -> np.ndarray:
-    """Of the doubly centred squares: `(n, L)`, the largest in absolute value first.
-
-    Divided by the sum of their absolute values, so that a rank is told from a scale.
-    """
+    """Shares in the sum of absolute values: `(n, L, L)` → `(n, L)`, the largest ones first."""
     values = np.linalg.eigvalsh(doubly_centred(dissimilarities))
     order = np.argsort(-np.abs(values), axis=1)
     return np.take_along_axis(values, order, 1) / np.abs(values).sum(1, keepdims=True)
@@ -245,14 +229,13 @@ def _of_learnt(learnt, frontal, shapes):
 
 
 def _ranks(shapes, rng):
-    n_landmarks = shapes.shape[1]
-    clouds = [rng.standard_normal((_CLOUDS, n_landmarks, size)) for size in _DIMENSIONS]
+    clouds = [rng.standard_normal((_CLOUDS, shapes.shape[1], size)) for size in _DIMENSIONS]
     few = rng.standard_normal((_CLOUDS, _FEW_POINTS, _MANY_DIMENSIONS))
-    rows, residuals = [], []
+    rows, residual = [], 0.0
     for points in (*clouds, shapes):
         matrices, n_dimensions = distances(points), points.shape[-1]
         back = align(classical_scaling(matrices, n_dimensions), points)
-        residuals.append(np.mean((back - points) ** 2) / _variance(points).mean())
+        residual = max(residual, np.mean((back - points) ** 2) / _variance(points).mean())
         rows.append(
             {
                 "dimensions": n_dimensions,
@@ -263,7 +246,7 @@ def _ranks(shapes, rng):
         )
     return {
         "ranks": rows,
-        "residual": float(max(residuals)),
+        "residual": float(residual),
         "flat_rank": _rank(doubly_centred(distances(shapes * (1, 1, 0)))),
         "few_points_rank": _rank(doubly_centred(distances(few))),
     }

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from data_gen.photo_views import DETECTOR_SD_MM
-from data_gen.projections import PROJECTIONS, PROTOCOLS, Cameras, draw_cameras, project
+from data_gen.projections import (
+    PROJECTIONS,
+    PROTOCOLS,
+    Cameras,
+    draw_cameras,
+    project,
+    rotations,
+)
 from deepmds_keras.alignment import align
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
 from experiments.audit.inputs import Inputs
@@ -80,12 +87,12 @@ def perspective_views(
         f"views with fields of view of {smallest}° to {max(text, key=float)}° that are the "
         f"orthographic ones to {scientific(released, 2)} of the face's size, but for shift, turn "
         f"and scale of the whole; divided, they would differ by "
-        f"{released_divided[smallest]['rms']:.2%} (r.m.s.) at {smallest}°. Views as the text "
+        f"{_percent(released_divided[smallest]['rms'])} (r.m.s.) at {smallest}°. Views as the text "
         f"describes them, which this project makes by default, differ by "
-        f"{text[smallest]['rms']:.2%}, at most {text[smallest]['max']:.2%}, where a landmark "
-        f"detector errs by {detector_rms:.1%}. Called perspective are "
-        f"{perspective_share['paper']:.0%} of the text's views and "
-        f"{perspective_share['released']:.0%} of the released generator's."
+        f"{_percent(text[smallest]['rms'])}, at most {_percent(text[smallest]['max'])}, where a "
+        f"landmark detector errs by {_percent(detector_rms)}. Called perspective are "
+        f"{_percent(perspective_share['paper'])} of the text's views and "
+        f"{_percent(perspective_share['released'])} of the released generator's."
     )
     if text[smallest]["max"] <= _ROUNDING:
         return does_not_hold(evidence)
@@ -128,17 +135,19 @@ def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.
 
 
 def _through(shapes: np.ndarray, cameras: Cameras, field_of_view: float) -> np.ndarray:
-    """Homogeneous views of the released generator, `(n, L, 4)`.
-
-    Its base camera looks along z, from an elevation of 90: an azimuth from there is a roll, and an
-    elevation below it a pitch.
-    """
+    """Homogeneous views of the released generator, `(n, L, 4)`, by where the viewer stands."""
     points = np.concatenate([shapes, np.ones((*shapes.shape[:2], 1))], axis=2)
+    x, y, z = rotations(cameras)[:, 2].T
+    azimuths, elevations = np.rad2deg([np.arctan2(x, -y), np.arcsin(z)])
     matrices = [
-        viewmtx(-roll, 90 - pitch, field_of_view)
-        for roll, pitch in zip(cameras.roll, cameras.pitch, strict=True)
+        viewmtx(azimuth, elevation, field_of_view)
+        for azimuth, elevation in zip(azimuths, elevations, strict=True)
     ]
     return points @ np.swapaxes(matrices, 1, 2)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
 
 
 def _difference(views: np.ndarray, others: np.ndarray, size: np.ndarray | float = 1.0) -> dict:

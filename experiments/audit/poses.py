@@ -13,7 +13,6 @@ from experiments.audit.inputs import Inputs
 from experiments.inputs import Faces
 from experiments.methods import title
 from experiments.numbers import enumeration, factor, minus, scientific
-from experiments.run import one_core
 from experiments.scores import score
 
 # Degrees; all other angles are 0, and the projection orthographic but in the last sweep. Training
@@ -29,13 +28,14 @@ WITHOUT = "without_autoencoder"
 _METHODS = ("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable")
 # The paper's method, and what is tried where it fails: the text names no learning rate.
 _OURS = ("ours", "ours_stable")
-_DECAYED = "the learning rate decays in training"
-_AS_TRAINED = "the views are like those it was trained on"
 # Of the audited faces: each is embedded once for each of the 42 views and three or four methods.
 _FACES_SWEPT = 50
-# Views among the sweeps that the training knows, turned and otherwise projected.
-_TURNED = (("yaw", -45), ("yaw", 45), ("pitch", -30))
-_PROJECTED = ("field_of_view", 5)
+# Views among them that the training knows: frontal, turned, and seen in perspective.
+_KNOWN = {
+    "frontal": (("yaw", 0),),
+    "turned": (("yaw", -45), ("yaw", 45), ("pitch", -30)),
+    "perspective": (("field_of_view", 5),),
+}
 
 
 def measure(inputs: Inputs) -> dict:
@@ -43,82 +43,67 @@ def measure(inputs: Inputs) -> dict:
     methods = [*_METHODS, *["authors_weights"] * (inputs.run.authors is not None)]
     models = {method: inputs.method(method) for method in methods}
     models[WITHOUT] = without_autoencoder(models["ours"])
+    autoencoders = {method: models[method] for method in _OURS}
     faces = inputs.audited[:_FACES_SWEPT]
-    landmarks = inputs.test_dataset.landmarks[faces].astype(float)
-    curves, frontal_reach = _sweep(models, landmarks, inputs.test[faces], inputs.train.shapes)
-    errors = {(row["sweep"], row["value"], row["method"]): row["mse"] for row in curves}
-
-    def mean_error(method: str, views: tuple) -> float:
-        return float(np.mean([errors[sweep, value, method] for sweep, value in views]))
-
+    views = _sweep(inputs.test_dataset.landmarks[faces].astype(float))
+    curves = _curves(models, views, inputs.test[faces])
     return {
         "curves": curves,
         "faces_swept": len(faces),
         "by_kind": _by_kind(inputs),
-        "reach": {
-            method: {
-                sweep: reach(
-                    values,
-                    [errors[sweep, value, method] for value in values],
-                    ALIKE * errors[sweep, 0, method],
-                )
-                for sweep, values in SWEEPS.items()
+        "swept": {
+            m: {
+                sweep: [row["mse"] for row in curves if (row["method"], row["sweep"]) == (m, sweep)]
+                for sweep in SWEEPS
             }
-            for method in _OURS
+            for m in models
         },
-        "worst": {
-            sweep: max(errors[sweep, value, "ours"] for value in values)
-            for sweep, values in SWEEPS.items()
-        },
-        "frontal_views": _frontal_views(inputs, {m: models[m] for m in _OURS}),
-        "frontal_reach": frontal_reach,
-        "with_and_without": {
-            kind: {method: mean_error(method, views) for method in ("ours", WITHOUT, "mean_shape")}
-            for kind, views in (
-                ("frontal", (("yaw", 0),)),
-                ("turned", _TURNED),
-                ("perspective", (_PROJECTED,)),
-            )
-        },
-        "trained_without": _trained_without(inputs.results("ablation")),
+        "frontal_views": _frontal_views(inputs, autoencoders),
+        "frontal_swept": _frontal_swept(inputs, faces, autoencoders, views),
+        "trained_without": trained_without(inputs.results("ablation")),
     }
 
 
-def projection_independent(by_kind: dict, reach: dict, worst: dict, faces_swept: int) -> Finding:
+def projection_independent(by_kind: dict, swept: dict, faces_swept: int) -> Finding:
     """The same error whatever the view; half as much again counts as the same."""
-    errors = {m: {kind: own["mse"] for kind, own in by_kind[m].items()} for m in _OURS}
+    errors = {
+        method: {kind: own["mse"] for kind, own in by_kind[method].items()}
+        for method in (*_OURS, "mean_shape")
+    }
     ratios = {method: max(own.values()) / min(own.values()) for method, own in errors.items()}
-    ours = errors["ours"]
+    ours, mean_shape = errors["ours"], errors["mean_shape"]
     largest, smallest = max(ours, key=ours.get), min(ours, key=ours.get)
-    farthest = max(worst, key=worst.get)
-    mean_shape = [by_kind["mean_shape"][kind]["mse"] for kind in ours]
-    better = sum(own < its for own, its in zip(mean_shape, ours.values(), strict=True))
+    better = sum(mean_shape[kind] < ours[kind] for kind in ours)
     alike = [method for method in _OURS if ratios[method] <= ALIKE]
+    shown = (alike or _OURS)[0]
+    frontal = swept[shown]["yaw"][SWEEPS["yaw"].index(0)]
+    limits = {
+        sweep: reach(SWEEPS[sweep], own, ALIKE * frontal) for sweep, own in swept[shown].items()
+    }
+    farthest = max(SWEEPS, key=lambda sweep: max(swept[shown][sweep]))
     evidence = (
         f"The MSE of {title('ours')} is lowest in test views that are {minus(smallest)} "
         f"({scientific(ours[smallest], 3)}) and {factor(ratios['ours'])} times as high in those "
         f"that are {minus(largest)}; for {title('ours_stable')} that ratio is "
-        f"{factor(ratios['ours_stable'])}. Swept beyond them on {faces_swept} faces, it stays "
-        f"within {ALIKE:g} times the frontal error for {_ranges(reach['ours'])}, and reaches "
-        f"{scientific(worst[farthest], 3)} in the sweep of {_words(farthest)}. The mean shape, "
-        f"which looks at no view and so depends on none, has "
-        f"{scientific(float(np.mean(mean_shape)), 3)}: less than ours in {better} of {len(ours)} "
-        f"kinds of views."
+        f"{factor(ratios['ours_stable'])}. In sweeps beyond them, of {faces_swept} faces, that of "
+        f"{title(shown)} stays within {ALIKE:g} times the frontal one for {_ranges(limits)}, and "
+        f"reaches {scientific(max(swept[shown][farthest]), 3)} in that of "
+        f"{farthest.replace('_', ' ')}. The mean shape, which looks at no view and so depends on "
+        f"none, has {scientific(float(np.mean([*mean_shape.values()])), 3)}: less than "
+        f"{title('ours')} in {better} of {len(ours)} kinds of test views."
     )
     if not alike:
         return does_not_hold(evidence)
-    return _under_conditions(alike, reach, evidence)
+    return _under_conditions(alike, limits, evidence)
 
 
-def frontal_view(frontal_views: dict, frontal_reach: dict) -> Finding:
+def frontal_view(frontal_views: dict, frontal_swept: dict) -> Finding:
     """Nearer to the true frontal view than the view that it was given, and than one for all."""
     posed = [kind for kind in frontal_views["view"] if kind != FRONTAL]
 
     def below(method: str, other: str) -> bool:
-        return all(
-            frontal_views[method][kind]["aligned"] < frontal_views[other][kind]["aligned"]
-            for kind in posed
-        )
+        own, its = frontal_views[method], frontal_views[other]
+        return all(own[kind]["aligned"] < its[kind]["aligned"] for kind in posed)
 
     def spans(how: str) -> list[str]:
         by_answer = {
@@ -129,6 +114,10 @@ def frontal_view(frontal_views: dict, frontal_reach: dict) -> Finding:
 
     good = [m for m in _OURS if below(m, "view") and below(m, "constant")]
     shown = (good or _OURS)[0]
+    limits = {
+        sweep: reach(SWEEPS[sweep], own, frontal_swept["constant"])
+        for sweep, own in frontal_swept[shown].items()
+    }
     view, ours, stable, constant = spans("aligned")
     evidence = (
         f"By kind of posed test view, the r.m.s. distance to the true frontal view (what the "
@@ -137,26 +126,31 @@ def frontal_view(frontal_views: dict, frontal_reach: dict) -> Finding:
         f"{title('ours')}, {stable} for that of {title('ours_stable')} and {constant} for the mean "
         f"frontal view as the one answer to all. As they come, these are "
         f"{enumeration(spans('raw'))}. Seen from elsewhere, {title(shown)} beats that one answer "
-        f"for {_ranges(frontal_reach[shown])}."
+        f"for {_ranges(limits)}."
     )
     if not good:
         return does_not_hold(evidence)
-    return _under_conditions(good, frontal_reach, evidence)
+    return _under_conditions(good, limits, evidence)
 
 
-def autoencoder_needed(
-    with_and_without: dict, trained_without: float | None, faces_swept: int
-) -> Finding:
+def autoencoder_needed(swept: dict, trained_without: float | None, faces_swept: int) -> Finding:
     """Turned views are reconstructed far worse once the net is given the views themselves."""
-    ratios = {kind: errors[WITHOUT] / errors["ours"] for kind, errors in with_and_without.items()}
-    turned = with_and_without["turned"]
+    mean = {
+        method: {
+            kind: np.mean([own[sweep][SWEEPS[sweep].index(value)] for sweep, value in views])
+            for kind, views in _KNOWN.items()
+        }
+        for method, own in swept.items()
+    }
+    ratios = {kind: mean[WITHOUT][kind] / mse for kind, mse in mean["ours"].items()}
     evidence = (
-        f"On {faces_swept} faces turned as in training, the MSE is {scientific(turned['ours'], 3)} "
-        f"with the autoencoder and {scientific(turned[WITHOUT], 3)} ({factor(ratios['turned'])} "
-        f"times) where the trained dissimilarity net is given the views themselves; the mean shape "
-        f"has {scientific(turned['mean_shape'], 3)}. On frontal views it is "
-        f"{factor(ratios['frontal'])} times, on frontal perspective ones of {_PROJECTED[1]}° "
-        f"{factor(ratios['perspective'])} times as high."
+        f"On {faces_swept} faces turned as far as in training, the MSE is "
+        f"{scientific(mean['ours']['turned'], 3)} with the autoencoder and "
+        f"{scientific(mean[WITHOUT]['turned'], 3)}, {factor(ratios['turned'])} times that, where "
+        f"the trained dissimilarity net is given the views themselves; the mean shape has "
+        f"{scientific(mean['mean_shape']['turned'], 3)}. Without the autoencoder it is "
+        f"{factor(ratios['frontal'])} times as high on frontal views and "
+        f"{factor(ratios['perspective'])} times on frontal perspective ones."
     )
     if trained_without is not None:
         evidence += (
@@ -170,13 +164,13 @@ def autoencoder_needed(
     return holds(evidence)
 
 
-def _under_conditions(good: list[str], reach: dict, evidence: str) -> Finding:
+def _under_conditions(good: list[str], limits: dict, evidence: str) -> Finding:
     """Of what holds for some of `_OURS` on the test views: for which, and how far beyond them."""
     everywhere = all(
-        limits is not None and limits[0] <= min(SWEEPS[sweep]) and limits[1] >= max(SWEEPS[sweep])
-        for sweep, limits in reach[good[0]].items()
+        own == [min(SWEEPS[sweep]), max(SWEEPS[sweep])] for sweep, own in limits.items()
     )
-    conditions = [_DECAYED] * ("ours" not in good) + [_AS_TRAINED] * (not everywhere)
+    conditions = ["the learning rate decays in training"] * ("ours" not in good)
+    conditions += ["the views are like those it was trained on"] * (not everywhere)
     return holds_if(enumeration(conditions), evidence) if conditions else holds(evidence)
 
 
@@ -188,10 +182,8 @@ def without_autoencoder(model):
 
     view = keras.Input((2 * model.n_landmarks,), name="view")
     same = keras.Model(view, keras.layers.Identity(name="same_view")(view))
-    parameters = model.get_params()
-    return DeepMDS.from_networks(
-        same, model.dissimilarity_net_, model.front_landmark_, **parameters
-    )
+    net, front = model.dissimilarity_net_, model.front_landmark_
+    return DeepMDS.from_networks(same, net, front, **model.get_params())
 
 
 def kinds(cameras: Cameras) -> dict[str, np.ndarray]:
@@ -215,50 +207,54 @@ def reach(values, errors, bound: float) -> list[float] | None:
     return [float(inside.min()), float(inside.max())]
 
 
-def _sweep(models: dict, landmarks: np.ndarray, truth: Faces, train_shapes: np.ndarray):
-    """Rows of curves, and how far each autoencoder beats the mean frontal view."""
-    curves, frontal_reach = [], {method: {} for method in _OURS}
-    frontal = truth.shapes[..., :2].astype(float)
-    constant = _rms(_aligned(train_shapes[..., :2].mean(0, dtype=float), frontal) - frontal)
-    n = len(landmarks)
+def _sweep(landmarks: np.ndarray) -> dict[str, np.ndarray]:
+    """Normalised views of every face for every value of a sweep in turn."""
+    views = {}
     for sweep, values in SWEEPS.items():
-        faces = np.tile(np.arange(n), len(values))
-        views = normalise(project(landmarks[faces], _cameras(sweep, np.repeat(values, n))))
-        with one_core():
-            shapes = {method: model.predict(views) for method, model in models.items()}
-        for method, predicted in shapes.items():
-            mse = score(predicted, truth[faces]).mse.reshape(len(values), n)
-            sem = mse.std(1, ddof=1) / np.sqrt(n)
+        angles = {angle: np.zeros(len(values) * len(landmarks)) for angle in SWEEPS}
+        angles[sweep] += np.repeat(values, len(landmarks))
+        cameras = Cameras((angles["field_of_view"] > 0).astype(int), **angles)
+        views[sweep] = normalise(project(np.tile(landmarks, (len(values), 1, 1)), cameras))
+    return views
+
+
+def _curves(models: dict, views: dict[str, np.ndarray], truth: Faces) -> list[dict]:
+    curves = []
+    for sweep, values in SWEEPS.items():
+        faces = np.tile(np.arange(len(truth.shapes)), len(values))
+        for method, model in models.items():
+            mse = score(model.predict(views[sweep]), truth[faces]).mse.reshape(len(values), -1)
+            sem = mse.std(1, ddof=1) / np.sqrt(mse.shape[1])
             curves += [
                 {"sweep": sweep, "value": value, "method": method, "mse": mean, "sem": own}
                 for value, mean, own in zip(values, mse.mean(1).tolist(), sem.tolist(), strict=True)
             ]
-        for method, by_sweep in frontal_reach.items():
-            turned = _aligned(models[method].frontalise(views), frontal[faces]) - frontal[faces]
-            errors = [_rms(own) for own in turned.reshape(len(values), n, *frontal.shape[1:])]
-            by_sweep[sweep] = reach(values, errors, constant)
-    return curves, frontal_reach
+    return curves
 
 
-def _cameras(sweep: str, values: np.ndarray) -> Cameras:
-    angles = {angle: np.zeros(len(values)) for angle in SWEEPS} | {sweep: values.astype(float)}
-    return Cameras((angles["field_of_view"] > 0).astype(int), **angles)
+def _frontal_swept(inputs: Inputs, faces: np.ndarray, models: dict, views: dict) -> dict:
+    """Of each autoencoder along the sweeps, and of the mean frontal view."""
+    truth = inputs.test.shapes[faces, :, :2].astype(float)
+    mean = inputs.train.shapes[..., :2].mean(0, dtype=float)
+    swept = {method: {} for method in models}
+    for method, model in models.items():
+        for sweep, own in views.items():
+            answers = model.frontalise(own).reshape(-1, *truth.shape)
+            swept[method][sweep] = [_rms(_aligned(answer, truth) - truth) for answer in answers]
+    return swept | {"constant": _rms(_aligned(mean, truth) - truth)}
 
 
 def _by_kind(inputs: Inputs) -> dict:
     """Method to kind of test view to mean error and its standard error."""
     found = kinds(inputs.test.cameras)
-    return {
-        method: {
-            kind: {
-                "mse": float(scores.mse[own].mean()),
-                "sem": float(scores.mse[own].std(ddof=min(1, own.sum() - 1)) / own.sum() ** 0.5),
-            }
-            for kind, own in found.items()
+    by_kind = {}
+    for method, scores in inputs.scores.items():
+        groups = {kind: scores.mse[own] for kind, own in found.items()}
+        by_kind[method] = {
+            kind: {"mse": float(mse.mean()), "sem": float(mse.std() / len(mse) ** 0.5)}
+            for kind, mse in groups.items()
         }
-        for method, scores in inputs.scores.items()
-        if method != "zhao_frontal"  # sees other views
-    }
+    return by_kind
 
 
 def _frontal_views(inputs: Inputs, models: dict) -> dict:
@@ -279,7 +275,7 @@ def _frontal_views(inputs: Inputs, models: dict) -> dict:
     }
 
 
-def _trained_without(metrics: pd.DataFrame | None) -> float | None:
+def trained_without(metrics: pd.DataFrame | None) -> float | None:
     """Error on posed views of a net trained on raw views, in those of one on frontal views."""
     if metrics is None:
         return None
@@ -296,16 +292,9 @@ def _rms(differences: np.ndarray) -> float:
     return float(np.sqrt(np.mean(differences**2)))
 
 
-def _ranges(reach: dict) -> str:
-    return enumeration([f"{_words(sweep)} {_range(limits)}" for sweep, limits in reach.items()])
-
-
-def _range(limits: list[float] | None) -> str:
-    if limits is None:
-        return "nowhere"
-    low, high = limits
-    return minus(f"{low:g}° to {high:g}°") if low < high else minus(f"{low:g}° only")
-
-
-def _words(sweep: str) -> str:
-    return sweep.replace("_", " ")
+def _ranges(limits: dict) -> str:
+    ranges = []
+    for sweep, own in limits.items():
+        degrees = "nowhere" if own is None else minus("{:g}° to {:g}°".format(*own))
+        ranges.append(f"{sweep.replace('_', ' ')} {degrees}")
+    return enumeration(ranges)
