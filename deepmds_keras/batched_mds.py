@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist, squareform
 
-# Dissimilarities that exceed the smallest of their group by less are ties, and coinciding points
-# count as this far apart: the constants of scikit-learn's isotonic regression and MDS.
-TIE = 1e-15
-COINCIDENT = 1e-5
-_PAIRS_AT_ONCE = 2**18
+# Constants of scikit-learn: dissimilarities that exceed the smallest of their group by less are
+# ties, and points that coincide count as this far apart.
+_TIE = 1e-15
+_COINCIDENT = 1e-5
+_PAIRS_AT_ONCE = 2**18  # 2 MB an array
 
 
 def batched_mds(
@@ -41,26 +40,26 @@ def batched_mds(
         `(n, L, k)` points whose scale has no meaning, `(n,)` stress-1 and `(n,)` iterations.
     """
     solve = smacof_solver()
-    dissimilarities, start = np.asarray(dissimilarities, float), np.asarray(start, float)
-    n, n_landmarks = start.shape[:2]
-    first, second = np.triu_indices(n_landmarks, 1)
+    start = np.array(start, float, order="C")
+    n, n_landmarks, _ = start.shape
+    matrices = np.asarray(dissimilarities, float).reshape(n, -1)
+    upper = np.flatnonzero(np.triu(np.ones((n_landmarks, n_landmarks)), 1))
     points, stress, n_iter = np.empty(start.shape), np.empty(n), np.empty(n, int)
-    step = max(1, _PAIRS_AT_ONCE // len(first))
+    step = max(1, _PAIRS_AT_ONCE // len(upper))
     for faces in (slice(i, i + step) for i in range(0, n, step)):
-        pairs = dissimilarities[faces, first, second]
-        order = pairs.argsort(1)
-        solved = solve(pairs, order, np.ascontiguousarray(start[faces]), max_iter, eps)
+        pairs = matrices[faces].take(upper, axis=1)
+        solved = solve(pairs, pairs.argsort(1), start[faces], int(max_iter), float(eps))
         points[faces], stress[faces], n_iter[faces] = solved
     return points, stress, n_iter
 
 
 @functools.cache
 def smacof_solver() -> Callable:
-    """The compiled solver where numba is installed, else `smacof`."""
-    if importlib.util.find_spec("numba") is None:
+    """The compiled solver where numba can be imported, else `smacof`."""
+    try:
+        from deepmds_keras import compiled_smacof
+    except ImportError:
         return smacof
-    from deepmds_keras import compiled_smacof
-
     return compiled_smacof.smacof
 
 
@@ -90,32 +89,32 @@ def _smacof_of_face(pairs, order, points, max_iter, eps):
     order = order[np.count_nonzero(pairs == 0) :]
     starts = _group_starts(pairs[order])
     sizes = np.diff(starts, append=len(order))
-    disparities = pairs.copy()  # of the first iteration, as in De Leeuw & Mair's smacof for R
+    disparities = pairs.copy()  # of the first iteration
     distances = pdist(points)
-    old_stress = None
+    previous = np.inf
     for iteration in range(1, max_iter + 1):
         if iteration > 1:
             means = np.add.reduceat(distances[order], starts) / sizes
             disparities[order] = np.repeat(isotonic_regression(means, weights=sizes).x, sizes)
         disparities *= np.sqrt(len(pairs) / np.square(disparities).sum())
-        distances[distances == 0] = COINCIDENT
+        distances[distances == 0] = _COINCIDENT
         ratios = squareform(disparities / distances, checks=False)
         points = (ratios.sum(1)[:, None] * points - ratios @ points) / len(points)
         distances = pdist(points)
-        stress, size = np.square(distances - disparities).sum(), np.square(distances).sum()
-        if old_stress is not None and (old_stress - stress) / size < eps:
+        raw, size = np.square(distances - disparities).sum(), np.square(distances).sum()
+        if (previous - raw) / size < eps:
             break
-        old_stress = stress
-    return points, np.sqrt(stress / size), iteration
+        previous = raw
+    return points, np.sqrt(raw / size), iteration
 
 
 def _group_starts(values: np.ndarray) -> np.ndarray:
     """Where groups of ties begin in ascending values."""
     positions = np.arange(len(values))
-    starts = np.diff(values, prepend=-np.inf) >= TIE
+    starts = np.diff(values, prepend=-np.inf) >= _TIE
     while True:  # again only where ties a rounding error apart add up to more than a tie
         smallest = values[np.maximum.accumulate(np.where(starts, positions, 0))]
-        beyond = values - smallest >= TIE
+        beyond = values - smallest >= _TIE
         if not beyond.any():
             return np.flatnonzero(starts)
-        starts |= beyond & ~np.concatenate([[False], beyond[:-1] & ~starts[1:]])
+        starts |= beyond & ~np.append(False, beyond[:-1])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from deepmds_keras.batched_mds import COINCIDENT, TIE
-
-# Terms of a sum may be reordered, which vector instructions need; NaN and infinity keep their
-# rules.
+# As in batched_mds, but not imported: what numba keeps on disk would outlive a change there.
+_TIE = 1e-15
+_COINCIDENT = 1e-5
+# Sums may be taken in another order, which vector instructions need; NaN and infinity stay.
 _REORDERED = {"reassoc", "contract", "nsz"}
 
 
@@ -36,7 +36,7 @@ def smacof(pairs, order, start, max_iter, eps):
         n_known = _read_order(pairs[face], order[face], all_positions, all_tied)
         positions, tied = all_positions[:n_known], all_tied[:n_known]
         blocks[0], blocks[1], n_blocks = 0, n_known, 1
-        disparities[:] = pairs[face]  # of the first iteration, as in smacof for R
+        disparities[:] = pairs[face]  # of the first iteration
         points[:] = start[face].T
         _pair_distances(points, distances)
         previous = np.inf
@@ -54,7 +54,7 @@ def smacof(pairs, order, start, max_iter, eps):
             _move(points, distances, disparities, ratios, moved)
             _pair_distances(points, distances)
             raw, size = _raw_stress(distances, disparities)
-            if iteration > 1 and (previous - raw) / size < eps:
+            if (previous - raw) / size < eps:
                 break
             previous = raw
         solved[face], stress[face], n_iter[face] = points.T, np.sqrt(raw / size), iteration
@@ -68,7 +68,7 @@ def _read_order(pairs, order, positions, tied):
     for position in order:
         if pairs[position] != 0:
             positions[n_known] = position
-            tied[n_known] = pairs[position] - smallest < TIE
+            tied[n_known] = pairs[position] - smallest < _TIE
             if not tied[n_known]:
                 smallest = pairs[position]
             n_known += 1
@@ -107,7 +107,7 @@ def _move(points, distances, disparities, ratios, moved):
     n_landmarks, first = points.shape[1], 0
     for pair in range(len(ratios)):
         distance = distances[pair]
-        ratios[pair] = disparities[pair] / (COINCIDENT if distance == 0 else distance)
+        ratios[pair] = disparities[pair] / (_COINCIDENT if distance == 0 else distance)
     moved[:] = 0
     for landmark in range(n_landmarks - 1):
         row = ratios[first : first + n_landmarks - 1 - landmark]
@@ -182,5 +182,5 @@ def _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights):
                 first = new_blocks[n_new]
             sums[n_new], weights[n_new], new_blocks[n_new] = total, weight, first
             n_new += 1
-    new_blocks[n_new] = len(values)
+    new_blocks[n_new] = blocks[n_blocks]
     return n_new
