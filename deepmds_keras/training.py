@@ -149,8 +149,11 @@ def train_dissimilarity_net(
         # Pairs are made beside the training, a few faces ahead: all at once fill the memory.
         if shuffled:
             rng = np.random.default_rng([seed, epoch, _SHUFFLED])
-            draws = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
-            data = tf.data.Dataset.from_tensor_slices((*draws,)).map(drawn_pairs)
+            faces, drawn = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
+            ends = [(faces, landmarks[drawn]) for landmarks in (first, second)]
+            drawn = tuple([array[end] for end in ends] for array in (frontal, shapes))
+            data = tf.data.Dataset.from_tensor_slices((*map(tuple, drawn),))
+            data = data.map(lambda *pair: features_and_distance(*pair, tnp))
         else:
             faces = face_order(n, steps, seed, epoch)
             data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
@@ -163,11 +166,6 @@ def train_dissimilarity_net(
             for array in (frontal, shapes)
         )
         return features_and_distance(views, points, xp)
-
-    def drawn_pairs(faces, drawn):
-        ends = [tf.stack([faces, tf.gather(i, drawn)], axis=-1) for i in (first, second)]
-        views, points = ([tf.gather_nd(a, end) for end in ends] for a in (frontal, shapes))
-        return features_and_distance(views, points, tnp)
 
     def features_and_distance(views, points, xp):
         squares = xp.square(points[0] - points[1])

@@ -18,7 +18,7 @@ from deepmds_keras.baselines.mean_shape import MeanShape
 from experiments.figures.audit import error_curves, mini_batches
 from experiments.figures.style import save
 from experiments.inputs import load_faces
-from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.manifest import MANIFEST, clear_results, records_of, write_manifest
 from experiments.run import Run, parse_run, peak_memory_mb, stage, write_text
 from experiments.scores import score, subsets
 from experiments.tables import to_csv
@@ -58,11 +58,12 @@ def train(run: Run) -> list[int]:
     """Train what is not done yet, a process a core.
 
     Returns:
-        Peak memory of each training, MB.
+        Peak memory of each process, MB.
     """
     todo = [item for item in trainings(run) if not item[0].file(run, item[1]).exists()]
     jobs = min(max(len(todo), 1), effective_n_jobs(run.jobs))
-    return Parallel(jobs)(delayed(_train)(run, *item, os.getpid()) for item in todo)
+    memory = Parallel(jobs)(delayed(_train)(run, *item, os.getpid()) for item in todo)
+    return sorted(memory)[-jobs:]  # a process trains one after the other, and only ever grows
 
 
 def _train(run: Run, variant: Variant, seed: int, parent: int) -> int:
@@ -178,7 +179,8 @@ def main(arguments: list[str] | None = None) -> None:
     if not (run.work / "ablation.json").exists():
         with stage(run, "ablation") as record:
             record["processes_mb"] = train(run)
-            write(run)
+    if not (folder / MANIFEST).exists():
+        write(run)
         write_manifest(run, "ablation", records_of(run, ("faces", "networks", "ablation")), folder)
     print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}: mean ± s.d. over seeds\n")
     print(text(pd.read_csv(folder / "table.csv")))

@@ -143,8 +143,8 @@ def test_every_seed_of_the_mini_batches_is_a_line_in_both_modes():
     axes = DRAWN["mini_batches"]().axes
     assert len(axes) == 4
     assert [len(panel.lines) for panel in axes] == [4] * 4
-    np.testing.assert_allclose(axes[0].lines[0].get_ydata(), [1e-4, 0.5e-4, 1e-4 / 3])
-    np.testing.assert_allclose(axes[1].lines[2].get_ydata()[0], 4e-4)
-    np.testing.assert_allclose(axes[2].lines[0].get_ydata()[0], 3e-4)
+    np.testing.assert_allclose(axes[0].lines[0].get_ydata(), [1, 1 / 2, 1 / 3])
+    np.testing.assert_allclose(axes[1].lines[2].get_ydata()[0], 4)
+    np.testing.assert_allclose(axes[2].lines[0].get_ydata()[0], 3)
     assert axes[2].get_ylabel().startswith("Decayed rate")
     assert len(audit.mini_batches(losses(("same_face", "shuffled"))).axes) == 2

@@ -191,8 +191,8 @@ SHORT_YAW = {"yaw": [9e-4] * 4 + [1e-4] * 5 + [9e-4] * 4}
     ("ours", "stable", "sweeps", "verdict", "condition"),
     [
         ((1, 1.2, 1.4), (1, 1, 1), {}, HOLDS, ""),
-        ((1, 1.2, 1.4), (1, 1, 1), SHORT_YAW, WITH_CONDITION, "the views are like"),
-        ((1, 1.2, 1.7), (1, 1, 1.1), {}, WITH_CONDITION, "the learning rate decays in training"),
+        ((1, 1.2, 1.4), (1, 1, 1), SHORT_YAW, WITH_CONDITION, "if the views are like"),
+        ((1, 1.2, 1.7), (1, 1, 1.1), {}, WITH_CONDITION, "if the learning rate decays in training"),
         ((1, 1.2, 1.7), (1, 1, 1.1), SHORT_YAW, WITH_CONDITION, "training and the views are like"),
         ((1, 1.2, 1.7), (1, 1, 1.8), {}, DOES_NOT_HOLD, ""),
     ],
@@ -220,8 +220,8 @@ def frontal_views(ours, stable):
     ("ours", "stable", "far", "verdict", "condition"),
     [
         (0.0051, 0.004, 0.0052, HOLDS, ""),
-        (0.0051, 0.004, 0.03, WITH_CONDITION, "the views are like those it was trained on"),
-        (0.0071, 0.004, 0.0052, WITH_CONDITION, "the learning rate decays in training"),
+        (0.0051, 0.004, 0.03, WITH_CONDITION, "if the views are like those it was trained on"),
+        (0.0071, 0.004, 0.0052, WITH_CONDITION, "if the learning rate decays in training"),
         (0.0071, 0.0072, 0.0052, DOES_NOT_HOLD, ""),
         (0.0711, 0.0722, 0.0052, DOES_NOT_HOLD, ""),
     ],

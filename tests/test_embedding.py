@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from deepmds_keras import InputError, align, embed
-from deepmds_keras.embedding import classical_scaling
+from deepmds_keras.embedding import SOLVERS, classical_scaling
 
 
 @pytest.fixture
@@ -85,3 +85,35 @@ def test_diagonal_and_slightly_negative_entries_do_no_harm(faces, distances):
 def test_bad_matrices_are_named(distances, spoil, message):
     with pytest.raises(InputError, match=message):
         embed(spoil(distances))
+
+
+@pytest.mark.parametrize("n_components", [2, 3])
+def test_batched_solver_gives_what_sklearn_gives(n_components):
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(40, 30, 3))
+    true = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    noise = 0.1 * np.triu(rng.normal(size=true.shape), 1)
+    matrices = np.abs(true + noise + np.swapaxes(noise, 1, 2))
+    matrices[:, np.arange(30), np.arange(30)] = 0
+    (a, stress_a), (b, stress_b) = (
+        embed(matrices, n_components, solver=solver, return_stress=True) for solver in SOLVERS
+    )
+    np.testing.assert_allclose(stress_a, stress_b, rtol=1e-9)
+    np.testing.assert_allclose(align(b, a), a, atol=1e-8)
+
+
+def test_scale_is_the_one_with_the_least_squares():
+    points = np.random.default_rng(6).normal(size=(12, 3))
+    matrix = np.linalg.norm(points[:, None] - points, axis=-1) ** 1.3
+    found = embed(matrix)
+    distances = np.linalg.norm(found[:, None] - found, axis=-1)
+
+    def misfit(scale):
+        return np.square(scale * distances - matrix).sum()
+
+    assert misfit(1) < min(misfit(0.999), misfit(1.001))
+
+
+def test_unknown_solver_is_named():
+    with pytest.raises(InputError, match="solver must be one of sklearn, batched. Received 'new'"):
+        embed(np.ones((4, 4)), solver="new")

@@ -86,7 +86,11 @@ class Inputs:
         if method not in self._methods:
             from experiments.predictions import fitted
 
-            self._methods[method] = fitted(self.run, self.train, method)
+            model = fitted(self.run, self.train, method)
+            if hasattr(model, "solver"):
+                # As scikit-learn to rounding, and many sweeps sooner.
+                model.set_params(solver="batched", n_jobs=1)
+            self._methods[method] = model
         return self._methods[method]
 
     @cached_property

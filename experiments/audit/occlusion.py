@@ -30,7 +30,7 @@ _BEHIND = 2.0
 # sets are exact, which those of a real view are not.
 _SEEN_SD_MM = 1.0
 _MISSING = 5  # stream of random numbers beside those of the other topics
-ESTIMATED = "missing landmarks are first estimated from those that are seen"
+ESTIMATED = "if missing landmarks are first estimated from those that are seen"
 
 StandIn = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -169,8 +169,8 @@ def _under_conditions(good: list[str], limits: dict, evidence: str) -> Finding:
     everywhere = all(
         own == [min(SWEEPS[sweep]), max(SWEEPS[sweep])] for sweep, own in limits.items()
     )
-    conditions = ["the learning rate decays in training"] * ("ours" not in good)
-    conditions += ["the views are like those it was trained on"] * (not everywhere)
+    conditions = ["if the learning rate decays in training"] * ("ours" not in good)
+    conditions += ["if the views are like those it was trained on"] * (not everywhere)
     return holds_if(enumeration(conditions), evidence) if conditions else holds(evidence)
 
 

@@ -66,7 +66,7 @@ def beats_constant(bfm: Mapping, constants: Mapping, printed_trivial: float) -> 
     if "mean shape" in beaten:
         return holds(evidence)
     if beaten:
-        return holds_if(f"if the constant solution is {enumeration(beaten)}", evidence)
+        return holds_if(f"if the constant solution is {' or '.join(beaten)}", evidence)
     return does_not_hold(evidence)
 
 

@@ -46,6 +46,7 @@ _PARTS = {
 _BATCHES = {"same_face": ("pairs of one face", "#D55E00"),
             "shuffled": ("pairs of different faces", "#0072B2")}  # fmt: skip
 _SCHEDULES = {"": "Constant rate", "_stable": "Decayed rate"}
+_LOSS_UNIT, _FIRST_EPOCH = 1e-4, 3
 _MODES = {"train": "Training mode", "inference": "Inference mode"}
 _PLAIN = FuncFormatter(lambda value, _: minus(f"{value:g}"))
 
@@ -221,13 +222,18 @@ def mini_batches(losses: pd.DataFrame) -> Figure:
             own = losses[losses["variant"] == f"{batches}{suffix}"]
             for _, run in own.sort_values("epoch").groupby("seed"):
                 for axes, mode in ((left, "train"), (right, "inference")):
-                    axes.plot(run["epoch"], run[mode], color=ink, lw=0.7, alpha=0.85)
-        left.set_ylabel(f"{_SCHEDULES[suffix]}: mean squared error\n(squared normalised units)")
+                    axes.plot(run["epoch"], run[mode] / _LOSS_UNIT, color=ink, lw=0.7, alpha=0.85)
+        left.set_ylabel(
+            f"{_SCHEDULES[suffix]}: mean squared error\n($10^{{-4}}$ squared normalised units)"
+        )
     for axes, name in zip(panels[0], _MODES.values(), strict=True):
         axes.set_title(name)
+    # In the first epochs all fall alike, and so far that no difference would be seen after them.
+    first = min(_FIRST_EPOCH, losses["epoch"].max())
+    shown = losses.loc[losses["epoch"] >= first, ["train", "inference"]].to_numpy()
     for axes in panels.flat:
-        axes.set_yscale("log")
-        axes.margins(x=0.02)
+        axes.set(ylim=(0.95 * shown.min() / _LOSS_UNIT, 1.05 * shown.max() / _LOSS_UNIT))
+        axes.set_xlim(first - 0.5, losses["epoch"].max() + 0.5)
         axes.grid(axis="y")
     for axes in panels[-1]:
         axes.set_xlabel("Training time (epochs)")
