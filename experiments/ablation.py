@@ -179,6 +179,7 @@ def main(arguments: list[str] | None = None) -> None:
     if not (run.work / "ablation.json").exists():
         with stage(run, "ablation") as record:
             record["processes_mb"] = train(run)
+            clear_results(folder)  # of an earlier training
     if not (folder / MANIFEST).exists():
         write(run)
         write_manifest(run, "ablation", records_of(run, ("faces", "networks", "ablation")), folder)

@@ -38,6 +38,19 @@ def test_only_what_is_missing_is_run(would_run, tmp_path):
     assert would_run("MOBILEFACE=no") == ["networks", "predictions", "bfm", "show"]
 
 
+def test_the_audit_always_runs_after_what_it_needs(tmp_path, would_run):
+    def stages(target):
+        return stages_of(tmp_path, target, "BUILD", "MOBILEFACE=no")
+
+    assert stages("ablation") == ["ablation", "ablation"], "trains, then prints"
+    assert stages("audit") == ["ablation", "audit"]
+    (tmp_path / "ablation.json").touch()
+    assert stages("ablation") == ["ablation"]
+    assert stages("audit") == ["audit"]
+    (tmp_path / "predictions.json").unlink()
+    assert stages("audit") == ["predictions", "bfm", "audit"]
+
+
 def test_a_word_that_is_neither_yes_nor_no_is_refused(would_run):
     assert "MOBILEFACE must be yes or no. Received nein" in would_run("MOBILEFACE=nein")
 
