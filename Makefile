@@ -147,7 +147,7 @@ $(PHOTOS)/celeba-flame.json: $(FLAME)/networks.json \
     $(if $(filter-out no,$(MEDIAPIPE)),| $(MEDIAPIPE_READY))
 	@$(STAGE).celeba_flame $(RUN_CELEBA)
 
-ablation: $(BUILD)/ablation.json ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
+ablation: $(BUILD)/networks.json ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
 	@$(STAGE).ablation $(RUN)
 
 $(BUILD)/ablation.json: $(BUILD)/networks.json
