@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from data_gen.errors import DataError
+from data_gen.mat5 import read_mat
 from data_gen.mesh import orient_outwards
 from data_gen.model_files import (
     as_basis,
@@ -34,6 +34,7 @@ _MM = 1e-3  # the file is in micrometres
 _KEYS = ("shapeMU", "shapePC", "shapeEV", "texMU", "texPC", "texEV", "tl")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is too large is refused in the end
 def load_bfm2009(path: str | Path) -> MorphableModel:
     """Reads the Basel Face Model 2009.
 
@@ -82,14 +83,11 @@ def _read(file: Path) -> dict[str, np.ndarray]:
                 f"{file}: must be a MATLAB v5 to v7 file, as the model is distributed. "
                 "Received v7.3 (HDF5)."
             )
-    try:
-        arrays = loadmat(file, variable_names=_KEYS)
-    except Exception as error:  # zlib, struct and scipy raise many kinds for a damaged file
-        raise DataError(f"{file}: must be a whole MATLAB file. Received {error!r}.") from error
+    arrays = read_mat(file, _KEYS)
     for key in _KEYS:
         if key not in arrays:
             raise DataError(f"{file}: must hold {', '.join(_KEYS)}. Received a file without {key}.")
-        if not isinstance(arrays[key], np.ndarray) or arrays[key].dtype.kind not in "fiu":
+        if arrays[key] is None:
             raise DataError(f"{file}: {key} must be an array of numbers. Received another kind.")
     return arrays
 

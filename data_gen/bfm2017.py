@@ -6,6 +6,8 @@ Gerig et al. 2018, doi:10.1109/FG.2018.00021; licensed by the University of Base
 from __future__ import annotations
 
 import json
+import math
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import h5py
 import numpy as np
 from scipy.spatial import KDTree
 
-from data_gen.errors import DataError
+from data_gen.errors import DataError, brief
 from data_gen.landmark_transfer import MIN_ANCHORS, transfer_landmarks
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.mesh import orient_outwards
@@ -30,8 +32,10 @@ CANDIDATES = {
 }
 _N_VERTICES_NOMOUTH = 53149  # of model2017-1_bfm_nomouth.h5, whose iBUG vertices eos lists
 _LANDMARKS = "metadata/landmarks/json"
+_DEFLATED = 1032  # the most numbers' bytes that one byte of a compressed file can stand for
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is too large is refused in the end
 def load_bfm2017(path: str | Path, name: str = "bfm2017") -> MorphableModel:
     """Reads the Basel Face Model 2017 or 2019.
 
@@ -58,9 +62,12 @@ def load_bfm2017(path: str | Path, name: str = "bfm2017") -> MorphableModel:
         with h5py.File(file, "r") as h5:
             model = _read_model(file, h5, name)
             anchors = _named_anchors(file, h5, model)
-    # What h5py raises for a damaged file, or one that declares more numbers than it holds.
-    except (OSError, RuntimeError, KeyError, MemoryError) as error:
-        raise DataError(f"{file}: must be a whole HDF5 file. Received {error!r}.") from error
+    except DataError:
+        raise
+    except Exception as error:  # h5py raises many kinds for a damaged file
+        raise DataError(
+            f"{file}: must be a whole HDF5 file. Received {brief(repr(error))}."
+        ) from error
     if not anchors and name == "bfm2017" and model.n_vertices == _N_VERTICES_NOMOUTH:
         anchors = _eos_anchors()
     if len(anchors) < MIN_ANCHORS:
@@ -124,6 +131,20 @@ def _numbers(file: Path, h5: h5py.File, key: str) -> np.ndarray:
     dataset = h5.get(key)
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
         raise DataError(f"{file}: must hold an array of numbers {key}. Received none.")
+    return _content(file, dataset)
+
+
+def _content(file: Path, dataset: h5py.Dataset):
+    """All of a dataset, if the file holds that much: what was never written is read as zeros."""
+    held = dataset.id.get_storage_size()
+    most = held * (_DEFLATED if dataset.compression else 1)
+    chunk = dataset.dtype.itemsize * math.prod(dataset.chunks or (0,))
+    is_whole = dataset.shape is not None and max(dataset.nbytes, chunk) <= most
+    if not is_whole or held > file.stat().st_size:
+        raise DataError(
+            f"{file}: {dataset.name} must be whole. Received {held} bytes for an array of "
+            f"{dataset.dtype} {dataset.shape}."
+        )
     return dataset[()]
 
 
@@ -136,12 +157,17 @@ def _named_anchors(file: Path, h5: h5py.File, model: MorphableModel) -> dict[int
     if not isinstance(dataset, h5py.Dataset):
         return {}
     try:
-        points = {row["id"]: row["coordinates"] for row in json.loads(_text(dataset[()]))}
+        content = json.loads(_text(file, dataset))
+        points = {row["id"]: row["coordinates"] for row in content}
         points = {k: points[k] for k in load_basel_anchors() if k in points}
         coordinates = np.array(list(points.values()), np.float64).reshape(len(points), 3)
-    except (ValueError, KeyError, TypeError) as error:
+        if not np.isfinite(coordinates).all():
+            raise ValueError("coordinates that are not finite")
+    except DataError:
+        raise
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, struct.error) as error:
         raise DataError(
-            f"{file}: {_LANDMARKS} must list id and coordinates. Received {error!r}."
+            f"{file}: {_LANDMARKS} must list id and coordinates. Received {brief(repr(error))}."
         ) from error
     reference = _numbers(file, h5, "shape/representer/points").T
     if reference.shape != model.mean.shape:
@@ -154,11 +180,37 @@ def _named_anchors(file: Path, h5: h5py.File, model: MorphableModel) -> dict[int
     return dict(zip(on_openhead, map(int, vertices), strict=True))
 
 
-def _text(value) -> str:
-    """A string as h5py may give it: bytes, an array of one string, or an array of characters."""
-    if isinstance(value, np.ndarray):
-        value = value.tobytes() if value.dtype.kind in "iu" else value.ravel()[0]
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
+def _text(file: Path, dataset: h5py.Dataset) -> str:
+    """A text: one string, the first of an array of strings, or an array of characters."""
+    if dataset.dtype.kind in "iu":
+        return _content(file, dataset).tobytes().decode("utf-8")
+    if dataset.dtype.kind == "S":
+        return np.ravel(_content(file, dataset))[0].decode("utf-8")
+    if h5py.check_string_dtype(dataset.dtype) is None:
+        raise TypeError(f"{dataset.dtype}")
+    return _string_of_any_length(file, dataset.id.get_offset()).decode("utf-8")
+
+
+def _string_of_any_length(file: Path, place: int | None) -> bytes:
+    """What HDF5 keeps in a "global heap" and has a reference to at some place of the file.
+
+    Read here, since a damaged heap makes HDF5 go round for ever, or crash.
+    """
+    if place is None:
+        raise ValueError("a string that is not stored in one piece")
+    with file.open("rb") as stream:
+        stream.seek(place)
+        length, address, index = struct.unpack("<IQI", stream.read(16))
+        stream.seek(min(address, file.stat().st_size))
+        magic, size = struct.unpack("<4s4xQ", stream.read(16))
+        heap = stream.read(min(size, file.stat().st_size)) if magic == b"GCOL" else b""
+    start = 0
+    while start + 16 <= len(heap):
+        number, size = struct.unpack_from("<H6xQ", heap, start)
+        if number == index:
+            return heap[start + 16 : start + 16 + min(length, size)]
+        start += 16 + -(-size // 8) * 8
+    raise ValueError("a string that is not where it should be")
 
 
 def _eos_anchors() -> dict[int, int]:

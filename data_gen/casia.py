@@ -9,17 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import re
-import struct
-import warnings
-import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from data_gen.errors import DataError
+from data_gen.errors import DataError, brief
+from data_gen.photo_files import read_image
 from data_gen.tables import read_table
 from data_gen.vrml import read_asc_points, read_vrml_points
 from data_gen.writing import whole_file
@@ -45,19 +42,6 @@ _COMMENTS = """\
 # under light from the side; poses; and poses with a smile. None of this is verified. Hence every
 # scan is used until this table says otherwise.
 """
-
-# What Pillow raises for files that are cut short, foreign or hostile.
-_UNREADABLE_IMAGE = (
-    EOFError,
-    Image.DecompressionBombError,
-    Image.DecompressionBombWarning,
-    MemoryError,
-    OSError,
-    SyntaxError,
-    ValueError,
-    struct.error,
-    zlib.error,
-)
 
 _CELL, _PATCH_RADIUS, _PATCHES = 8.0, 40.0, 300  # mm, mm
 _MIN_CELLS_IN_PATCH = 20  # of about 78
@@ -160,22 +144,24 @@ def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
     try:
         _, rows = read_table(path)
     except (OSError, ValueError, csv.Error) as error:
-        raise DataError(f"{path}: must be a table of scans. Received {error}.") from error
+        raise DataError(f"{path}: must be a table of scans. Received {brief(error)}.") from error
     found = {(scan.subject, scan.scan) for scan in scans}
     conditions: dict[tuple[str, int], str | None] = {}  # None is not to be used
     for row in rows:
         if {*row} != {*COLUMNS} or None in row.values():
             raise DataError(
-                f"{path}: must have columns {','.join(COLUMNS)}. Received the row {row}."
+                f"{path}: must have columns {','.join(COLUMNS)}. Received the row {brief(row)}."
             )
         key = _key(path, row["subject"], row["scan"])
         if key not in found:
-            raise DataError(f"{path}: must list scans that exist. Received {key[0]}-{key[1]:03d}.")
+            received = brief(f"{key[0]}-{key[1]:03d}")
+            raise DataError(f"{path}: must list scans that exist. Received {received}.")
         if key in conditions:
             raise DataError(f"{path}: must list a scan once. Received {key[0]}-{key[1]:03d} twice.")
         use = _USE.get(row["use"].strip().lower())
         if use is None:
-            raise DataError(f"{path}: use must be yes, no, 1 or 0. Received {row['use']!r}.")
+            received = brief(repr(row["use"]))
+            raise DataError(f"{path}: use must be yes, no, 1 or 0. Received {received}.")
         conditions[key] = row["condition"].strip() if use else None
     chosen = [
         replace(scan, condition=condition)
@@ -194,11 +180,8 @@ def load_scan(scan: CasiaScan) -> tuple[np.ndarray, np.ndarray]:
         DataError: A file is damaged or is none of the kind, or the points are not a scan in mm.
     """
     try:
-        with warnings.catch_warnings(), scan.image.open("rb") as file:
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(file, formats=("BMP", "PNG", "JPEG")) as opened:
-                image = np.array(opened.convert("RGB"))
-    except _UNREADABLE_IMAGE as error:
+        image = read_image(scan.image, ("BMP", "PNG", "JPEG"))
+    except ValueError as error:
         raise DataError(
             f"{scan.image}: must be a whole BMP, PNG or JPEG image. Received {error}."
         ) from error
@@ -292,4 +275,5 @@ def _key(path: Path, subject: str, scan: str) -> tuple[str, int]:
     try:
         return f"{int(subject):03d}", int(scan)
     except ValueError as error:
-        raise DataError(f"{path}: subject and scan must be numbers. Received {error}.") from None
+        reason = brief(error)
+        raise DataError(f"{path}: subject and scan must be numbers. Received {reason}.") from None

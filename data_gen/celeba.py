@@ -7,14 +7,13 @@ here. Its own five landmarks a face are too few for this method and are not read
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from data_gen.errors import DataError
+from data_gen.photo_files import read_image
 
 PARTITIONS = ("train", "valid", "test")  # as numbered in the file, from 0
 _IMAGES = "img_align_celeba"
@@ -92,15 +91,9 @@ def load_image(record: CelebaImage) -> np.ndarray:
         DataError: The file is gone, damaged or no JPEG or PNG image.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(record.path, formats=("JPEG", "PNG")) as opened:
-                return np.array(opened.convert("RGB"))
-    except Exception as error:  # Pillow raises many kinds for a damaged file
-        raise DataError(
-            f"{record.path}: must be a whole JPEG image. "
-            f"Received {type(error).__name__}: {' '.join(str(error).split())}"
-        ) from None
+        return read_image(record.path, ("JPEG", "PNG"))
+    except ValueError as error:
+        raise DataError(f"{record.path}: must be a whole JPEG image. Received {error}") from None
 
 
 def _image_folder(folder: Path) -> Path:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.errors import DataError
-from data_gen.model_files import UNREADABLE_NPZ
+from data_gen.errors import DataError, brief
 from data_gen.morphable_model import MorphableModel
+from data_gen.npz import read_npz
 from data_gen.projections import PROJECTIONS, Cameras, draw_cameras, project
 from data_gen.writing import whole_file
 
@@ -145,11 +145,10 @@ def load_dataset(path: str | Path) -> Dataset:
         DataError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
     """
     try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
+        arrays = read_npz(path)
     except FileNotFoundError:
         raise DataError(f"{path} does not exist; make the data set first.") from None
-    except UNREADABLE_NPZ as error:
+    except (OSError, ValueError) as error:
         raise DataError(f"{path} must be a data set (npz). Received {error}.") from None
     n, n_landmarks = (*arrays.get("landmarks", np.empty(0)).shape, 0, 0)[:2]
     needed = {
@@ -164,15 +163,18 @@ def load_dataset(path: str | Path) -> Dataset:
         if key not in arrays or arrays[key].shape != shape:
             found = f"shape {arrays[key].shape}" if key in arrays else "nothing"
             raise DataError(f"{path}: {key} must have shape {shape}. Received {found}.")
+        what, kinds = ("text", "U") if key == "description" else ("numbers", "fiu")
+        if arrays[key].dtype.kind not in kinds:
+            raise DataError(f"{path}: {key} must be {what}. Received {arrays[key].dtype}.")
         if key != "description" and not np.isfinite(arrays[key]).all():
             raise DataError(f"{path}: {key} must be finite. Received NaN or infinity.")
     angles = {key: arrays[key].astype(float) for key in Cameras.__dataclass_fields__}
-    angles["projection"] = angles["projection"].astype(int)
-    if n and not (0 <= angles["projection"].min() <= angles["projection"].max() < len(PROJECTIONS)):
+    if not np.isin(angles["projection"], range(len(PROJECTIONS))).all():
         raise DataError(f"{path}: projection must be a number below {len(PROJECTIONS)}.")
+    angles["projection"] = angles["projection"].astype(int)
     try:
         description = json.loads(str(arrays["description"]))
-    except ValueError as error:
-        raise DataError(f"{path}: description must be JSON. Received {error}.") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: description must be JSON. Received {brief(error)}.") from None
     kept = (arrays[key] for key in ("identity", "expression", "landmarks", "views"))
     return Dataset(*kept, Cameras(**angles), description)

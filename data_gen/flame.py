@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from data_gen.errors import DataError
 from data_gen.flame_embedding import find_embedding, load_embedding
 from data_gen.mesh import orient_outwards
-from data_gen.model_files import UNREADABLE_NPZ, find_path, model_of, sha256_of
+from data_gen.model_files import find_path, model_of, sha256_of
 from data_gen.morphable_model import MorphableModel
+from data_gen.npz import read_npz
 from data_gen.plain_pickle import load_plain_pickle
 
 CANDIDATES = (
@@ -73,6 +74,7 @@ class Flame:
     triangles: np.ndarray
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is too large is refused in the end
 def load_flame(path: str | Path) -> MorphableModel:
     """Reads FLAME as a linear model.
 
@@ -246,9 +248,8 @@ def _or_empty(array) -> np.ndarray:
 
 def _read_npz(file: Path) -> dict[str, np.ndarray]:
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except UNREADABLE_NPZ as error:
+        return read_npz(file)
+    except (OSError, ValueError) as error:
         raise DataError(f"{file}: must be an npz file of plain arrays. Received {error}.") from None
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.errors import DataError
+from data_gen.errors import DataError, brief
 from data_gen.mesh import orient_outwards
 from data_gen.model_files import expect_format, find_path, known_landmarks, model_of, sha256_of
 from data_gen.morphable_model import MorphableModel
+from data_gen.npz import read_npz
 
 CANDIDATES = (
     "generic_neutral_mesh.obj",
@@ -25,8 +26,14 @@ CANDIDATES = (
 )
 _MM = 10.0  # the files are in centimetres
 _NEUTRAL = "generic_neutral_mesh.obj"
+# Kinds of the arrays of the npz.
+_KINDS = {
+    **{"mean": "fiu", "identity": "fiu", "expression": "fiu", "expression_names": "U"},
+    **{"triangles": "iu", "vertex_index": "iu"},
+}
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is too large is refused in the end
 def load_ict(path: str | Path) -> MorphableModel:
     """Reads ICT-FaceKit Light; the origin stays where the files have it.
 
@@ -75,18 +82,19 @@ def _load_folder(folder: Path) -> MorphableModel:
 def _load_npz(file: Path) -> MorphableModel:
     expect_format(file, b"PK", "an npz file")
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            mean = np.asarray(arrays["mean"], np.float64)
-            identity = np.asarray(arrays["identity"], np.float32)
-            expression = np.asarray(arrays["expression"], np.float32)
-            names = tuple(map(str, arrays["expression_names"]))
-            triangles = np.asarray(arrays["triangles"], int)
-            numbers = np.asarray(arrays["vertex_index"], int)
-    except Exception as error:  # zipfile, zlib and numpy raise many kinds for a damaged file
+        arrays = read_npz(file)
+        for key, kinds in _KINDS.items():
+            if arrays[key].dtype.kind not in kinds:
+                raise ValueError(f"{key} of type {arrays[key].dtype}")
+    except (OSError, KeyError, ValueError) as error:
         raise DataError(
-            f"{file}: must be an npz file with plain arrays mean, identity, expression, "
-            f"expression_names, triangles, vertex_index. Received {error}."
-        ) from error
+            f"{file}: must be an npz file with plain arrays {', '.join(_KINDS)}. "
+            f"Received {brief(error)}."
+        ) from None
+    mean = arrays["mean"].astype(np.float64)
+    identity, expression = (arrays[key].astype(np.float32) for key in ("identity", "expression"))
+    names = tuple(map(str, arrays["expression_names"].ravel()))
+    triangles, numbers = arrays["triangles"].astype(int), arrays["vertex_index"].astype(int)
     if mean.ndim != 2 or mean.shape[1] != 3 or numbers.shape != mean.shape[:1]:
         raise DataError(
             f"{file}: mean and vertex_index must be (V, 3) and (V,). "
@@ -94,9 +102,10 @@ def _load_npz(file: Path) -> MorphableModel:
         )
     if (np.diff(numbers) <= 0).any():
         raise DataError(f"{file}: vertex_index must ascend. Received numbers out of order.")
-    if len(names) != len(expression):
+    if expression.ndim != 3 or len(names) != len(expression):
+        n_expressions = expression.shape[0] if expression.ndim else "no"
         raise DataError(
-            f"{file}: expression_names must name {len(expression)} expressions. "
+            f"{file}: expression_names must name {n_expressions} expressions. "
             f"Received {len(names)}."
         )
     _check_triangles(file, triangles, len(mean))
@@ -139,9 +148,11 @@ def _read_obj(file: Path) -> tuple[np.ndarray, np.ndarray]:
         triangles = [
             (face[0], face[k], face[k + 1]) for face in corners for k in range(1, len(face) - 1)
         ]
-        triangles = np.array(triangles, dtype=bytes).astype(int).reshape(-1, 3) - 1
-    except ValueError as error:
-        raise DataError(f"{file}: faces must be vertex numbers. Received {error}.") from error
+        triangles = np.array([[*map(int, face)] for face in triangles], int).reshape(-1, 3) - 1
+    except (ValueError, OverflowError) as error:
+        raise DataError(
+            f"{file}: faces must be vertex numbers. Received {brief(error)}."
+        ) from error
     _check_triangles(file, triangles, len(vertices))
     return vertices, triangles
 
@@ -158,11 +169,12 @@ def _read_vertices(file: Path, lines: list[bytes]) -> np.ndarray:
     if not rows:
         raise DataError(f"{file}: must be an OBJ file with vertices. Received none.")
     try:
-        words = np.array(b" ".join(rows).split(), dtype=bytes)
-        return words.astype(np.float64).reshape(len(rows), 3)
+        # Not by way of an array of the words: one that is long would make all of them as long.
+        numbers = np.fromiter(map(float, b" ".join(rows).split()), np.float64)
+        return numbers.reshape(len(rows), 3)
     except ValueError as error:
         raise DataError(
-            f"{file}: must be an OBJ file with three coordinates a vertex. Received {error}."
+            f"{file}: must be an OBJ file with three coordinates a vertex. Received {brief(error)}."
         ) from error
 
 
@@ -182,8 +194,10 @@ def _check_official_landmarks(file: Path, landmarks: dict[str, np.ndarray]) -> N
         return
     try:
         official = json.loads(file.read_text(encoding="utf-8"))["idx_to_landmark_verts"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{file}: must list idx_to_landmark_verts. Received {error!r}.") from error
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataError(
+            f"{file}: must list idx_to_landmark_verts. Received {brief(repr(error))}."
+        ) from error
     if not np.array_equal(official, landmarks["ibug68"]):
         raise DataError(
             f"{file}: idx_to_landmark_verts must be the 68 vertices of ICT-FaceKit Light. "

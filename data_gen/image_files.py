@@ -8,9 +8,11 @@ import numpy as np
 
 from data_gen.errors import DataError
 from data_gen.model_files import sha256_of
+from data_gen.npz import map_npy
 from data_gen.writing import whole_file
 
 FACES_PER_FILE = 500
+_LANDMARKS = "-landmarks"  # in the name of the file beside one of images
 
 
 class ImageFiles:
@@ -48,7 +50,7 @@ class ImageFiles:
 
     def paths(self, file: int) -> tuple[Path, Path]:
         """Where the images of a file and their landmarks are, or will be."""
-        return self.folder / f"{file:04}.npy", self.folder / f"{file:04}-landmarks.npy"
+        return self.folder / f"{file:04}.npy", self.folder / f"{file:04}{_LANDMARKS}.npy"
 
     def save(self, file: int, images: np.ndarray, landmarks: np.ndarray) -> None:
         """Write one file of images, after their landmarks, each whole or not at all."""
@@ -60,19 +62,29 @@ class ImageFiles:
     def landmarks(self, faces: range) -> np.ndarray:
         """Pixel positions of the landmarks of some faces, `(n, L, 2)`."""
         first, last = faces.start // FACES_PER_FILE, (faces.stop - 1) // FACES_PER_FILE
-        rows = [_read(self.paths(file)[1]) for file in range(first, last + 1)]
+        rows = []
+        for file in range(first, last + 1):
+            path = self.paths(file)[1]
+            rows.append(_read(path))
+            needed = (len(self.ranges()[file]), *rows[0].shape[1:2], 2)
+            if rows[-1].shape != needed or rows[-1].dtype.kind != "f":
+                raise DataError(
+                    f"{path} must hold landmarks, floats {needed}. "
+                    f"Received {rows[-1].dtype} {rows[-1].shape}."
+                )
         start = first * FACES_PER_FILE
         return np.concatenate(rows)[faces.start - start : faces.stop - start]
 
     def checksums(self) -> dict[str, str]:
-        """sha256 of every file of images, by name."""
+        """sha256 of every file of images, and of landmarks, by name."""
         digests = {}
         for file in range(len(self.ranges())):
-            path = self.paths(file)[0]
-            try:
-                digests[path.name] = sha256_of([path])
-            except OSError as error:
-                raise DataError(f"{path} must hold images. Received {error.strerror}.") from None
+            for path, held in zip(self.paths(file), ("images", "landmarks"), strict=True):
+                try:
+                    digests[path.name] = sha256_of([path])
+                except OSError as error:
+                    reason = error.strerror
+                    raise DataError(f"{path} must hold {held}. Received {reason}.") from None
         return digests
 
     def check(self, checksums: dict[str, str]) -> None:
@@ -82,10 +94,14 @@ class ImageFiles:
             DataError: A file is missing or was changed; delete it and make the images again.
         """
         for name, digest in self.checksums().items():
+            images = name.replace(_LANDMARKS, "")
+            if name != images and name not in checksums:
+                continue  # of an earlier version, which had checksums of images alone
             if checksums.get(name) != digest:
+                both = f", {images}" * (name != images)
                 raise DataError(
-                    f"{self.folder / name} was changed since it was made. Delete it and the "
-                    "record images.json, and run again."
+                    f"{self.folder / name} was changed since it was made. Delete it{both} and the "
+                    "record of the stage that made it, and run again."
                 )
 
     def _file(self, file: int) -> np.ndarray:
@@ -104,6 +120,6 @@ class ImageFiles:
 
 def _read(path: Path) -> np.ndarray:
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        return map_npy(path)
+    except (OSError, ValueError) as error:
         raise DataError(f"{path} must hold images or their landmarks. Received {error}.") from None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -14,21 +12,6 @@ from data_gen.errors import DataError
 from data_gen.landmarks import SCHEMES, load_vertices
 from data_gen.morphable_model import MorphableModel
 
-# What numpy and zipfile raise for an npz that is cut short, foreign or hostile. A lone .npy loads
-# as an array, which then fails as a context manager.
-UNREADABLE_NPZ = (
-    AttributeError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 _PICKLE_OPCODES = b"(]}c)lN"  # what a text pickle (protocol 0 or 1) of a container begins with
 _CHUNK = 1 << 22
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from data_gen.errors import DataError
 
+_BASES = ("mean", "identity_basis_times_sd", "expression_basis")
+
 
 @dataclass(frozen=True, eq=False)
 class MorphableModel:
@@ -45,19 +47,19 @@ class MorphableModel:
 
     def __post_init__(self):
         n_vertices = len(self.mean)
-        for label, array in (
-            ("mean", self.mean[None]),
-            ("identity_basis_times_sd", self.identity_basis_times_sd),
-            ("expression_basis", self.expression_basis),
-        ):
+        for label in _BASES:
+            array = getattr(self, label)
             if array is None:
                 continue
+            array = array[None] if label == "mean" else array
             if array.ndim != 3 or array.shape[1:] != (n_vertices, 3):
                 raise DataError(
                     f"{self.name}: {label} must hold ({n_vertices}, 3) numbers a component. "
                     f"Received shape {array.shape}."
                 )
-            if not np.isfinite(array).all():
+        for label in (*_BASES, "expression_mean", "colour_mean", "colour_basis_times_sd"):
+            array = getattr(self, label)
+            if array is not None and not np.isfinite(array).all():
                 raise DataError(f"{self.name}: {label} must be finite. Received NaN or infinity.")
         for scheme, vertices in self.landmarks.items():
             if len(vertices) and (vertices.min() < 0 or vertices.max() >= n_vertices):

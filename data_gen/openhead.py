@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.errors import DataError
-from data_gen.model_files import UNREADABLE_NPZ, model_of
+from data_gen.model_files import model_of, sha256_of
 from data_gen.morphable_model import MorphableModel
+from data_gen.npz import read_npz
 
 OPENHEAD = Path(__file__).parent / "assets" / "openhead.npz"
 
@@ -49,7 +48,7 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
         DataError: The file is missing, cut short or not an open head.
     """
     path = OPENHEAD if path is None else Path(path)
-    arrays, sha256 = _read(path)
+    arrays = read_openhead(path)
     return model_of(
         path,
         name="openhead",
@@ -63,7 +62,7 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
         },
         expression_basis=arrays["expression_basis"].astype(float),
         expression_names=tuple(arrays["expression_names"].tolist()),
-        sha256=sha256,
+        sha256=sha256_of([path]),
     )
 
 
@@ -77,28 +76,22 @@ def read_openhead(path: str | Path | None = None) -> dict[str, np.ndarray]:
     Raises:
         DataError: As `load_openhead`.
     """
-    return _read(OPENHEAD if path is None else Path(path))[0]
-
-
-def _read(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    """Arrays and sha256 of the file."""
+    path = OPENHEAD if path is None else Path(path)
     try:
-        content = path.read_bytes()
+        arrays = read_npz(path)
+        arrays = {key: arrays[key] for key in LAYOUT}
     except OSError as error:
         raise DataError(
             f"{path} must be an open head model (python -m data_gen.build_openhead makes one). "
             f"Received: {error.strerror}."
         ) from None
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {key: file[key] for key in LAYOUT}
-    except UNREADABLE_NPZ as error:
+    except (KeyError, ValueError) as error:
         raise DataError(
             f"{path} must be an open head model, an npz of plain arrays. "
             f"Received: {type(error).__name__}: {error}"
         ) from None
     _check(path, arrays)
-    return arrays, hashlib.sha256(content).hexdigest()
+    return arrays
 
 
 def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:

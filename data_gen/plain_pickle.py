@@ -9,26 +9,18 @@ from __future__ import annotations
 import io
 import math
 import pickle
-import pickletools
 import re
-from itertools import count
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from data_gen.errors import DataError
+from data_gen.errors import DataError, brief
+from data_gen.pickle_opcodes import check_opcodes
 
 _DTYPE = re.compile(r"[biufcSU][0-9]+")
 _SPARSE = re.compile(r"scipy\.sparse(\._?(csc|csr|coo))?:(csc|csr|coo)_(matrix|array)")
 _LONGEST_SIDE = 1 << 24  # of a sparse matrix, which could claim any
-# How many bytes hold the length of an argument, by pickletools' code for its kind.
-_LENGTH_BYTES = {
-    pickletools.TAKEN_FROM_ARGUMENT1: 1,
-    pickletools.TAKEN_FROM_ARGUMENT4: 4,
-    pickletools.TAKEN_FROM_ARGUMENT4U: 4,
-    pickletools.TAKEN_FROM_ARGUMENT8U: 8,
-}
 
 
 def load_plain_pickle(path: str | Path) -> object:
@@ -50,7 +42,7 @@ def load_plain_pickle(path: str | Path) -> object:
     except OSError as error:
         raise DataError(f"{path}: must be a pickle that can be read. Received {error}.") from error
     try:
-        if _check_opcodes(data) == 0:
+        if check_opcodes(data) == 0:
             data = data.replace(b"\r\n", b"\n")  # protocol 0 writes no CR of its own
         return _resolve(_Unpickler(io.BytesIO(data), encoding="latin1").load(), {})
     except DataError as error:
@@ -58,38 +50,8 @@ def load_plain_pickle(path: str | Path) -> object:
     except Exception as error:  # the opcodes of a damaged pickle can go wrong in any way
         raise DataError(
             f"{path}: must be a whole Python pickle. Received a file that begins with "
-            f"{data[:8]!r}, {len(data)} bytes: {error!r}."
+            f"{data[:8]!r}, {len(data)} bytes: {brief(repr(error))}."
         ) from error
-
-
-def _check_opcodes(data: bytes) -> int:
-    """Protocol of a pickle of which no length exceeds the file, and no memo number its count.
-
-    Python allots memory for either before it finds out, gigabytes for a file of a few bytes.
-    """
-    protocol = position = 0
-    for n_before in count():
-        opcode = pickletools.code2op[chr(data[position])]
-        protocol = max(protocol, opcode.proto)
-        start = position = position + 1
-        length = 0 if opcode.arg is None else opcode.arg.n
-        if length == pickletools.UP_TO_NEWLINE:
-            for _ in range(2 if opcode.name in ("GLOBAL", "INST") else 1):
-                position = data.index(b"\n", position) + 1
-        elif length in _LENGTH_BYTES:
-            position += _LENGTH_BYTES[length]
-            position += int.from_bytes(data[start:position], "little")
-        else:
-            position += length
-        if position > len(data):
-            raise ValueError(f"{opcode.name} at {start - 1} needs {position} bytes")
-        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT"):
-            argument = data[start:position]
-            number = int(argument) if opcode.proto == 0 else int.from_bytes(argument, "little")
-            if number > n_before:
-                raise ValueError(f"{opcode.name} at {start - 1} of number {number}")
-        if opcode.name == "STOP":
-            return protocol
 
 
 class _Record:
@@ -117,7 +79,9 @@ class _Dtype(_Record):
     def value(self, seen):
         name = self.arguments[0]
         if not (isinstance(name, str) and _DTYPE.fullmatch(name)):
-            raise DataError(f"must hold arrays of plain numbers. Received dtype {name!r}.")
+            raise DataError(
+                f"must hold arrays of plain numbers. Received dtype {brief(repr(name))}."
+            )
         byte_order = "=" if self.state is None else self.state[1]
         return np.dtype(name).newbyteorder(byte_order)
 
@@ -250,8 +214,8 @@ class _Unpickler(pickle.Unpickler):
         if sparse := _SPARSE.fullmatch(f"{module}:{name}"):
             return {"csr": _Csr, "csc": _Csc, "coo": _Coo}[sparse[3]]
         raise DataError(
-            f"must be a pickle of plain arrays. Received one that asks for {module}.{name}, "
-            "which could run code; nothing was run."
+            "must be a pickle of plain arrays. Received one that asks for "
+            f"{brief(f'{module}.{name}')}, which could run code; nothing was run."
         )
 
 

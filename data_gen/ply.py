@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.errors import DataError
+from data_gen.errors import DataError, brief
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
@@ -22,6 +22,7 @@ _LISTS = ("vertex_indices", "vertex_index")
 _LONGEST_HEADER = 1 << 16
 
 
+@np.errstate(invalid="ignore")  # casts of NaN, which is refused
 def read_ply(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of a mesh, binary or text.
 
@@ -48,7 +49,7 @@ def read_ply(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     except (KeyError, ValueError) as error:
         raise DataError(
             f"{path}: must be a PLY mesh of vertices x, y, z and faces {_LISTS[0]}. "
-            f"Received one without {str(error).strip()}."
+            f"Received one without {brief(error)}."
         ) from None
     vertices = vertices.astype(float)
     if not len(vertices) or not np.isfinite(vertices).all():
@@ -83,7 +84,7 @@ def _read_text(body: bytes, elements: list) -> dict[str, np.ndarray]:
     try:
         numbers = np.array(body.split(), float)
     except ValueError as error:
-        raise DataError(f"must hold numbers after its header. Received: {error}.") from None
+        raise DataError(f"must hold numbers after its header. Received: {brief(error)}.") from None
     arrays, start = {}, 0
     for name, n, properties in elements:
         columns = _columns(properties, "")
@@ -123,7 +124,7 @@ def _read_header(content: bytes) -> tuple[str, list, int]:
             case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
-                raise DataError(f"must have a PLY header. Received the line {line!r} in it.")
+                raise DataError(f"must have a PLY header. Received the line {brief(line)} in it.")
     if byte_order is None:
         raise DataError("must be a PLY file of format 1.0. Received a header without.")
     return byte_order, elements, sum(map(len, lines)) + len(lines) * len(line_end)

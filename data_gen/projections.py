@@ -7,6 +7,7 @@ roll, about the origin of the face.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,7 +107,9 @@ def camera_angles(rotation: np.ndarray) -> np.ndarray:
     Args:
         rotation: From the frame of the face to the camera's, to be multiplied from the left.
     """
-    yaw, minus_pitch, roll = Rotation.from_matrix(rotation).as_euler("yxz", degrees=True).T
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # from straight above, yaw is as good as roll
+        yaw, minus_pitch, roll = Rotation.from_matrix(rotation).as_euler("yxz", degrees=True).T
     return np.stack([yaw, -minus_pitch, roll])
 
 

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to write to, under a temporary name until it is complete; its folder is made."""
+    """A file to write to, under a temporary name until it is complete; its folder is made.
+
+    Raises:
+        OSError: It cannot be written; `filename` is the path.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with open(partial, "wb") as file:
-        yield file
-    os.replace(partial, path)
+    try:
+        with open(partial, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())  # some file systems only tell here that they are full
+        os.replace(partial, path)
+    except OSError as error:
+        number = error.errno or errno.ENOSPC  # NumPy has none for what it could not write
+        raise OSError(number, os.strerror(number), str(path)) from error
+    finally:
+        with suppress(OSError):  # there is none when all went well
+            partial.unlink()

@@ -37,9 +37,12 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
         )
     for face in np.flatnonzero(~np.isfinite(points).all((1, 2)))[:1]:
         raise InputError(f"{name} must be finite. Received NaN or infinity in face {face}.")
-    centred = points - points.mean(1, keepdims=True)
+    # In units of the largest coordinate, of which squares neither overflow nor vanish.
+    size = np.abs(points).max((1, 2), keepdims=True)
+    scaled = points / np.where(size > 0, size, 1)
+    centred = scaled - scaled.mean(1, keepdims=True)
     spread = np.linalg.svd(np.swapaxes(centred, 1, 2) @ centred, compute_uv=False)
-    for face in np.flatnonzero(spread[:, 0] <= 1e-12 * (np.abs(points).max((1, 2)) ** 2))[:1]:
+    for face in np.flatnonzero(spread[:, 0] <= 1e-12)[:1]:
         raise InputError(f"{name} must spread out. Received one point {len(points[face])} times "
                          f"in face {face}.")  # fmt: skip
     for face in np.flatnonzero(spread[:, 1] < 1e-12 * spread[:, 0])[:1]:

@@ -41,7 +41,8 @@ def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
     points = np.asarray(points, float)
     low = points.min((-2, -1), keepdims=True)
-    size = points.max((-2, -1), keepdims=True) - low
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity is refused
+        size = points.max((-2, -1), keepdims=True) - low
     if not (size > 0).all() or not np.isfinite(size).all():
         raise InputError(
             "points must be finite and not all equal within a face. "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from deepmds_keras.errors import InputError
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 64_000_000
+_MAX_BYTES = 1 << 29
 
 
 def open_photo(path: str | Path) -> np.ndarray:
@@ -21,19 +23,23 @@ def open_photo(path: str | Path) -> np.ndarray:
     which way is up is followed.
 
     Args:
-        path: Any kind of file that Pillow reads; of several frames the first is taken.
+        path: Any kind of file that Pillow reads, but PostScript; of several frames the first is
+            taken.
 
     Returns:
         `(H, W, 3)` uint8, RGB.
 
     Raises:
         InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
-            more than 64 million pixels.
+            more than 64 million pixels, or is larger than 512 MiB.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's own limit is higher than ours
-            with Image.open(path) as opened:
+            # From memory, where what is claimed to follow is not allotted before it is read.
+            with Image.open(io.BytesIO(_content(path))) as opened:
+                if opened.format == "EPS":  # which Pillow would have Ghostscript run
+                    raise InputError(f"{path} must be a photo. Received PostScript, a program.")
                 _check_size(path, *opened.size)
                 return np.array(_in_colour(ImageOps.exif_transpose(opened)))
     except FileNotFoundError:
@@ -100,6 +106,13 @@ def check_photo(photo: np.ndarray) -> np.ndarray:
             f"image must be RGB, uint8 (H, W, 3). Received {photo.dtype} {photo.shape}."
         )
     return photo
+
+
+def _content(path: str | Path) -> bytes:
+    path = Path(path)
+    if (size := path.stat().st_size) > _MAX_BYTES:
+        raise InputError(f"{path} must be a photo of at most 512 MiB. Received {size:,} bytes.")
+    return path.read_bytes()
 
 
 def _check_size(path: str | Path, width: int, height: int) -> None:

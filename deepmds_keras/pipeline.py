@@ -49,6 +49,7 @@ class DeepMDS(BaseEstimator):
         autoencoder_epochs: Passes over the faces, in mini-batches of 16.
         dissimilarity_epochs: Thousands of steps of one face each.
         seed: Of the initial weights and the order of the faces.
+        solver: Of the embedding, as for `embed`.
         n_jobs: Processes for the embedding; -1 uses every core.
 
     Attributes:
@@ -69,6 +70,7 @@ class DeepMDS(BaseEstimator):
         autoencoder_epochs: int = 30,
         dissimilarity_epochs: int = 30,
         seed: int = 0,
+        solver: str = "sklearn",
         n_jobs: int | None = None,
     ):
         self.n_landmarks = n_landmarks
@@ -78,6 +80,7 @@ class DeepMDS(BaseEstimator):
         self.autoencoder_epochs = autoencoder_epochs
         self.dissimilarity_epochs = dissimilarity_epochs
         self.seed = seed
+        self.solver = solver
         self.n_jobs = n_jobs
 
     def fit(
@@ -157,7 +160,9 @@ class DeepMDS(BaseEstimator):
             faces = slice(start, start + _FACES_PER_EMBEDDING)
             # Without signs, as the released code has them before mdscale.
             matrices = np.abs(self._matrices(frontal[faces]))
-            shapes[faces] = embed(matrices, n_jobs=self.n_jobs, progress=progress)
+            shapes[faces] = embed(
+                matrices, solver=self.solver, n_jobs=self.n_jobs, progress=progress
+            )
         return face_front(shapes, frontal, self.front_landmark_)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
@@ -206,11 +211,13 @@ class DeepMDS(BaseEstimator):
         arrays, described = weights.read_arrays(path)
         try:
             model = cls(**described["parameters"])
-            model.front_landmark_ = described["front_landmark"]
+            model.front_landmark_ = range(model.n_landmarks)[described["front_landmark"]]
             model.history_ = described["history"]
-        except (KeyError, TypeError) as error:
+            if len(arrays["autoencoder/encode_1/kernel"]) != 2 * model.n_landmarks:
+                raise ValueError(f"its weights are not of {model.n_landmarks} landmarks")
+            model._build()
+        except (IndexError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path} was not written by DeepMDS.save(): {error}.") from None
-        model._build()
         for name in ("autoencoder", "dissimilarity_net"):
             own = {k.split("/", 1)[1]: a for k, a in arrays.items() if k.startswith(f"{name}/")}
             weights.set_network_arrays(getattr(model, f"{name}_"), own, str(path))

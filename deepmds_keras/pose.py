@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,7 +97,9 @@ def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
     translations = seen - centre @ turned
     off = shapes @ turned + translations - views
     residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
-    angles = Rotation.from_matrix(rotations).as_euler("yxz", degrees=True) * (1, -1, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # from straight above, yaw is as good as roll
+        angles = Rotation.from_matrix(rotations).as_euler("yxz", degrees=True) * (1, -1, 1)
     return [
         HeadPose(*angle, rotation, scale, translation[0], residual)
         for angle, rotation, scale, translation, residual in zip(

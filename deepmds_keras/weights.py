@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import math
 import os
+import warnings
 import zipfile
-import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import h5py
 import numpy as np
@@ -17,20 +20,14 @@ from deepmds_keras.errors import InputError
 if TYPE_CHECKING:
     import keras
 
-# What numpy, zipfile and json raise for a file that is cut short, damaged or of another kind.
-_UNREADABLE = (
-    AttributeError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+# The most that a byte of a file can stand for. What savez does not write is refused.
+_DEFLATED = 1032
+_ZIP_END, _ZIP_END_SIZE = b"PK\5\6", 22
+_EXPANSION = {zipfile.ZIP_STORED: 1, zipfile.ZIP_DEFLATED: _DEFLATED}
 PRETRAINED = Path(__file__).with_name("pretrained")
 
 
@@ -41,29 +38,52 @@ def write_arrays(
     *,
     compressed: bool = True,
 ) -> None:
-    """Write arrays and a JSON description into one npz, under a temporary name until complete."""
+    """Write arrays and a JSON description into one npz, under a temporary name until complete.
+
+    Raises:
+        OSError: It cannot be written; `filename` is the path.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with open(partial, "wb") as file:
-        save = np.savez_compressed if compressed else np.savez
-        save(file, description=np.array(json.dumps(description)), **arrays)
-    os.replace(partial, path)
+    try:
+        with open(partial, "wb") as file:
+            save = np.savez_compressed if compressed else np.savez
+            save(file, description=np.array(json.dumps(description)), **arrays)
+            file.flush()
+            os.fsync(file.fileno())  # some file systems only tell here that they are full
+        os.replace(partial, path)
+    except OSError as error:
+        number = error.errno or errno.ENOSPC  # NumPy has none for what it could not write
+        raise OSError(number, os.strerror(number), str(path)) from error
+    finally:
+        with contextlib.suppress(OSError):  # there is none when all went well
+            partial.unlink()
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
-    """Read what `write_arrays` wrote; nothing in the file is executed.
+    """Read what `write_arrays` wrote; nothing in the file is executed, no header is believed.
 
     Raises:
         InputError: The file is missing, truncated or not of this kind.
     """
     try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        return arrays, json.loads(str(arrays.pop("description")))
+        with open(path, "rb") as opened, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's of odd headers, NumPy's of those of Python 2
+            with zipfile.ZipFile(opened) as archive:
+                size = opened.seek(0, 2)
+                arrays = {
+                    member.filename.removesuffix(".npy"): _read_member(archive, member, size)
+                    for member in archive.infolist()
+                }
+                _check_number(opened, len(arrays))
+        description = json.loads(str(arrays.pop("description")))
+        if not isinstance(description, dict):
+            raise ValueError("a description that is no dict")
+        return arrays, description
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be a file written by save().") from None
-    except _UNREADABLE as error:
+    except Exception as error:  # zipfile, zlib and NumPy's parser of headers raise many kinds
         raise InputError(f"{path} must be an npz written by save(). {_line(error)}") from None
 
 
@@ -81,18 +101,19 @@ def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], sour
     """Put arrays of `network_arrays` back.
 
     Raises:
-        InputError: A weight is missing or of another shape; the message names `source`.
+        InputError: A weight is missing, no number or of another shape; the message names `source`.
     """
     for layer in network.layers:
         for weight in layer.weights:
             key = f"{layer.name}/{weight.name}"
-            if key not in arrays or arrays[key].shape != tuple(weight.shape):
-                found = f"shape {arrays[key].shape}" if key in arrays else "nothing"
+            array = arrays.get(key, np.empty(0, object))
+            if array.dtype.kind not in "fiu" or array.shape != tuple(weight.shape):
+                found = f"{array.dtype} {array.shape}" if key in arrays else "nothing"
                 raise InputError(
                     f"{source}: {key} of {network.name} must have shape {tuple(weight.shape)}. "
                     f"Received {found}."
                 )
-            weight.assign(arrays[key])
+            weight.assign(array)
 
 
 def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
@@ -105,9 +126,11 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
     """
     try:
         with h5py.File(path, "r") as file:
-            groups = [file[name] for name in file.attrs["layer_names"]]
-            groups = [[g[w][()] for w in g.attrs["weight_names"]] for g in groups]
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+            groups = [file[name] for name in _read_names(file, "layer_names")]
+            groups = [[_read_dataset(g[w]) for w in _read_names(g, "weight_names")] for g in groups]
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be a Keras 2 weight file.") from None
+    except Exception as error:  # h5py raises many kinds for a damaged file
         raise InputError(f"{path} must be a Keras 2 weight file (HDF5). {_line(error)}") from None
     groups = [group for group in groups if group]
     layers = [layer for layer in network.layers if layer.weights]
@@ -141,9 +164,10 @@ def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
     set_network_arrays(network, arrays, str(path))
     network.optimizer.build(network.trainable_variables)
     for i, variable in enumerate(network.optimizer.variables):
-        if f"optimizer/{i}" not in arrays:
+        array = arrays.get(f"optimizer/{i}", np.empty(0, object))
+        if array.dtype.kind not in "fiu" or array.shape != tuple(variable.shape):
             raise InputError(f"{path} holds no optimiser state; delete it to train anew.")
-        variable.assign(arrays[f"optimizer/{i}"])
+        variable.assign(array)
     return description
 
 
@@ -158,6 +182,50 @@ def pretrained_path(name: str) -> Path:
         names = sorted(p.stem for p in PRETRAINED.glob("*.npz"))
         raise InputError(f"name must be one of {', '.join(names) or 'none'}. Received {name!r}.")
     return path
+
+
+def _check_number(file: BinaryIO, n: int) -> None:
+    """Python reads a damaged list of contents up to the damage, and does not count what it read."""
+    file.seek(-_ZIP_END_SIZE, os.SEEK_END)
+    end = file.read()
+    if end.startswith(_ZIP_END) and n != int.from_bytes(end[10:12], "little"):
+        raise ValueError(f"{n} arrays of {int.from_bytes(end[10:12], 'little')}")
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, size: int) -> np.ndarray:
+    """An array of an npz file of `size` bytes. NumPy allots what the header claims, true or not."""
+    if member.compress_type not in _EXPANSION or member.compress_size > size:
+        raise ValueError(f"{member.filename} is packed in another way than NumPy packs")
+    with archive.open(member) as stream:
+        shape, _, dtype = _HEADERS[np.lib.format.read_magic(stream)](stream)
+    n_bytes = math.prod(shape) * dtype.itemsize
+    if n_bytes > member.compress_size * _EXPANSION[member.compress_type] and not dtype.hasobject:
+        raise ValueError(f"{member.filename} claims {n_bytes} bytes, more than the file can hold")
+    with archive.open(member) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _read_names(group: h5py.Group, key: str) -> np.ndarray:
+    """An attribute that lists names; other kinds crash HDF5 when they are damaged."""
+    attribute = group.attrs.get_id(key)
+    if 0 in attribute.shape:  # of a layer without weights, which Keras writes as no numbers
+        return np.empty(0, str)
+    dtype = attribute.dtype
+    if dtype.kind != "S" and h5py.check_string_dtype(dtype) is None:
+        raise ValueError(f"{key} are no text but {dtype}")
+    return group.attrs[key]
+
+
+def _read_dataset(dataset: h5py.Dataset) -> np.ndarray:
+    """All of a dataset, if the file holds that much: what was never written is read as zeros."""
+    if dataset.dtype.kind not in "fiu" or dataset.shape is None:
+        raise ValueError(f"{dataset.name} holds no numbers")
+    held = dataset.id.get_storage_size()
+    chunk = dataset.dtype.itemsize * math.prod(dataset.chunks or (0,))
+    most = held * (_DEFLATED if dataset.compression else 1)
+    if max(dataset.nbytes, chunk) > most or held > os.path.getsize(dataset.file.filename):
+        raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, more than the file holds")
+    return dataset[()]
 
 
 def _line(error: Exception) -> str:

@@ -18,7 +18,7 @@ from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
 from data_gen.errors import DataError
 from data_gen.landmark_transfer import similarity
-from data_gen.model_files import UNREADABLE_NPZ
+from data_gen.npz import read_npz
 from data_gen.tables import read_table
 
 CANTHI = (0, 56)  # outer corners of the eyes, landmarks 1 and 57 of bfm72: their distance is 1
@@ -109,10 +109,10 @@ def _directions(prior: IdentityPrior, average: np.ndarray, goal: np.ndarray) -> 
 
 def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as model:
-            landmarks = model["landmarks72"]
-            mean, basis = model["mean"][landmarks], model["identity"][:, landmarks]
-    except (*UNREADABLE_NPZ, IndexError) as error:
+        model = read_npz(path)
+        landmarks = model["landmarks72"]
+        mean, basis = model["mean"][landmarks], model["identity"][:, landmarks]
+    except (OSError, ValueError, KeyError, IndexError) as error:
         raise DataError(
             f"{path} must be ICT-FaceKit Light as npz, with mean, identity and landmarks72. "
             f"Received: {error}."

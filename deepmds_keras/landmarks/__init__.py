@@ -79,6 +79,13 @@ def load_scheme(name: str) -> LandmarkScheme:
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Rows, by column name, of a CSV table whose comments are lines that begin with `#`."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    """Rows, by column name, of a CSV table whose comments are lines that begin with `#`.
+
+    Raises:
+        InputError: The file cannot be read or is no such table.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"{path} must be a table of landmarks. Received {error}.") from None

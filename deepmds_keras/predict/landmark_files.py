@@ -26,6 +26,7 @@ _COORDINATE = re.compile(r"([xy])_?(\d{1,4})")
 _MATLAB_ORIGIN = 0.5  # whose first pixel has its middle at (1, 1), ours at (0.5, 0.5)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is no finite number is refused
 def read_landmarks(path: str | Path, *, y_up: bool = False) -> np.ndarray:
     """2D landmarks of one or more faces, all with the same L of `N_LANDMARKS` points.
 
