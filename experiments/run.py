@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import fcntl
 import json
 import logging
 import os
 import resource
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
+from tqdm import tqdm
 
 from data_gen.errors import DataError
 from data_gen.models import MODELS
 from data_gen.projections import PROTOCOLS
 from data_gen.writing import whole_file
-from deepmds_keras.errors import InputError
+from experiments.locks import locked
 from experiments.presets import PRESETS, Preset
+from experiments.records import read_record, with_checksum
+from experiments.refusals import refusals_on_one_line
 
 EVALUATORS = ("paper", "released")
 # The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
@@ -40,6 +43,10 @@ _DATASETS = {
     "coma": "CoMA's registered meshes (https://coma.is.tue.mpg.de, after registration)",
     "casia": "CASIA-3D FaceV1 (http://biometrics.idealtest.org, after registration)",
 }
+# Sums of gradients are split between the threads: a network depends on their number.
+_TENSORFLOW_THREADS = "2"
+# tqdm's own lock is a semaphore, of which Python complains where a process with a bar is killed.
+tqdm.set_lock(threading.RLock())
 
 
 @dataclass(frozen=True)
@@ -212,7 +219,9 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     """Run one stage under the lock of the run's folder and record it in `<name>.json`.
 
     The record is written last, so that it stands for a stage that is complete. A file or argument
-    that cannot be used ends the process with one line and status 2.
+    that cannot be used, or a disk that is full, ends the process with one line and status 2. What a
+    stage that was killed had half written is deleted. A stage that scores waits for others that
+    write results of the same model, since some files are of them all.
 
     Args:
         run: The run.
@@ -225,21 +234,21 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     record: dict = {}
     started, clock = datetime.datetime.now(datetime.timezone.utc), time.perf_counter()
     quiet_tensorflow()
+    os.environ["TF_NUM_INTRAOP_THREADS"] = _TENSORFLOW_THREADS
     print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
-    try:
-        with _lock(run.work):
-            yield record
-            record |= {
-                "stage": name,
-                "command": "python -m " + shlex.join([_module(), *sys.argv[1:]]),
-                "started": started.isoformat(timespec="seconds"),
-                "seconds": round(time.perf_counter() - clock, 1),
-                "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
-            }
-            write_json(run.work / f"{name}.json", record)
-    except (DataError, InputError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    turn = locked(run.model_results, wait=True) if name == run.evaluation else nullcontext()
+    with refusals_on_one_line(), locked(run.work), turn:
+        for left_behind in run.work.rglob(".*.partial"):
+            left_behind.unlink(missing_ok=True)
+        yield record
+        record |= {
+            "stage": name,
+            "command": "python -m " + shlex.join([_module(), *sys.argv[1:]]),
+            "started": started.isoformat(timespec="seconds"),
+            "seconds": round(time.perf_counter() - clock, 1),
+            "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
+        }
+        write_json(run.work / f"{name}.json", with_checksum(record))
     print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
 
 
@@ -252,8 +261,12 @@ def one_core() -> Iterator[None]:
 
 
 def load_record(run: Run, name: str) -> dict:
-    """What the stage of that name recorded when it was done."""
-    return json.loads((run.work / f"{name}.json").read_text(encoding="utf-8"))
+    """What the stage of that name recorded when it was done.
+
+    Raises:
+        DataError: It was not done, or its record is damaged.
+    """
+    return read_record(run.work / f"{name}.json")
 
 
 def quiet_tensorflow() -> None:
@@ -273,20 +286,6 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, under a temporary name until it is complete."""
     with whole_file(path) as file:
         file.write(content)
-
-
-@contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock; the system frees it when the process ends, however it ends."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise DataError(
-                f"{folder} is in use by another run; wait for it or choose another --build."
-            ) from None
-        yield
 
 
 def _module() -> str:

@@ -6,6 +6,7 @@ import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import faults
 import pytest
 from threadpoolctl import threadpool_limits
 
@@ -17,6 +18,20 @@ def apart():
     """Calls a function of a test module in another process, one that has not loaded TensorFlow."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield lambda function, *arguments: pool.submit(function, *arguments).result()
+
+
+@pytest.fixture(scope="session")
+def whole_bfm(tmp_path_factory):
+    """The BFM experiment at the smallest size, which nothing disturbed: nobody may write to it.
+
+    Scored without MobileFace, whose table is kept apart, then with it.
+    """
+    folder = tmp_path_factory.mktemp("whole")
+    first = faults.measure(("faces", "networks", "predictions", "bfm"), folder)
+    (table,) = (folder / "results").glob("*/*/bfm/table.csv")
+    shutil.copy(table, folder / "without_mobileface.csv")
+    second = faults.measure(("images", "mobileface", "bfm"), folder)
+    return faults.Measured(folder, first.seconds | second.seconds, first.sizes | second.sizes)
 
 
 @pytest.fixture(scope="module")

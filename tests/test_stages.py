@@ -2,36 +2,13 @@
 
 import fcntl
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from faults import ROOT, run
 
-ROOT = Path(__file__).parents[1]
-STAGES = ("faces", "networks", "predictions", "bfm")
-MOBILEFACE = ("images", "mobileface", "bfm")
 RELEASED = ROOT.parent / "shared" / "released" / "bfm"
-# `make` sets the same; a stage that runs alone is as deterministic as its threads.
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
-
-
-def command(stage, folder, *more):
-    return [
-        sys.executable, "-m", f"experiments.{stage}", "--preset", "smoke",
-        "--build", str(folder / "build"), "--results", str(folder / "results"), *more,
-    ]  # fmt: skip
-
-
-def run(stage, folder, *more):
-    return subprocess.run(
-        command(stage, folder, *more), cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True
-    )
 
 
 def results(folder):
@@ -39,16 +16,10 @@ def results(folder):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A run that nothing disturbed: without MobileFace, whose table is kept apart, then with it."""
-    folder = tmp_path_factory.mktemp("whole")
-    for stages in (STAGES, MOBILEFACE):
-        for stage in stages:
-            done = run(stage, folder)
-            assert done.returncode == 0, done.stderr
-        if stages == STAGES:
-            shutil.copy(results(folder) / "table.csv", folder / "without_mobileface.csv")
-    return folder
+def whole(whole_bfm, tmp_path_factory):
+    """A copy of the run that nothing disturbed, to go on from."""
+    folder = tmp_path_factory.mktemp("stages") / "whole"
+    return shutil.copytree(whole_bfm.folder, folder)
 
 
 def test_everything_is_written(whole):
@@ -121,37 +92,6 @@ def test_show_prints_the_papers_number_beside_ours(whole):
     line = next(row for row in shown.stdout.splitlines() if row.startswith("Deep-MDS "))
     assert "71.95 ± 0.002" in line
     assert "1.4 ± 0.005" in line
-
-
-def test_a_run_that_is_killed_again_and_again_ends_with_the_same_tables(whole, tmp_path):
-    kills = {}
-    # Each stage is killed once it has written a file that is not its last.
-    for stage, written in (
-        ("faces", "train.npz"),
-        ("networks", "autoencoder-constant.npz"),
-        ("predictions", "linear.npz"),
-        ("images", "0000.npy"),
-        ("mobileface", "mobileface.npz"),
-        ("bfm", "metrics.csv"),
-    ):
-        process = subprocess.Popen(
-            command(stage, tmp_path), cwd=ROOT, env=ENVIRONMENT,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        while process.poll() is None and not [*tmp_path.rglob(written)]:
-            time.sleep(0.02)
-        process.send_signal(signal.SIGKILL)
-        kills[stage] = process.wait() == -signal.SIGKILL
-        done = run(stage, tmp_path)
-        assert done.returncode == 0, done.stderr
-    long = ("networks", "predictions", "mobileface")
-    assert all(kills[stage] for stage in long), "the stages ended before they were killed"
-    for name in ("metrics.csv", "table.csv", "wilcoxon.csv"):
-        first, second = (pd.read_csv(results(folder) / name) for folder in (whole, tmp_path))
-        if "metric" in first:  # how long it took is the one thing that differs
-            first, second = (t[t["metric"] != "ms_per_face"] for t in (first, second))
-        pd.testing.assert_frame_equal(first, second, check_exact=True)
-    assert not [*tmp_path.rglob("*.tmp")]
 
 
 def test_two_runs_do_not_share_a_folder(whole):

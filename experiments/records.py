@@ -1,0 +1,43 @@
+"""Records of what is done, with a checksum by which damage is noticed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from data_gen.errors import DataError
+
+_CHECKSUM = "sha256"
+
+
+def with_checksum(record: dict) -> dict:
+    """A record and the checksum of what it says, to be written as JSON."""
+    return record | {_CHECKSUM: _checksum(record)}
+
+
+def read_record(path: Path) -> dict:
+    """A record without its checksum. Those of earlier versions have none and are read as they are.
+
+    Raises:
+        DataError: The file is missing or damaged.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        whole = record.pop(_CHECKSUM, None) in (None, _checksum(record))
+    except FileNotFoundError:
+        raise DataError(f"{path} must be there: the record of what is done.") from None
+    except (AttributeError, RecursionError, TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise DataError(
+            f"{path} must be a record as it was written. Received another text; delete it and make "
+            "it again."
+        )
+    return record
+
+
+def _checksum(record: dict) -> str:
+    """sha256 of what a record says, however it is laid out."""
+    said = json.loads(json.dumps(record))  # keys are strings in a file
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
