@@ -18,12 +18,12 @@ from experiments.examples import write_examples
 from experiments.figures.style import save
 from experiments.inputs import Faces
 from experiments.manifest import clear_results, files_of, read_manifest, write_manifest
+from experiments.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.presets import SMOKE
 from experiments.report.__main__ import main
 from experiments.report.experiment import load_experiments
 from experiments.report.html import page as html_page
 from experiments.report.markdown import markdown
-from experiments.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.report.overview import reports_elsewhere
 from experiments.report.sections import report
 from experiments.report.staleness import stale

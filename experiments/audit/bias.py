@@ -120,8 +120,8 @@ def _slopes(bias: Mapping, methods: list[str], n_faces: int) -> str:
         f"{plus_minus(bias[m]['slope'], bias[m]['slope_se'])} for {title(m)}" for m in methods
     ]
     return (
-        f"Over {n_faces:,} test faces, the part of a face's offset from the mean training shape that "
-        f"is found again (1 is unbiased, 0 always the mean shape) is {enumeration(slopes)}."
+        f"Over {n_faces:,} test faces, the part of a face's offset from the mean training shape "
+        f"that is found again (1 is unbiased, 0 always the mean shape) is {enumeration(slopes)}."
     )
 
 

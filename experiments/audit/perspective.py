@@ -97,7 +97,9 @@ def perspective_views(
     if text[smallest]["max"] <= _ROUNDING:
         return does_not_hold(evidence)
     if released <= _ROUNDING:
-        return holds_if("if they are made as the text says, not as the released code does", evidence)
+        return holds_if(
+            "if they are made as the text says, not as the released code does", evidence
+        )
     return holds(evidence)
 
 
