@@ -1,5 +1,8 @@
 """Claims and their checks belong together, and their verdicts reach the files as they are."""
 
+import shutil
+from pathlib import Path
+
 import pandas as pd
 import pytest
 
@@ -16,7 +19,9 @@ from experiments.audit.findings import (
 from experiments.audit.tables import COLUMNS, combine, latex, table_of
 from experiments.report.claims import claims_page, counted, phrase
 from experiments.report.markdown import markdown
+from experiments.report.wording import MODELS
 
+RESULTS = Path(__file__).parents[1] / "results"
 NAMES = {"openhead": "the open head", "ict": "ICT faces"}
 
 
@@ -124,3 +129,26 @@ def test_verdicts_are_counted_as_they_are_read(table):
     assert counted(table).endswith(f"{len(CHECKS) - 3} do not hold")
     assert phrase("holds", "") == "holds"
     assert phrase(VERDICTS[1], "for yaws up to 45°") == "holds for yaws up to 45°"
+
+
+def test_committed_claims_are_those_of_the_face_models(tmp_path):
+    names = {model: full for model, (full, _) in MODELS.items()}
+    for model in names:
+        path = RESULTS / model / "audit" / "claims.csv"
+        if path.exists():
+            (tmp_path / model / "audit").mkdir(parents=True)
+            shutil.copy(path, tmp_path / model / "audit")
+    made = combine(tmp_path, names)
+    for path in (RESULTS / "audit").iterdir():
+        assert path.read_text() == (made / path.name).read_text(), path.name
+    assert {path.name for path in made.iterdir()} == {p.name for p in (RESULTS / "audit").iterdir()}
+
+
+@pytest.mark.parametrize("model", ["openhead", "ict"])
+def test_committed_verdicts_are_on_the_claims_as_they_are_now(model):
+    table = pd.read_csv(RESULTS / model / "audit" / "claims.csv", keep_default_na=False)
+    claims = load_claims()
+    assert {*table["id"]} == claims.keys()
+    for row in table.itertuples():
+        assert (row.where, row.claim) == (claims[row.id].where, claims[row.id].claim)
+        assert row.check == described(CHECKS[row.id])

@@ -15,7 +15,7 @@ _READING = (
     "Every verdict is computed by the check that is named with it, on the faces of the model that "
     "is named with it, which are not the paper's. Claims that hold come first. Where the text "
     "leaves its meaning open, the evidence has the reading that favours it, too; a cause that is "
-    "inferred and not proven is said to be. *A reviewer's question* is no claim of the paper."
+    "inferred and not proven is said to be. “A reviewer's question” is no claim of the paper."
 )
 
 
