@@ -68,7 +68,8 @@ def embedding_share(model, views) -> float:
         model: Trained `DeepMDS`.
         views: `(n, L, 2)`.
     """
-    timed = copy(model).set_params(solver="sklearn")  # as the predictions of the table are made
+    timed = copy(model)
+    timed.solver = "sklearn"  # as the predictions of the table are made
     whole = milliseconds_per_face(timed, views)
     networks = milliseconds_per_face(SimpleNamespace(predict=model.dissimilarities), views)
     return max(0.0, 1 - networks / whole)
