@@ -193,7 +193,7 @@ SHORT_YAW = {"yaw": [9e-4] * 4 + [1e-4] * 5 + [9e-4] * 4}
         ((1, 1.2, 1.4), (1, 1, 1), {}, HOLDS, ""),
         ((1, 1.2, 1.4), (1, 1, 1), SHORT_YAW, WITH_CONDITION, "if the views are like"),
         ((1, 1.2, 1.7), (1, 1, 1.1), {}, WITH_CONDITION, "if the learning rate decays in training"),
-        ((1, 1.2, 1.7), (1, 1, 1.1), SHORT_YAW, WITH_CONDITION, "training and if the views are like"),
+        ((1, 1.2, 1.7), (1, 1, 1.1), SHORT_YAW, WITH_CONDITION, "and if the views are like"),
         ((1, 1.2, 1.7), (1, 1, 1.8), {}, DOES_NOT_HOLD, ""),
     ],
 )
