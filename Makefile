@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report seeds pretrained openhead test lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report seeds pretrained openhead test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -184,6 +184,9 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 test: | $(READY) ## all tests
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
 	MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
+
+nightly: | $(READY) ## 50 kills, full disks and flipped bytes, thousands of damaged files   (hours)
+	KILLS=50 FUZZ=20 $(PY) -m pytest tests/test_faults.py tests/test_fuzzing.py
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

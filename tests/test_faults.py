@@ -27,7 +27,6 @@ from experiments.run import Run, load_record, write_json
 KILLS = int(os.environ.get("KILLS", 5))
 NIGHTLY = KILLS >= 50
 FLIPS = 4 * KILLS  # in each file
-only_nightly = pytest.mark.skipif(not NIGHTLY, reason="only with KILLS=50 (make nightly)")
 MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", faults.ROOT / ".venv-mediapipe/bin/python"))
 # Arguments and stages of an experiment; all but the first two go on from the build of "bfm".
 EXPERIMENTS = {
@@ -123,12 +122,13 @@ def test_nothing_half_written_and_no_lock_is_left(storm):
         assert read_manifest(folder)["files"] == files_of(folder)
 
 
-@only_nightly
-def test_one_thread_and_one_process_give_the_digits_of_many(whole_bfm, tmp_path):
-    for stage in faults.STAGES:
-        done = faults.run(stage, tmp_path, "--jobs", "1", threads=faults.ONE_THREAD)
-        assert done.returncode == 0, done.stderr
-    assert faults.tables(tmp_path) == faults.tables(whole_bfm.folder)
+if NIGHTLY:
+
+    def test_one_thread_and_one_process_give_the_digits_of_many(whole_bfm, tmp_path):
+        for stage in faults.STAGES:
+            done = faults.run(stage, tmp_path, "--jobs", "1", threads=faults.ONE_THREAD)
+            assert done.returncode == 0, done.stderr
+        assert faults.tables(tmp_path) == faults.tables(whole_bfm.folder)
 
 
 def readers(run):
