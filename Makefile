@@ -154,7 +154,7 @@ $(BUILD)/ablation.json: $(BUILD)/networks.json
 	@$(STAGE).ablation $(RUN)
 
 # Always run: it reads the tables of whatever other targets were run.
-audit: $(TABLE) $(BUILD)/ablation.json ## which claims of the paper hold: results/audit/   (10 min after ablation)
+audit: $(TABLE) $(BUILD)/ablation.json ## which claims of the paper hold: results/audit/   (3 min after ablation)
 	@$(STAGE).audit $(RUN) $(FLAME_FILES) --celeba '$(CELEBA_DIR)'
 
 report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
