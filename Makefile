@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report seeds pretrained openhead test nightly lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained openhead test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -23,6 +23,7 @@ TF_FLAME ?=
 RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
+FACES ?=
 
 ifeq ($(filter yes no,$(MOBILEFACE)),)
 $(error MOBILEFACE must be yes or no. Received $(MOBILEFACE))
@@ -61,6 +62,7 @@ STAGE := $(PY) -m experiments
 help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
+	@echo '     stream: [FACES=1000000]; on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
@@ -72,7 +74,7 @@ $(READY): setup.cfg constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 10) <= v <= (3, 13) else \
 	  "Python 3.10 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,images,test]'
+	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,images,cluster,test]'
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
 	@touch $@
@@ -171,6 +173,12 @@ $(TABLE): $(BUILD)/predictions/authors_weights.npz
 $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
 	@$(STAGE).predictions $(RUN)
 endif
+
+bench: | $(READY) ## speed and memory beside the released way: results/bench/   (15 min)
+	@$(STAGE).bench $(RUN)
+
+stream: $(BUILD)/networks.json ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
+	@$(STAGE).stream $(RUN) $(if $(FACES),--faces $(FACES))
 
 seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min)
 	@$(STAGE).seeds $(RUN)

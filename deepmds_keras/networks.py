@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
 import keras
 import numpy as np
+import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.errors import InputError
@@ -92,8 +94,9 @@ def count_trainable(*networks: keras.Model) -> int:
 def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
     """Outputs of a network in inference mode.
 
-    The network is called as it is: `Model.predict` would compile a graph for every network and
-    every new shape, which takes a second each.
+    What fits into one batch goes through the network as it is; of more, a graph is made once for
+    each network, with the same outputs in half the time. `Model.predict` would make one for every
+    new shape, too, and wait for its data pipeline.
 
     Args:
         network: Model of one input and one output, or what is called like one.
@@ -103,10 +106,12 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
     Returns:
         `(n, d_out)` float32.
     """
+    if len(inputs) > batch_size and isinstance(network, keras.Model):
+        outputs, inputs = _graph(network), np.asarray(inputs, np.float32)
+    else:
+        outputs = functools.partial(network, training=False)
     batches = range(0, len(inputs), batch_size)
-    return np.concatenate(
-        [np.asarray(network(inputs[i : i + batch_size], training=False)) for i in batches]
-    )
+    return np.concatenate([np.asarray(outputs(inputs[i : i + batch_size])) for i in batches])
 
 
 def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
@@ -127,6 +132,15 @@ def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 1
 def scale_images(images):
     """[0, 255] → [-1, 1]."""
     return ops.cast(images, "float32") / 127.5 - 1
+
+
+def _graph(network: keras.Model) -> Callable:
+    """A network in inference mode as a graph, which is kept with the network."""
+    if not hasattr(network, "inference_graph"):
+        rows = tf.TensorSpec((None, *network.input_shape[1:]), tf.float32)
+        inference = functools.partial(network, training=False)
+        network.inference_graph = tf.function(inference, input_signature=[rows])
+    return network.inference_graph
 
 
 def _dense_blocks(seed: int):

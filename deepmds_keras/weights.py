@@ -7,6 +7,7 @@ import errno
 import json
 import math
 import os
+import secrets
 import warnings
 import zipfile
 from pathlib import Path
@@ -45,7 +46,7 @@ def write_arrays(
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         with open(partial, "wb") as file:
             save = np.savez_compressed if compressed else np.savez

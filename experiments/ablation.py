@@ -11,7 +11,7 @@ import os
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
@@ -61,8 +61,9 @@ def train(run: Run) -> list[int]:
         Peak memory of each process, MB.
     """
     todo = [item for item in trainings(run) if not item[0].file(run, item[1]).exists()]
-    jobs = min(max(len(todo), 1), effective_n_jobs(run.jobs))
-    memory = Parallel(jobs)(delayed(_train)(run, *item, os.getpid()) for item in todo)
+    with parallel_config("loky"):  # training ends with this process, on this machine
+        jobs = min(max(len(todo), 1), effective_n_jobs(run.jobs))
+        memory = Parallel(jobs)(delayed(_train)(run, *item, os.getpid()) for item in todo)
     return sorted(memory)[-jobs:]  # a process trains one after the other, and only ever grows
 
 

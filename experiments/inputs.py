@@ -78,6 +78,11 @@ def load_faces(run: Run, part: str) -> Faces:
             f"{path} must hold centred views. Received one made by an earlier version; delete "
             f"{run.work} and run again."
         )
+    return as_seen(dataset)
+
+
+def as_seen(dataset: Dataset) -> Faces:
+    """A data set in the paper's unit."""
     low, size = unit(dataset.views)
     depth = in_camera_frame(dataset.landmarks.astype(float), dataset.cameras)[..., 2:] / size
     views = (dataset.views - low) / size

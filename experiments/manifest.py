@@ -55,6 +55,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "TF_FLAME": run.tf_flame,
         "CASIA_INDEX": None if run.casia_index is None else str(run.casia_index),
         "RINGNET": run.ringnet,
+        "FACES": str(run.preset.streamed_faces) if target == "stream" else None,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
     stages_run = {record["stage"] for record in stages}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
@@ -21,7 +21,8 @@ _CHAINS = {
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    with stage(run, "networks") as record:
+    # A chain ends with this process, and so has to be on this machine.
+    with stage(run, "networks") as record, parallel_config("loky"):
         chains = _CHAINS[run.track]
         jobs = min(len(chains), effective_n_jobs(run.jobs))
         done = Parallel(jobs)(delayed(train_chain)(run, chain, os.getpid()) for chain in chains)

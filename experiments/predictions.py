@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from deepmds_keras.baselines.aldrian import Aldrian
@@ -16,10 +17,11 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
+from experiments.cluster import on_one_core
 from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
 from experiments.recipes import deep_mds, zhao
-from experiments.run import AUTHORS_FILES, Run, parse_run, stage
+from experiments.run import AUTHORS_FILES, Run, one_core, parse_run, stage
 
 # Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.
 _METHODS = {
@@ -84,9 +86,9 @@ def write_prediction(run: Run, method: str, model, inputs) -> None:
             }
         else:
             chunks = []
-            for start in range(0, len(inputs), _FACES_PER_CHUNK):
-                chunks.append(model.predict(inputs[start : start + _FACES_PER_CHUNK]))
-                bar.update(len(chunks[-1]))
+            for chunk in _predicted(run, model, inputs):
+                chunks.append(chunk)
+                bar.update(len(chunk))
             arrays = {"shapes": np.concatenate(chunks)}
     described = {
         "method": method,
@@ -96,6 +98,15 @@ def write_prediction(run: Run, method: str, model, inputs) -> None:
     write_shapes(run, method, arrays, described)
 
 
+def _predicted(run: Run, model, inputs) -> Iterator[np.ndarray]:
+    starts = range(0, len(inputs), _FACES_PER_CHUNK)
+    chunks = (inputs[start : start + _FACES_PER_CHUNK] for start in starts)
+    if not isinstance(model, Aldrian):  # done at once, or by networks, which stay in this process
+        return map(model.predict, chunks)
+    tasks = (delayed(on_one_core)(model.predict, chunk) for chunk in chunks)
+    return Parallel(run.jobs if len(starts) > 1 else 1, return_as="generator")(tasks)
+
+
 def write_shapes(run: Run, method: str, arrays: dict[str, np.ndarray], described: dict) -> None:
     """Write a method's predictions, `shapes` `(n, L, 3)`; NaN for a face that it did not find."""
     path = run.prediction_file(method)
@@ -103,14 +114,18 @@ def write_shapes(run: Run, method: str, arrays: dict[str, np.ndarray], described
 
 
 def milliseconds_per_face(model, inputs: np.ndarray) -> float:
-    """Time of one call of `predict` for all the inputs, in this process, after one to warm up."""
+    """Time of one call of `predict` for all the inputs, in this process, after one to warm up.
+
+    Matrices are multiplied by one thread: of Aldrian's, which are small, many take far longer.
+    """
     if isinstance(model, DeepMDS):
         model = model.set_params(n_jobs=1)
     predict: Callable = model.predict
-    predict(inputs)
-    start = time.perf_counter()
-    predict(inputs)
-    return 1000 * (time.perf_counter() - start) / len(inputs)
+    with one_core():
+        predict(inputs)
+        start = time.perf_counter()
+        predict(inputs)
+        return 1000 * (time.perf_counter() - start) / len(inputs)
 
 
 def main(arguments: list[str] | None = None) -> None:

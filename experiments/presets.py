@@ -29,7 +29,15 @@ class Preset:
         n_seeds: Repetitions of `make seeds` and of each training of `make ablation`.
         training_sizes: Numbers of training faces of `make ablation`, below `train_faces`.
         audited_faces: Test faces on which `make audit` measures what takes long.
-        timed_landmarks: Numbers of landmarks for which it times the embedding.
+        timed_landmarks: Numbers of landmarks for which it, and `make bench`, time the embedding.
+        bench_faces, bench_released_faces: Faces on which `make bench` times ours, a fifth for the
+            slower ways, and the released way.
+        bench_many_faces: Numbers of faces by which it times the growth.
+        bench_steps, bench_variants: Training steps that it times, and whether in every variant or
+            only in the released way and ours.
+        bench_passes: Times that it takes a time anew after the first pass; 0 keeps that one's.
+        bench_compared_faces: Test faces of a run on which it compares the two solvers.
+        streamed_faces, faces_per_file: Faces of `make stream`, and those of one of its files.
     """
 
     name: str
@@ -59,6 +67,15 @@ class Preset:
     training_sizes: tuple[int, ...]
     audited_faces: int
     timed_landmarks: tuple[int, ...]
+    bench_faces: int
+    bench_released_faces: int
+    bench_many_faces: tuple[int, ...]
+    bench_steps: int
+    bench_variants: bool
+    bench_passes: int
+    bench_compared_faces: int
+    streamed_faces: int
+    faces_per_file: int
 
 
 PAPER = Preset(
@@ -89,6 +106,15 @@ PAPER = Preset(
     training_sizes=(500, 2_000, 8_000),
     audited_faces=200,
     timed_landmarks=(51, 72, 150, 300, 478),
+    bench_faces=1_000,
+    bench_released_faces=20,
+    bench_many_faces=(100, 1_000, 10_000, 100_000),
+    bench_steps=500,
+    bench_variants=True,
+    bench_passes=3,
+    bench_compared_faces=500,
+    streamed_faces=1_000_000,
+    faces_per_file=5_000,
 )
 SMOKE = Preset(
     name="smoke",
@@ -118,5 +144,14 @@ SMOKE = Preset(
     training_sizes=(160,),
     audited_faces=4,
     timed_landmarks=(51, 72, 100),
+    bench_faces=20,
+    bench_released_faces=1,
+    bench_many_faces=(10, 20),
+    bench_steps=4,
+    bench_variants=False,
+    bench_passes=0,
+    bench_compared_faces=10,
+    streamed_faces=1_000,
+    faces_per_file=100,
 )
 PRESETS = {preset.name: preset for preset in (PAPER, SMOKE)}

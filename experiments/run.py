@@ -24,6 +24,7 @@ from data_gen.errors import DataError
 from data_gen.models import MODELS
 from data_gen.projections import PROTOCOLS
 from data_gen.writing import whole_file
+from experiments.cluster import cluster
 from experiments.locks import locked
 from experiments.presets import PRESETS, Preset
 from experiments.records import read_record, with_checksum
@@ -71,7 +72,8 @@ class Run:
         mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
             `make setup-mediapipe` makes.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
-        jobs: Processes for the embedding and for rendering.
+        jobs: Processes for the embedding and for rendering; on a cluster, which
+            `experiments.cluster` describes, any number but 1 stands for all its workers.
         build: Folder of arrays and weights; results: folder of tables and figures.
     """
 
@@ -191,6 +193,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
     add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
+    add("--faces", type=int, help="of make stream, instead of the preset's")
     add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
     add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
     add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
@@ -198,6 +201,11 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     if values["seed"] < 0:
         parser.error(f"--seed must not be negative. Received {values['seed']}.")
     values["preset"] = PRESETS[values["preset"]]
+    faces = values.pop("faces")
+    if faces is not None:
+        if faces < 2:
+            parser.error(f"--faces must be at least 2. Received {faces}.")
+        values["preset"] = replace(values["preset"], streamed_faces=faces)
     for name in ("data", "authors", "coma", "casia", "celeba", "tf_flame", "mediapipe", "ringnet"):
         values[name] = values[name] or None
     values["casia_index"] = Path(values["casia_index"]) if values["casia_index"] else None
@@ -237,7 +245,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     os.environ["TF_NUM_INTRAOP_THREADS"] = _TENSORFLOW_THREADS
     print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
     turn = locked(run.model_results, wait=True) if name == run.evaluation else nullcontext()
-    with refusals_on_one_line(), locked(run.work), turn:
+    with refusals_on_one_line(), cluster(), locked(run.work), turn:
         for left_behind in run.work.rglob(".*.partial"):
             left_behind.unlink(missing_ok=True)
         yield record

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.weights import read_arrays
 from experiments.faces import make_faces
@@ -37,8 +37,9 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
     """
     from experiments.predictions import predict
 
-    jobs = min(len(METHODS), effective_n_jobs(run.jobs))
-    Parallel(jobs)(delayed(train_chain)(run, (method,), os.getpid()) for method in METHODS)
+    with parallel_config("loky"):  # training ends with this process, on this machine
+        jobs = min(len(METHODS), effective_n_jobs(run.jobs))
+        Parallel(jobs)(delayed(train_chain)(run, (method,), os.getpid()) for method in METHODS)
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
     for method in METHODS:

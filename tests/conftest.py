@@ -10,6 +10,8 @@ import faults
 import pytest
 from threadpoolctl import threadpool_limits
 
+# As `make` has it, before TensorFlow is loaded: sums in one order on every processor.
+os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 

@@ -175,6 +175,8 @@ class Storm:
     def starve(self, stage: str) -> None:
         """Run a stage with too little room for what it has yet to write."""
         sizes = self.reference.sizes[stage].items()
+        if all((self.folder / name).exists() for name, _ in sizes):
+            self._undo(stage)
         missing = [size for name, size in sizes if not (self.folder / name).exists()]
         self.disk.leave(self.rng.uniform(0, 0.9), missing)
         before = _digests(self.folder)
@@ -193,10 +195,12 @@ class Storm:
                 process.wait(longest * self.rng.uniform(_EARLIEST, 1))
             except subprocess.TimeoutExpired:
                 process.kill() if alone else _kill_group(process.pid)
-                self._ended("killed alone" if alone else "killed", stage, process, before)
-                return
+                if process.wait() != 0:  # not at its end in that very moment
+                    self._ended("killed alone" if alone else "killed", stage, process, before)
+                    return
             longest = time.perf_counter() - start
             self._ended("done", stage, process, before)
+            self._undo(stage)  # for the next one to have work
 
     def finish(self, stage: str, threads: dict[str, str]) -> None:
         """Run a stage to its end; a long one together with a second, which is to give way."""
@@ -211,6 +215,11 @@ class Storm:
         ):
             what = "refused" if process.returncode == 2 else "done"
             self._ended(what, stage, process, before, words)
+
+    def _undo(self, stage: str) -> None:
+        """Delete what a stage wrote."""
+        for name in self.reference.sizes[stage]:
+            (self.folder / name).unlink(missing_ok=True)
 
     def _start(self, stage: str, *more: str, threads: dict[str, str] | None = None):
         limit = self.disk.limit

@@ -65,6 +65,14 @@ def test_forward_equals_predict():
     assert np.allclose(forward(network, inputs, 3), network.predict(inputs, verbose=0), atol=1e-6)
 
 
+def test_forward_of_many_batches_is_that_of_one_and_of_the_weights_as_they_are():
+    network = build_dissimilarity_net()
+    inputs = np.random.default_rng(0).random((100, 6))
+    for scale in (1, 1.5):
+        network.set_weights([scale * weight for weight in network.get_weights()])
+        assert np.allclose(forward(network, inputs, 30), forward(network, inputs), atol=1e-6)
+
+
 def test_unknown_variant_is_named():
     with pytest.raises(InputError, match="variant must be one of paper, released. Received 'x'"):
         build_dissimilarity_net("x")

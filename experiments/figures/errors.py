@@ -13,7 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, PercentFormatter
 
 from experiments.figures.style import INK, TRUTH_COLOUR, colour, marker, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _N_MAPS = 4
 _N_BINS = 9
+_N_SHARES = 501
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
@@ -226,6 +227,27 @@ def error_per_condition(errors: pd.DataFrame) -> Figure:
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="y")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.2)
+    return figure
+
+
+@styled
+def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
+    """How many of the faces have a smaller error, for every error.
+
+    Args:
+        errors: Method id to `(n,)` mean squared errors of the same faces.
+    """
+    figure = Figure(figsize=(3.5, 2.6), layout="constrained")
+    axes = figure.subplots()
+    shares = np.linspace(0, 1, _N_SHARES)
+    for method, values in errors.items():
+        look = {"color": colour(method), "marker": marker(method), "markevery": 0.12, "ms": 4}
+        axes.plot(np.quantile(values, shares), shares, label=title(method), **look)
+    axes.set_xscale("log")
+    axes.set(xlabel="MSE (squared normalised units)", ylabel="Share of faces below", ylim=(0, 1))
+    axes.yaxis.set_major_formatter(PercentFormatter(1))
+    axes.grid()
+    axes.legend()
     return figure
 
 

@@ -27,9 +27,10 @@ COMMANDS = {
     "parameters": "make reproduce-bfm",
     "ablation": "make ablation",
     "seeds": "make seeds",
+    "stream": "make stream",
     "pretrained": "make pretrained",
 }
-_OF_BFM = ("audit", "ablation", "seeds")  # on its faces
+_OF_BFM = ("audit", "ablation", "seeds", "stream")  # on its faces
 
 
 @dataclass(frozen=True, eq=False)

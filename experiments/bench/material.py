@@ -1,0 +1,129 @@
+"""Faces, networks and matrices on which the parts of the method are timed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import keras
+import numpy as np
+from scipy.spatial.distance import squareform
+
+from data_gen.dataset import make_dataset
+from data_gen.models import load_model
+from data_gen.morphable_model import MorphableModel
+from deepmds_keras import batched_mds
+from deepmds_keras.embedding import SOLVERS, embed
+from deepmds_keras.networks import forward
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.proximities import pair_features
+from experiments.run import Run
+
+SCHEME, WEIGHTS = "bfm72", "openhead-bfm72"
+STREAM = 9  # of random numbers of a run
+_FACES_PER_CHUNK = 1024  # whose matrices are in memory at once, as in `DeepMDS.predict`
+_MATRICES = 2048  # different ones; rows of more faces go through them again
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What is timed on.
+
+    Attributes:
+        run: The run.
+        model: Face model.
+        networks: The weights that ship with the package, whatever the face model is.
+        views: `(n, 72, 2)` views, as many as the largest row of their number needs.
+        shapes: `(m, 72, 3)` normalised shapes of some of them.
+        matrices: `(m, 72, 72)` dissimilarities of those.
+    """
+
+    run: Run
+    model: MorphableModel
+    networks: DeepMDS
+    views: np.ndarray
+    shapes: np.ndarray
+    matrices: np.ndarray
+
+    @property
+    def n_landmarks(self) -> int:
+        return self.views.shape[1]
+
+    def first_views(self, n: int) -> np.ndarray:
+        """The first n views; where there are fewer, those again."""
+        return self.views[np.arange(n) % len(self.views)]
+
+    def rng(self, *numbers: int) -> np.random.Generator:
+        """Random numbers of the run's seed, of this stage."""
+        return np.random.default_rng([self.run.seed, STREAM, *numbers])
+
+
+def make_material(run: Run) -> Material:
+    """Random faces of the run's model, and what the shipped weights make of them."""
+    model = load_model(run.model, run.data, SCHEME)
+    networks = DeepMDS.pretrained(WEIGHTS)
+    n = max(*run.preset.bench_many_faces, run.preset.bench_faces)
+    rng = np.random.default_rng([run.seed, STREAM])
+    faces = make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)
+    some = slice(min(n, _MATRICES))
+    matrices = np.abs(networks.dissimilarities(faces.views[some]))
+    for solver in SOLVERS:
+        embed(matrices[:1], solver=solver)  # what the first call loads is part of no row
+    return Material(
+        run=run,
+        model=model,
+        networks=networks,
+        views=faces.views,
+        shapes=np.float32(normalise(faces.landmarks[some])),
+        matrices=matrices,
+    )
+
+
+def predict_all(networks: DeepMDS, views: np.ndarray) -> None:
+    """Dissimilarities of views, of which only a chunk is kept at a time."""
+    for chunk in _chunks(len(views)):
+        networks.dissimilarities(views[chunk])
+
+
+def embed_all(matrices: np.ndarray, n: int, solver: str, jobs: int = 1) -> list[np.ndarray]:
+    """Shapes of n faces chunk by chunk; where there are fewer matrices, those again."""
+    faces = [np.arange(chunk.start, chunk.stop) % len(matrices) for chunk in _chunks(n)]
+    return [embed(matrices[own], solver=solver, n_jobs=jobs) for own in faces]
+
+
+def dissimilarities(network: keras.Model, frontal: np.ndarray, variant: str) -> np.ndarray:
+    """What the dissimilarity net makes of true frontal views, of any number of landmarks.
+
+    Args:
+        network: Dissimilarity net.
+        frontal: `(n, L, 2)` views.
+        variant: Of the pair features.
+
+    Returns:
+        `(n, L, L)`, not negative, diagonal 0.
+    """
+    distances = [forward(network, pair_features(view, variant)) for view in normalise(frontal)]
+    return np.stack([squareform(np.abs(own.ravel())) for own in distances])
+
+
+def has_numba() -> bool:
+    """Whether the batched solver is compiled."""
+    return batched_mds.smacof_solver() is not batched_mds.smacof
+
+
+@contextmanager
+def without_numba() -> Iterator[None]:
+    """The batched solver as it is where numba is not installed."""
+    chosen = batched_mds.smacof_solver
+    batched_mds.smacof_solver = lambda: batched_mds.smacof
+    try:
+        yield
+    finally:
+        batched_mds.smacof_solver = chosen
+
+
+def _chunks(n: int) -> Iterator[slice]:
+    for start in range(0, n, _FACES_PER_CHUNK):
+        yield slice(start, min(start + _FACES_PER_CHUNK, n))

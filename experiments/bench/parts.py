@@ -1,0 +1,112 @@
+"""Each part of the method in the released way and in ours, on one core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from data_gen.dataset import make_dataset
+from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.proximities import pair_features
+from experiments.bench import released
+from experiments.bench.material import (
+    SCHEME,
+    Material,
+    embed_all,
+    has_numba,
+    predict_all,
+    without_numba,
+)
+from experiments.bench.measurements import RELEASED, SKLEARN, Way
+
+OURS, BATCHED, BATCHED_SCIPY = "ours", "batched", "batched_scipy"
+DATA, FEATURES, PREDICTION = "data generation", "pair features", "prediction"
+EMBEDDING, END_TO_END = "embedding", "end to end"
+_NO_NUMBA = "numba is not installed"
+_NOTES = {
+    (DATA, RELEASED): "all vertices of one face at a time",
+    (DATA, OURS): "only the landmarks, 4,096 faces at a time",
+    (FEATURES, RELEASED): "two nested loops over all ordered pairs",
+    (FEATURES, OURS): "every pair once",
+    (PREDICTION, RELEASED): "one Keras predict a face and network; pair features of all at once",
+    (PREDICTION, OURS): "64 faces at a time, with their pair features",
+    (EMBEDDING, RELEASED): "scikit-learn, four random starts",
+    (EMBEDDING, SKLEARN): "scikit-learn, classical start",
+    (EMBEDDING, BATCHED): "compiled by numba",
+    (EMBEDDING, BATCHED_SCIPY): "without numba",
+    (END_TO_END, RELEASED): "loops over pairs, one predict a face and network, four random starts",
+    (END_TO_END, SKLEARN): "DeepMDS.predict, embedded by scikit-learn",
+    (END_TO_END, BATCHED): "DeepMDS.predict, embedded by the batched solver",
+}
+
+
+def comparisons(material: Material) -> Iterator[list[Way]]:
+    """The ways of each part that are timed in turn."""
+    preset = material.run.preset
+    n, few = preset.bench_faces, preset.bench_released_faces
+    views = material.first_views(n)
+    some = max(1, n // 5)
+    for part, own in (
+        (DATA, [(RELEASED, make_faces(material, RELEASED, few), few),
+                (OURS, make_faces(material, OURS, n), n)]),
+        (FEATURES, [(RELEASED, lambda: _loops(material, few), few),
+                    (OURS, lambda: pair_features(views), n)]),
+        (PREDICTION, [(RELEASED, lambda: _predict(material, few), few),
+                      (OURS, lambda: predict_all(material.networks, views), n)]),
+        (EMBEDDING, [(RELEASED, lambda: released.embed(material.matrices[:few]), few),
+                     (SKLEARN, lambda: embed_all(material.matrices, some, "sklearn"), some),
+                     (BATCHED, compiled(lambda: embed_all(material.matrices, n, "batched")), n),
+                     (BATCHED_SCIPY, lambda: _embed_without_numba(material, some), some)]),
+        (END_TO_END, [(RELEASED, lambda: released.shapes(material.networks, views[:few]), few),
+                      (SKLEARN, lambda: end_to_end(material, some, "sklearn"), some),
+                      (BATCHED, compiled(lambda: end_to_end(material, n, "batched")), n)]),
+    ):  # fmt: skip
+        yield [way(part, name, call, material.n_landmarks, faces) for name, call, faces in own]
+
+
+def way(
+    part: str,
+    name: str,
+    call: Callable[[], object] | None,
+    n_landmarks: int,
+    n_faces: int,
+    jobs: int = 1,
+) -> Way:
+    """With its note, or why it cannot be timed."""
+    words = _NOTES[part, name] if call is not None else _NO_NUMBA
+    return Way(part, name, call, n_landmarks, n_faces, jobs, words)
+
+
+def compiled(call: Callable[[], object]) -> Callable[[], object] | None:
+    """The call, or None where the batched solver is not compiled."""
+    return call if has_numba() else None
+
+
+def make_faces(material: Material, name: str, n: int) -> Callable[[], object]:
+    """Data generation in one of its two ways, with the same random numbers in every call."""
+    model, protocol = material.model, material.run.protocol
+    if name == RELEASED:
+        return lambda: released.make_faces(model, n, material.rng(1), SCHEME, protocol)
+    return lambda: make_dataset(model, n, material.rng(1), scheme=SCHEME, protocol=protocol)
+
+
+def end_to_end(material: Material, n: int, solver: str, jobs: int = 1) -> np.ndarray:
+    """Shapes of n views."""
+    networks: DeepMDS = material.networks.set_params(solver=solver, n_jobs=jobs)
+    return networks.predict(material.first_views(n))
+
+
+def _loops(material, n):
+    pairs = released.all_pairs(material.n_landmarks)
+    for view in material.first_views(n):
+        released.pair_features(view, material.networks.variant, pairs)
+
+
+def _predict(material, n):
+    return released.predict(material.networks, material.first_views(n), loops=False)
+
+
+def _embed_without_numba(material, n):
+    with without_numba():
+        embed_all(material.matrices, n, "batched")
