@@ -24,6 +24,11 @@ RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
 FACES ?=
+# Of a cluster that does the work on faces and images, see experiments/cluster.py.
+JOBLIB_BACKEND ?=
+DASK_ADDRESS ?=
+RAY_ADDRESS ?=
+export JOBLIB_BACKEND DASK_ADDRESS RAY_ADDRESS
 
 ifeq ($(filter yes no,$(MOBILEFACE)),)
 $(error MOBILEFACE must be yes or no. Received $(MOBILEFACE))
@@ -62,7 +67,8 @@ STAGE := $(PY) -m experiments
 help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
-	@echo '     stream: [FACES=1000000]; on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
+	@echo '     stream: [FACES=1000000]'
+	@echo '     on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'

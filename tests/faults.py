@@ -95,7 +95,7 @@ class Event:
         stage: The stage.
         status: Of the process; negative for the signal that ended it.
         said: Its standard error.
-        changed: Files that were there before and are gone or of other bytes.
+        changed: Files, by their names in the folder, that are gone or of other bytes since.
         added: Files that are there for the first time.
     """
 
@@ -294,7 +294,10 @@ def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
 
 
 def _digests(folder: Path) -> dict[Path, str]:
-    return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in _files(folder)}
+    return {
+        path.relative_to(folder): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in _files(folder)
+    }
 
 
 def _kill_group(group: int) -> None:

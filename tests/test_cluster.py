@@ -149,6 +149,25 @@ def test_tables_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, 
     assert_as_undisturbed(copy_of_whole, whole_bfm.folder)
 
 
+def test_a_stream_is_the_same_though_dask_loses_a_worker(dask, client, copy_of_whole, tmp_path):
+    alone = tmp_path / "alone"
+    shutil.copytree(copy_of_whole, alone)
+    processes = client.run(os.getpid)
+    command = dask.start("stream", copy_of_whole)
+    clusters.wait_until(lambda: [*copy_of_whole.rglob("stream/shapes-*/*.npz")], command)
+    busy = next(address for address, tasks in client.processing().items() if tasks)
+    os.kill(processes[busy], signal.SIGKILL)
+    assert command.poll() is None
+    finish(command)
+    done = faults.run("stream", alone, "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    files = sorted(alone.rglob("stream/*/*.npz"))
+    assert len(files) == 20
+    for path in [*files, next(alone.rglob("stream/table.csv"))]:
+        other = copy_of_whole / path.relative_to(alone)
+        assert path.read_bytes() == other.read_bytes(), path
+
+
 def test_a_task_is_done_again_with_its_large_arguments(dask, client, monkeypatch):
     """Wherever its worker was lost, as in the place and by the settings of the command."""
     monkeypatch.setenv("TF_ENABLE_ONEDNN_OPTS", "0")

@@ -38,6 +38,7 @@ EXPERIMENTS = {
     ),
     "celeba": (("--track", "celeba"), ("photos", "predictions", "mobileface", "celeba")),
     "ablation": ((), ("ablation",)),
+    "stream": (("--faces", "700"), ("stream",)),
 }  # fmt: skip
 CHECKPOINTS = {"networks", "ablation"}  # folders of what is written again and again
 _KILLS_PER_PASS = 12
@@ -70,7 +71,7 @@ def storm(request, whole_bfm, tmp_path_factory):
 def test_the_tables_are_those_of_an_undisturbed_run(storm):
     """Whatever happened on the way, and with one thread as with many."""
     tables = faults.tables(storm.folder)
-    assert len(tables) >= 3
+    assert tables
     for name, rows in tables.items():
         assert rows == faults.tables(storm.reference.folder)[name], name
     build = storm.folder / "build"
