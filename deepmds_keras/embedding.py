@@ -9,7 +9,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
-from deepmds_keras.batched_mds import batched_mds
+from deepmds_keras.batched_mds import batched_mds, smacof, smacof_solver
 from deepmds_keras.eigenpairs import leading_eigenpairs
 from deepmds_keras.errors import InputError
 
@@ -17,7 +17,8 @@ from deepmds_keras.errors import InputError
 # largest one the matrix is not one of distances.
 _NEGATIVE_SHARE = 0.1
 SOLVERS = ("sklearn", "batched")
-_FACES_PER_TASK = {"sklearn": 32, "batched": 256}
+# Matrices of a task of the batched solver are to stay in the cache of a core.
+_FACES_PER_TASK = {"sklearn": 32, "batched": 128}
 
 
 def embed(
@@ -46,7 +47,8 @@ def embed(
             `batched_mds`; it is the faster by far where numba is installed (extra `fast`).
         max_iter: Most SMACOF iterations for a face.
         eps: Relative decrease of stress at which to stop.
-        n_jobs: Processes; None or 1 works in this one, -1 uses every core.
+        n_jobs: Processes, or threads of the compiled batched solver; None or 1 works in this one,
+            -1 uses every core.
         progress: Called with the number of faces just done.
         return_stress: Whether to return stress-1 too.
 
@@ -59,13 +61,16 @@ def embed(
     """
     if solver not in SOLVERS:
         raise InputError(f"solver must be one of {', '.join(SOLVERS)}. Received {solver!r}.")
-    single = np.ndim(dissimilarities) == 2
-    dissimilarities = check_dissimilarities(dissimilarities)
+    dissimilarities = np.asarray(dissimilarities)
+    _check_shape(dissimilarities.shape)
+    single = dissimilarities.ndim == 2
+    matrices = dissimilarities[None] if single else dissimilarities
     step = _FACES_PER_TASK[solver]
-    tasks = [slice(first, first + step) for first in range(0, len(dissimilarities), step)]
-    done = Parallel(n_jobs=n_jobs if len(tasks) > 1 else 1, return_as="generator")(
-        delayed(_embed_faces)(dissimilarities[task], n_components, solver, max_iter, eps)
-        for task in tasks
+    tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
+    # Compiled code runs beside other threads: nothing has to be sent to another process.
+    prefer = "threads" if solver == "batched" and smacof_solver() is not smacof else None
+    done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
+        delayed(_embed_faces)(matrices[task], n_components, solver, max_iter, eps) for task in tasks
     )
     points, stress = [], []
     for some_points, some_stress in done:
@@ -92,13 +97,9 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     """Matrices as `embed` uses them: `(n, L, L)`, exactly symmetric, not negative, diagonal 0."""
     matrices = np.array(dissimilarities, float)
+    _check_shape(matrices.shape)
     if matrices.ndim == 2:
         matrices = matrices[None]
-    if matrices.ndim != 3 or matrices.shape[1] != matrices.shape[2] or matrices.shape[1] < 3:
-        raise InputError(
-            "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3. "
-            f"Received shape {np.shape(dissimilarities)}."
-        )
     if not np.isfinite(matrices).all():
         raise InputError("dissimilarities must be finite. Received NaN or infinity.")
     diagonal = np.arange(matrices.shape[1])
@@ -120,6 +121,14 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     return np.abs((matrices + np.swapaxes(matrices, 1, 2)) / 2)
 
 
+def _check_shape(shape: tuple[int, ...]) -> None:
+    if len(shape) not in (2, 3) or 0 in shape or shape[-1] != shape[-2] or shape[-1] < 3:
+        raise InputError(
+            "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3 and n > 0. "
+            f"Received shape {shape}."
+        )
+
+
 def _doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
     """Gram matrices of the points, about their mean, that have these distances."""
     squared = np.square(np.asarray(dissimilarities, float))
@@ -128,6 +137,7 @@ def _doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def _embed_faces(matrices, n_components, solver, max_iter, eps):
+    matrices = check_dissimilarities(matrices)
     if solver == "batched":
         values, vectors = leading_eigenpairs(_doubly_centred(matrices), n_components)
         start = vectors * np.sqrt(np.maximum(values, 0))[:, None]

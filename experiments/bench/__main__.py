@@ -1,6 +1,7 @@
 """Time every part of the method beside the released way, and its growth with the size of the task.
 
-Everything runs in this one process on one core, but for the rows of several processes.
+Everything runs in this one process on one core, but for the rows of several processes or threads,
+and for the training steps: those are timed in a process of their own, with the threads of training.
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ import os
 from pathlib import Path
 
 import pandas as pd
-from joblib import parallel_config
 from tqdm import tqdm
 
 from experiments.bench.measurements import measure, table_of
+from experiments.bench.training import in_own_process
 from experiments.figures import bench as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
@@ -20,13 +21,22 @@ from experiments.numbers import factor
 from experiments.run import Run, one_core, parse_run, stage, write_text
 from experiments.tables import to_csv
 
-_TENSORFLOW_THREADS = ("TF_NUM_INTRAOP_THREADS", "TF_NUM_INTEROP_THREADS")
+_ONE_THREAD = {"TF_NUM_INTRAOP_THREADS": "1", "TF_NUM_INTEROP_THREADS": "1"}
 
 
 def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
     """The table of times, that of the two solvers' agreement, and the face model's hash."""
+    training = in_own_process(run)
+    os.environ |= _ONE_THREAD
+    with one_core():
+        rows, agreed, digest = measure_parts(run)
+    return table_of(rows + training), agreed, digest
+
+
+def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
+    """Rows of all but the training steps, the solvers' agreement, and the face model's hash."""
     # TensorFlow reads how many threads it may use when it is loaded.
-    from experiments.bench import agreement, growth, parts, steps
+    from experiments.bench import agreement, growth, parts
     from experiments.bench.material import make_material
 
     material = make_material(run)
@@ -35,7 +45,6 @@ def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
         "parts": parts.comparisons,
         "landmarks": growth.with_landmarks,
         "jobs": growth.with_jobs,
-        "training": steps.comparisons,
         "faces": growth.with_faces,
     }
     rows: list[dict] = []
@@ -52,7 +61,7 @@ def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
             agreed.append(case | agreement.compare(matrices))
             bar.update()
     table = pd.DataFrame(agreed, columns=list(agreement.COLUMNS))
-    return table_of(rows), table, material.model.sha256
+    return rows, table, material.model.sha256
 
 
 def results_folder(run: Run) -> Path:
@@ -64,9 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = results_folder(run)
     with stage(run, "bench") as record:
-        os.environ |= dict.fromkeys(_TENSORFLOW_THREADS, "1")
-        with one_core(), parallel_config(backend="loky", inner_max_num_threads=1):
-            table, agreed, record["model_sha256"] = measure_all(run)
+        table, agreed, record["model_sha256"] = measure_all(run)
         clear_results(folder)
         write_text(folder / "bench.csv", to_csv(table))
         write_text(folder / "agreement.csv", to_csv(agreed))
@@ -78,7 +85,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 def summary(table: pd.DataFrame) -> str:
     """The rows as they are read on a terminal."""
-    shown = table.drop(columns=["seconds", "note"]).rename(columns={"peak_memory_mb": "MB"})
+    shown = (
+        table.drop(columns=["seconds", "note"])
+        .astype(object)
+        .rename(columns={"peak_memory_mb": "MB"})
+    )
     for column in ("ms_per_face", "times_released", "times_sklearn"):
         shown[column] = [factor(value) if value == value else "" for value in shown[column]]
     return shown.fillna("").to_string(index=False)

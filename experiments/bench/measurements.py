@@ -17,7 +17,7 @@ COLUMNS = (
     "comparison", "part", "way", "n_landmarks", "n_faces", "jobs", "seconds", "ms_per_face",
     "times_released", "times_sklearn", "peak_memory_mb", "note",
 )  # fmt: skip
-SEVERAL_JOBS = "the released way has one process; memory of this process alone"
+SEVERAL_JOBS = "the released way has one process; memory of other processes is not counted"
 _LONG = 5.0  # seconds from which a way is timed once
 _LONGEST = 300.0  # seconds beyond which, to judge by a smaller row, a way is not timed
 _SAME = ["part", "n_landmarks", "jobs"]
