@@ -180,7 +180,7 @@ $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
 	@$(STAGE).predictions $(RUN)
 endif
 
-bench: | $(READY) ## speed and memory beside the released way: results/bench/   (15 min)
+bench: | $(READY) ## speed and memory beside the released way: results/bench/   (18 min)
 	@$(STAGE).bench $(RUN)
 
 stream: $(BUILD)/networks.json ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
@@ -199,7 +199,7 @@ test: | $(READY) ## all tests
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
 	MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
-nightly: | $(READY) ## 50 kills, full disks and flipped bytes, thousands of damaged files   (hours)
+nightly: | $(READY) ## 50 kills, full disks and flipped bytes, thousands of damaged files   (1 to 2 h)
 	KILLS=50 FUZZ=20 $(PY) -m pytest tests/test_faults.py tests/test_fuzzing.py
 
 lint: | $(READY) ## ruff

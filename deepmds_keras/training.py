@@ -137,7 +137,7 @@ def train_dissimilarity_net(
         first, second = np.triu_indices(n_landmarks, 1)
     steps = recipe.steps_per_epoch or n
     model = build_dissimilarity_net(variant, seed=seed, short_connection=short_connection)
-    # Element-wise work on thousands of pairs is most of a step: fused, it takes half the time.
+    # Element-wise work on thousands of pairs is most of a step, which XLA fuses.
     model.compile(
         recipe.optimizer(steps),
         "mse",

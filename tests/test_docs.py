@@ -39,7 +39,7 @@ each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 _MATH = re.compile(r"\$`[^`]*`\$")
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
-_OTHER_COMMANDS = ("apt ", "git ", "make ", "pip ", "python")
+_OTHER_COMMANDS = ("apt ", "git ", "make ", "pip ", "python", "dask ")
 _CHOICES = {"MODEL": MODELS, "PROTOCOL": PROTOCOLS, "EVALUATOR": EVALUATORS, "PRESET": PRESETS}
 
 

@@ -1,5 +1,7 @@
 """The README's tables are the committed results."""
 
+import json
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -58,3 +60,35 @@ def test_what_is_said_of_the_shipped_weights_is_what_was_measured():
         f"{mse['mean_shape']:.2g}, of a ridge regression {mse['linear']:.2g}"
     )
     assert said in text
+
+
+def test_times_are_those_of_the_bench():
+    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
+    parts = table[table["comparison"] == "parts"].set_index(["part", "way"])["ms_per_face"]
+    rows = table_of("ms a face, on one core")
+    assert [*rows] == [part.capitalize() for part in dict.fromkeys(parts.index.get_level_values(0))]
+    for part in dict.fromkeys(parts.index.get_level_values(0)):
+        released, *ours = rows[part.capitalize()]
+        measured = [parts.get((part, way)) for way in ("sklearn", "batched")]
+        if part not in ("embedding", "end to end"):
+            measured = [parts[part, "ours"]] * 2
+        assert [*map(rounded, (parts[part, "released"], *measured))] == [released, *ours[:2]]
+        assert ours[2] == f"{rounded(parts[part, 'released'] / measured[1])} times", part
+
+
+def rounded(value):
+    return f"{float(f'{value:.2g}'):,g}"
+
+
+def test_what_is_said_of_a_million_faces_is_what_was_measured():
+    folder = ROOT / "results" / "openhead" / "stream"
+    table = pd.read_csv(folder / "table.csv").set_index(["method", "metric"])
+    made = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    memory = max(made["stages"][-1]["processes_mb"])
+    page = (ROOT / "docs" / "large.md").read_text(encoding="utf-8")
+    (bound,) = re.findall(r"No process held more than\s([\d.]+) GB", page)
+    assert memory / 1000 <= float(bound) < memory / 1000 + 0.1
+    assert (table["n_faces"] == 1_000_000).all()
+    errors = table.xs("mse", level="metric") / 1e-4
+    said = f"{errors.loc['ours', 'mean']:.3f} ± {errors.loc['ours', 'standard_error']:.1g}"
+    assert said in " ".join(README.split())

@@ -19,6 +19,7 @@ _STAGES_OF = {
     "bfm": "bfm",
     "bfm-evaluator-released": "bfm",
     "parameters": "bfm",
+    "stream": "bfm",
     "flame": "flame",
     "flame-true-landmarks": "flame",
     "celeba": "celeba",
@@ -33,7 +34,12 @@ _DATA_SETS_OF = {
     "celeba": {"real"},
     "celeba-flame": {"coma", "casia", "real"},
 }
-_ALWAYS_MADE = ("audit", "seeds", "pretrained")  # by their targets, whether or not they were before
+_ALWAYS_MADE = (
+    "audit",
+    "seeds",
+    "stream",
+    "pretrained",
+)  # by their targets, whether or not they were before
 
 
 def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:

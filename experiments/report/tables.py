@@ -214,7 +214,8 @@ def plain_table(experiment: Experiment, caption: str) -> Table:
             if isinstance(value, str):
                 cells.append(method_cell(value) if value in BY_ID else Cell(metric_head(value)))
             else:
-                cells.append(Cell(scientific(value), value))
+                shown = f"{value:,}" if isinstance(value, int) else scientific(value)
+                cells.append(Cell(shown, value))
         rows.append(tuple(cells))
     return Table(caption, tuple(columns), tuple(rows))
 

@@ -76,6 +76,11 @@ EXPERIMENTS = {
         "The paper's recipe and the one with a decayed learning rate, trained from {n_seeds} "
         "seeds each.",
     ),
+    "stream": (
+        "Many faces: the tails of the errors",
+        "{streamed_faces} random faces of the face model in the views of the paper, made and "
+        "scored file by file.",
+    ),
     "pretrained": (
         "The weights that ship with the package",
         "Trained for photos, on views that are centred and err as a landmark detector does; tested "
@@ -84,6 +89,7 @@ EXPERIMENTS = {
 }
 TABLES = {
     "seeds": "Over the seeds: median, mean, s.d. of a sample, and range.",
+    "stream": "Over all faces: mean, s.d., standard error of the mean, and how the faces spread.",
     "pretrained": "MSE in squares of the min-max unit of a face.",
 }
 # By the stage that makes what stands in.
@@ -105,6 +111,7 @@ FIGURES = {
     "error_per_pose": "Error by projection and pose.",
     "error_per_expression": "Error by expression.",
     "scans": "Photos, scans, the landmarks found on them, and how far they are from the true ones.",
+    "errors": "Share of the faces whose error is smaller.",
     "learning_curves": "Learning curves.",
     "poses": "Error by pose and field of view; the shaded part was trained on.",
     "disturbances": "Error by noise on the landmarks and by landmarks that are missing.",
