@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import logging
 import os
+import signal
 import sys
+import threading
+from collections.abc import Callable
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.predict.arguments import parse
@@ -17,11 +20,12 @@ def main(arguments: list[str] | None = None) -> None:
     """Do what the arguments ask for, and end the process with the status that `--help` states."""
     options = parse(arguments)
     _be_quiet()
+    stopped = _stopped_by_ctrl_c()
     try:
         # Not before: --help and wrong arguments are answered without its many imports.
         from deepmds_keras.predict.command import complain, run
 
-        failed = run(options)
+        failed = run(options, stopped)
     except InputError as error:
         complain(error)
         sys.exit(1)
@@ -32,6 +36,19 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     sys.exit(1 if failed else 0)
+
+
+def _stopped_by_ctrl_c() -> Callable[[], bool]:
+    """Whether Ctrl-C was pressed: what it raises may get lost in the library that it meets."""
+    pressed = threading.Event()
+
+    def interrupt(number, frame):
+        pressed.set()
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, interrupt)
+    return pressed.is_set
 
 
 def _be_quiet() -> None:

@@ -23,6 +23,7 @@ from deepmds_keras.detection import dlib_landmarks
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.predict import command
+from deepmds_keras.predict.arguments import parse
 
 ROOT = Path(__file__).parents[1]
 TABLES = ("csv", "json", "ply", "obj", "png")
@@ -312,6 +313,14 @@ def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
     assert not [name for name in written(out) if "partial" in name]
     complete = [path for path in files if (out / f"{path.stem}.png").exists()]
     assert len(complete) - len(done) <= 1  # the one it was just at
+
+
+def test_a_stop_whose_exception_was_lost_counts_after_the_source(tmp_path, landmarks):
+    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "abc"]
+    options = parse(["predict", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    with pytest.raises(KeyboardInterrupt):
+        command.run(options, lambda: True)
+    assert len(json.loads((tmp_path / "out" / "deepmds.json").read_bytes())) == 1
 
 
 def test_names_of_the_run_are_not_those_of_a_source(tmp_path, run, landmarks):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,14 +38,19 @@ _SOURCES_PER_TASK = 8  # of a process: photos are large, and MediaPipe takes a w
 _DRAWN_FACES = 24  # of one source, as many as the summary has: more are tables only
 
 
-def run(options: Options) -> int:
+def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     """Write the results of all sources; what cannot be used gets a line on stderr.
+
+    Args:
+        options: What is to be done.
+        stopped: Asked after every source whether to go on.
 
     Returns:
         How many sources could not be used.
 
     Raises:
         InputError: Nothing can be done at all: no detector, no model, no folder.
+        KeyboardInterrupt: It was stopped.
     """
     sources, errors = find_sources(options.sources)
     for error in errors:
@@ -81,6 +86,8 @@ def run(options: Options) -> int:
                         shown += faces
                         tqdm.write("\n".join(map(_printable, _told(source, faces, files))))
                     bar.update()
+                    if stopped():
+                        raise KeyboardInterrupt
             finally:
                 record.save()
     if len(shown) > 1 and len(todo) > 1:
