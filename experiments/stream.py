@@ -12,7 +12,7 @@ from experiments.inputs import load_faces
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
 from experiments.predictions import fitted
-from experiments.run import parse_run, stage, write_text
+from experiments.run import one_core, parse_run, stage, write_text
 from experiments.streamed import BESIDE, OURS, Files, make_files, read_scores
 from experiments.tables import to_csv
 
@@ -40,7 +40,8 @@ def main(arguments: list[str] | None = None) -> None:
         networks = run.work.absolute() / "stream" / f"{OURS}.npz"
         # Without a number of processes: by its bytes the method is known.
         fitted(run, train, OURS).set_params(n_jobs=None).save(networks)
-        beside = {method: fitted(run, train, method) for method in BESIDE}
+        with one_core():  # the regression's last bits depend on the threads
+            beside = {method: fitted(run, train, method) for method in BESIDE}
         del train
         sizes = run.preset.streamed_faces, run.preset.faces_per_file
         files = Files(networks.parent, *sizes, networks, sha256_of([networks]))
