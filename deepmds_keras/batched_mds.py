@@ -63,6 +63,11 @@ def smacof_solver() -> Callable:
     return compiled_smacof.smacof
 
 
+def is_compiled() -> bool:
+    """Whether the solver is the compiled one."""
+    return smacof_solver() is not smacof
+
+
 def smacof(
     pairs: np.ndarray, order: np.ndarray, start: np.ndarray, max_iter: int, eps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
-from deepmds_keras.batched_mds import batched_mds, smacof, smacof_solver
+from deepmds_keras.batched_mds import batched_mds, is_compiled
 from deepmds_keras.eigenpairs import leading_eigenpairs
 from deepmds_keras.errors import InputError
 
@@ -68,7 +68,7 @@ def embed(
     step = _FACES_PER_TASK[solver]
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     # Compiled code runs beside other threads: nothing has to be sent to another process.
-    prefer = "threads" if solver == "batched" and smacof_solver() is not smacof else None
+    prefer = "threads" if solver == "batched" and is_compiled() else None
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
         delayed(_embed_faces)(matrices[task], n_components, solver, max_iter, eps) for task in tasks
     )
@@ -145,7 +145,7 @@ def _embed_faces(matrices, n_components, solver, max_iter, eps):
     else:
         points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
         for face, matrix in enumerate(matrices):
-            scaling = _non_metric_mds(n_components, max_iter, eps)
+            scaling = non_metric_mds(n_components, n_init=1, max_iter=max_iter, eps=eps)
             points[face] = scaling.fit_transform(matrix, init=points[face])
             stress[face] = scaling.stress_
     points -= points.mean(1, keepdims=True)
@@ -163,10 +163,16 @@ def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nij->n", distances, matrices) / total
 
 
-def _non_metric_mds(n_components, max_iter, eps) -> MDS:
-    """scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7."""
+def non_metric_mds(n_components: int, **options) -> MDS:
+    """scikit-learn's non-metric `MDS` of dissimilarities, with Kruskal's stress-1.
+
+    Args:
+        n_components: Dimensions of the embedding.
+        **options: Of `MDS`.
+    """
+    # scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7.
     if "metric_mds" in inspect.signature(MDS).parameters:
         kind = {"metric_mds": False, "metric": "precomputed", "init": "random"}
     else:
         kind = {"metric": False, "dissimilarity": "precomputed"}
-    return MDS(n_components, n_init=1, max_iter=max_iter, eps=eps, normalized_stress=True, **kind)
+    return MDS(n_components, normalized_stress=True, **kind, **options)

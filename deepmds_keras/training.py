@@ -153,26 +153,17 @@ def train_dissimilarity_net(
             ends = [(faces, landmarks[drawn]) for landmarks in (first, second)]
             drawn = tuple([array[end] for end in ends] for array in (frontal, shapes))
             data = tf.data.Dataset.from_tensor_slices((*map(tuple, drawn),))
-            data = data.map(lambda *pair: features_and_distance(*pair, tnp))
+            data = data.map(lambda *pair: features_and_distances(*pair, variant, tnp))
         else:
             faces = face_order(n, steps, seed, epoch)
             data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
-            data = data.map(lambda *face: pairs(*face, tnp))
+            data = data.map(lambda *face: pairs_of_faces(*face, (first, second), variant, tnp))
         return data.prefetch(_STEPS_PER_CALL)
 
-    def pairs(frontal, shapes, xp):
-        views, points = (
-            [xp.take(array, landmarks, axis=-2) for landmarks in (first, second)]
-            for array in (frontal, shapes)
-        )
-        return features_and_distance(views, points, xp)
-
-    def features_and_distance(views, points, xp):
-        squares = xp.square(points[0] - points[1])
-        return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
-
     check = slice(min(n, _DISSIMILARITY_CHECK_FACES))
-    check_features, check_distances = pairs(frontal[check], shapes[check], np)
+    check_features, check_distances = pairs_of_faces(
+        frontal[check], shapes[check], (first, second), variant
+    )
     check_features = check_features.reshape(-1, check_features.shape[-1])
 
     def inference() -> float:
@@ -183,6 +174,27 @@ def train_dissimilarity_net(
     if shuffled:
         label["shuffled"] = True
     return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
+
+
+def pairs_of_faces(frontal, shapes, ends, variant: str, xp=np):
+    """Features `(…, P, F)` and distances `(…, P, 1)` of pairs of landmarks, for the net.
+
+    Args:
+        frontal, shapes: `(…, L, 2)` views and `(…, L, 3)` shapes.
+        ends: `(P,)` numbers of the first landmark of each pair, and of the second.
+        variant: Of the features.
+        xp: NumPy, or TensorFlow's.
+    """
+    views, points = (
+        [xp.take(array, landmarks, axis=-2) for landmarks in ends] for array in (frontal, shapes)
+    )
+    return features_and_distances(views, points, variant, xp)
+
+
+def features_and_distances(views, points, variant: str, xp=np):
+    """`pairs_of_faces` of views and points that are picked already, `(first, second)` each."""
+    squares = xp.square(points[0] - points[1])
+    return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
 
 
 def train_by_epoch(

@@ -227,15 +227,6 @@ class _Ray:
 _KINDS = {"dask": _Dask, "ray": _Ray}
 
 
-def on_one_core(function: Callable, *arguments):
-    """Call it with one thread, for sums in one order; many, each wait for the others, take longer.
-
-    Unlike what is beside it, this module loads no TensorFlow in the processes that are given it.
-    """
-    with threadpool_limits(1):
-        return function(*arguments)
-
-
 def work(environment: dict[str, str | None], folder: str, root: str, task: tuple[bytes, ...]):
     """Do a task in a worker, as the machine of the command would.
 

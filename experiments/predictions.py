@@ -17,11 +17,10 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
-from experiments.cluster import on_one_core
 from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
 from experiments.recipes import deep_mds, zhao
-from experiments.run import AUTHORS_FILES, Run, one_core, parse_run, stage
+from experiments.run import AUTHORS_FILES, Run, on_one_core, one_core, parse_run, stage
 
 # Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.
 _METHODS = {

@@ -12,7 +12,7 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -266,6 +266,12 @@ def one_core() -> Iterator[None]:
     os.environ.setdefault("LP_NUM_THREADS", "1")  # of Mesa's software renderer
     with threadpool_limits(1):
         yield
+
+
+def on_one_core(function: Callable, *arguments):
+    """Call a function in `one_core`: as a task, for a process that needs no TensorFlow for it."""
+    with one_core():
+        return function(*arguments)
 
 
 def load_record(run: Run, name: str) -> dict:

@@ -13,7 +13,7 @@ from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
 from experiments.predictions import fitted
 from experiments.run import one_core, parse_run, stage, write_text
-from experiments.streamed import BESIDE, OURS, Files, make_files, read_scores
+from experiments.streamed import BESIDE, OURS, Files, make_files, networks_file, read_scores
 from experiments.tables import to_csv
 
 _QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
@@ -37,25 +37,26 @@ def main(arguments: list[str] | None = None) -> None:
     folder = run.experiment_results("stream")
     with stage(run, "stream") as record:
         train = load_faces(run, "train")
-        networks = run.work.absolute() / "stream" / f"{OURS}.npz"
+        stream = run.work.absolute() / "stream"
+        networks = networks_file(stream)
         # Without a number of processes: by its bytes the method is known.
         fitted(run, train, OURS).set_params(n_jobs=None).save(networks)
         with one_core():  # the regression's last bits depend on the threads
             beside = {method: fitted(run, train, method) for method in BESIDE}
         del train
         sizes = run.preset.streamed_faces, run.preset.faces_per_file
-        files = Files(networks.parent, *sizes, networks, sha256_of([networks]))
+        files = Files(stream, *sizes, sha256_of([networks]))
         record["processes_mb"] = make_files(run, files, beside)
         values = read_scores(files)
         clear_results(folder)
         table = pd.DataFrame(
             [
-                {"method": key.split("/")[0], "metric": key.split("/")[1], **summarise(own)}
-                for key, own in values.items()
+                {"method": method, "metric": metric, **summarise(own)}
+                for (method, metric), own in values.items()
             ]
         )
         write_text(folder / "table.csv", to_csv(table))
-        errors = {method: values[f"{method}/mse"] for method in (*BESIDE, OURS)}
+        errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
         save(error_distribution(errors), folder / "figures", "errors")
     records = records_of(run, ("faces", "networks", "stream"))
     write_manifest(run, "stream", records, folder)

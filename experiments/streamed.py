@@ -40,14 +40,13 @@ class Files:
         folder: Where they are.
         n: Faces in all.
         per_file: Faces of each file but the last.
-        networks: The method, as `DeepMDS.save` writes it.
-        digest: Its sha256: what another one made of the faces is not taken for its own.
+        digest: sha256 of the method's file: what another one made of the faces is not taken for
+            its own.
     """
 
     folder: Path
     n: int
     per_file: int
-    networks: Path
     digest: str
 
     def __len__(self) -> int:
@@ -68,6 +67,11 @@ class Files:
     def _name(self, file: int) -> str:
         whole = self.size(file) == self.per_file
         return f"{file:05}" if whole else f"{file:05}-{self.size(file)}"
+
+
+def networks_file(folder: Path) -> Path:
+    """Where a stream's method is, as `DeepMDS.save` writes it."""
+    return folder / f"{OURS}.npz"
 
 
 def make_file(run: Run, files: Files, file: int, beside: Mapping) -> tuple:
@@ -91,7 +95,7 @@ def make_file(run: Run, files: Files, file: int, beside: Mapping) -> tuple:
         if not files.shapes(file).exists():
             faces = as_seen(load_dataset(files.faces(file)))
             shapes = {method: fit.predict(faces.views) for method, fit in beside.items()}
-            shapes[OURS] = _method(files.networks).predict(faces.views)
+            shapes[OURS] = _method(networks_file(files.folder), files.digest).predict(faces.views)
             arrays = {OURS: np.float32(shapes[OURS])}
             for method, predicted in shapes.items():
                 scores = score(predicted, faces)
@@ -118,14 +122,14 @@ def make_files(run: Run, files: Files, beside: Mapping) -> list[int]:
     return [*memory.values()]
 
 
-def read_scores(files: Files) -> dict[str, np.ndarray]:
-    """`(n,)` values of all faces by `<method>/<metric>`: all that is in memory of all at once."""
-    keys = [f"{method}/{metric}" for method in (*BESIDE, OURS) for metric in METRICS]
+def read_scores(files: Files) -> dict[tuple[str, str], np.ndarray]:
+    """`(n,)` values of all faces by method and metric: all that is in memory of all at once."""
+    keys = [(method, metric) for method in (*BESIDE, OURS) for metric in METRICS]
     values = {key: np.empty(files.n) for key in keys}
     for file in range(len(files)):
         arrays, _ = read_arrays(files.shapes(file))
         for key in keys:
-            values[key][file * files.per_file :][: files.size(file)] = arrays[key]
+            values[key][file * files.per_file :][: files.size(file)] = arrays["/".join(key)]
     return values
 
 
@@ -135,5 +139,6 @@ def _model(name: str, data: str | None):
 
 
 @functools.cache
-def _method(networks: Path) -> DeepMDS:
+def _method(networks: Path, digest: str) -> DeepMDS:
+    """By the digest, since a worker of a cluster may live longer than the networks in a file."""
     return DeepMDS.load(networks).set_params(solver="batched", n_jobs=1)

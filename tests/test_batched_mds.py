@@ -11,7 +11,7 @@ from sklearn.isotonic import IsotonicRegression
 import deepmds_keras
 from deepmds_keras import batched_mds as module
 from deepmds_keras.batched_mds import batched_mds, smacof_solver
-from deepmds_keras.embedding import _non_metric_mds, classical_scaling
+from deepmds_keras.embedding import classical_scaling, non_metric_mds
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -43,7 +43,7 @@ def faces(n=3, n_landmarks=30, noise=0.03, seed=0):
 def of_scikit_learn(matrices, start, max_iter=300, eps=1e-6):
     points, stress, n_iter = np.empty(start.shape), np.empty(len(start)), np.empty(len(start), int)
     for face, matrix in enumerate(matrices):
-        scaling = _non_metric_mds(start.shape[2], max_iter, eps)
+        scaling = non_metric_mds(start.shape[2], n_init=1, max_iter=max_iter, eps=eps)
         points[face] = scaling.fit_transform(matrix, init=start[face])
         stress[face], n_iter[face] = scaling.stress_, scaling.n_iter_
     return points, stress, n_iter

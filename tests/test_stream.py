@@ -95,7 +95,7 @@ def test_it_goes_on_where_it_was_and_by_other_processes_alike(folder):
 
 
 def test_what_another_network_made_is_not_taken_for_its_own(tmp_path):
-    old, new = (Files(tmp_path, 10, 5, tmp_path / "ours.npz", digest * 64) for digest in "ab")
+    old, new = (Files(tmp_path, 10, 5, digest * 64) for digest in "ab")
     assert old.faces(1) == new.faces(1)
     assert old.shapes(1) != new.shapes(1)
 

@@ -14,6 +14,7 @@ from deepmds_keras.embedding import SOLVERS, embed
 from experiments.bench.material import WEIGHTS, Material
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
+from experiments.predictions import fitted
 from experiments.run import SCHEMES, Run
 
 COLUMNS = (
@@ -29,8 +30,6 @@ def cases(material: Material) -> Iterator[tuple[str, str, str, np.ndarray]]:
     n = material.run.preset.bench_compared_faces
     yield material.model.name, "shipped weights", WEIGHTS, material.matrices[:n]
     for run in trained_runs(material.run):
-        from experiments.predictions import fitted
-
         train, test = load_faces(run.trained, "train"), load_faces(run, "test")
         for method in DEEP_MDS:
             matrices = fitted(run, train, method).dissimilarities(test.views[:n])

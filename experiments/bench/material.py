@@ -108,11 +108,6 @@ def dissimilarities(network: keras.Model, frontal: np.ndarray, variant: str) -> 
     return np.stack([squareform(np.abs(own.ravel())) for own in distances])
 
 
-def has_numba() -> bool:
-    """Whether the batched solver is compiled."""
-    return batched_mds.smacof_solver() is not batched_mds.smacof
-
-
 @contextmanager
 def without_numba() -> Iterator[None]:
     """The batched solver as it is where numba is not installed."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from data_gen.dataset import make_dataset
+from deepmds_keras.batched_mds import is_compiled
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.bench import released
@@ -14,7 +15,6 @@ from experiments.bench.material import (
     SCHEME,
     Material,
     embed_all,
-    has_numba,
     predict_all,
     without_numba,
 )
@@ -80,7 +80,7 @@ def way(
 
 def compiled(call: Callable[[], object]) -> Callable[[], object] | None:
     """The call, or None where the batched solver is not compiled."""
-    return call if has_numba() else None
+    return call if is_compiled() else None
 
 
 def make_faces(material: Material, name: str, n: int) -> Callable[[], object]:

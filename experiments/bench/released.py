@@ -9,16 +9,14 @@ which was its default up to version 1.8.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterable
 
 import keras
 import numpy as np
-from sklearn.manifold import MDS
 
 from data_gen.morphable_model import MorphableModel
 from data_gen.projections import Cameras, draw_cameras, project
-from deepmds_keras.embedding import check_dissimilarities
+from deepmds_keras.embedding import check_dissimilarities, non_metric_mds
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import face_front
 from deepmds_keras.pipeline import DeepMDS
@@ -96,12 +94,7 @@ def predict(model: DeepMDS, views: np.ndarray, *, loops: bool) -> tuple[np.ndarr
 
 def embed(dissimilarities: np.ndarray, seed: int = 0) -> np.ndarray:
     """Points `(n, L, 3)` of `(n, L, L)`: the best of four random starts, of each face in turn."""
-    # scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7.
-    if "metric_mds" in inspect.signature(MDS).parameters:
-        kind = {"metric_mds": False, "metric": "precomputed", "init": "random"}
-    else:
-        kind = {"metric": False, "dissimilarity": "precomputed"}
-    scaling = MDS(3, n_init=_STARTS, random_state=seed, normalized_stress=True, **kind)
+    scaling = non_metric_mds(3, n_init=_STARTS, random_state=seed)
     return np.stack([scaling.fit_transform(own) for own in check_dissimilarities(dissimilarities)])
 
 

@@ -15,10 +15,10 @@ import tensorflow.experimental.numpy as tnp
 
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.normalisation import normalise
-from deepmds_keras.proximities import proximities
 from deepmds_keras.training import (
     Recipe,
     face_order,
+    pairs_of_faces,
     steps_per_call,
     train_autoencoder,
     train_dissimilarity_net,
@@ -104,14 +104,8 @@ def dissimilarity_trainers(frontal: np.ndarray, shapes: np.ndarray, steps: int) 
     frontal, shapes = frontal[faces], shapes[faces]
     first, second = np.triu_indices(shapes.shape[1], 1)
 
-    def pairs(frontal, shapes, xp=tnp):
-        views, points = (
-            [xp.take(array, landmarks, axis=-2) for landmarks in (first, second)]
-            for array in (frontal, shapes)
-        )
-        squares = xp.square(points[0] - points[1])
-        distances = xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
-        return proximities(*views, _VARIANT, xp), distances
+    def pairs(frontal, shapes):
+        return pairs_of_faces(frontal, shapes, (first, second), _VARIANT, tnp)
 
     def loops():
         both = list(zip(first, second, strict=True))
@@ -122,7 +116,7 @@ def dissimilarity_trainers(frontal: np.ndarray, shapes: np.ndarray, steps: int) 
     def mapped(**options):
         return tf.data.Dataset.from_tensor_slices((frontal, shapes)).map(pairs, **options)
 
-    features, distances = pairs(frontal, shapes, np)
+    features, distances = pairs_of_faces(frontal, shapes, (first, second), _VARIANT)
     flat = {"y": distances.reshape(-1, 1), "batch_size": len(first)}
 
     def precomputed():

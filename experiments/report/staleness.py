@@ -34,12 +34,8 @@ _DATA_SETS_OF = {
     "celeba": {"real"},
     "celeba-flame": {"coma", "casia", "real"},
 }
-_ALWAYS_MADE = (
-    "audit",
-    "seeds",
-    "stream",
-    "pretrained",
-)  # by their targets, whether or not they were before
+# By their targets, whether or not they were before.
+_ALWAYS_MADE = ("audit", "seeds", "stream", "pretrained")
 
 
 def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
