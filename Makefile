@@ -98,99 +98,99 @@ $(MEDIAPIPE_READY): constraints-mediapipe.txt
 	@touch $@
 
 reproduce-bfm: $(TABLE) ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
-	@$(STAGE).show $(RUN)
+	@$(STAGE) show $(RUN)
 
 $(BUILD)/faces.json: | $(READY)
-	@$(STAGE).faces $(RUN)
+	@$(STAGE) faces $(RUN)
 $(BUILD)/networks.json: $(BUILD)/faces.json
-	@$(STAGE).networks $(RUN)
+	@$(STAGE) networks $(RUN)
 $(BUILD)/predictions.json: $(BUILD)/networks.json
-	@$(STAGE).predictions $(RUN)
+	@$(STAGE) predictions $(RUN)
 $(BUILD)/images.json: $(BUILD)/faces.json
-	@$(STAGE).images $(RUN)
+	@$(STAGE) images $(RUN)
 # Convolutions are oneDNN's here: a step takes three quarters of the time.
 $(BUILD)/mobileface.json: $(BUILD)/images.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).mobileface $(RUN)
+	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) mobileface $(RUN)
 $(TABLE): $(BUILD)/predictions.json $(if $(filter-out no,$(MOBILEFACE)),$(BUILD)/mobileface.json)
-	@$(STAGE).bfm $(RUN)
+	@$(STAGE) bfm $(RUN)
 
 reproduce-flame: $(FLAME)/flame.json ## the paper's CASIA-3D table, ours beside it   (45 min; 10 with RINGNET=no)
-	@$(STAGE).show $(RUN_FLAME)
+	@$(STAGE) show $(RUN_FLAME)
 
 $(FLAME)/frames.json: | $(READY)
-	@$(STAGE).frames $(RUN_FLAME)
+	@$(STAGE) frames $(RUN_FLAME)
 $(FLAME)/scans.json: $(CASIA_INDEX) | $(READY)
-	@$(STAGE).scans $(RUN_FLAME)
+	@$(STAGE) scans $(RUN_FLAME)
 $(FLAME)/networks.json: $(FLAME)/frames.json
-	@$(STAGE).networks $(RUN_FLAME)
+	@$(STAGE) networks $(RUN_FLAME)
 $(FLAME)/predictions.json: $(FLAME)/networks.json $(FLAME)/scans.json
-	@$(STAGE).predictions $(RUN_FLAME)
+	@$(STAGE) predictions $(RUN_FLAME)
 $(FLAME)/mediapipe.json: $(FLAME)/scans.json | $(MEDIAPIPE_READY)
-	@$(STAGE).mediapipe $(RUN_FLAME)
+	@$(STAGE) mediapipe $(RUN_FLAME)
 $(FLAME)/rings.json: | $(READY)
-	@$(STAGE).rings $(RUN_FLAME)
+	@$(STAGE) rings $(RUN_FLAME)
 $(FLAME)/ringnet.json: $(FLAME)/rings.json $(FLAME)/scans.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).ringnet $(RUN_FLAME)
+	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) ringnet $(RUN_FLAME)
 $(FLAME)/ringnet-licensed.json: $(FLAME)/scans.json
-	@$(STAGE).ringnet $(RUN_FLAME)
+	@$(STAGE) ringnet $(RUN_FLAME)
 $(FLAME)/flame.json: $(FLAME)/predictions.json \
     $(if $(filter-out no,$(MEDIAPIPE)),$(FLAME)/mediapipe.json) \
     $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json)
-	@$(STAGE).flame $(RUN_FLAME)
+	@$(STAGE) flame $(RUN_FLAME)
 
 reproduce-celeba: $(PHOTOS)/celeba.json $(if $(TF_FLAME),$(PHOTOS)/celeba-flame.json) ## the paper's CelebA table, ours beside it   (10 min after reproduce-bfm)
-	@$(STAGE).show $(RUN_CELEBA)
+	@$(STAGE) show $(RUN_CELEBA)
 
 $(PHOTOS)/photos.json: | $(READY)
-	@$(STAGE).photos $(RUN_CELEBA)
+	@$(STAGE) photos $(RUN_CELEBA)
 $(PHOTOS)/predictions.json: $(PHOTOS)/photos.json $(BUILD)/networks.json
-	@$(STAGE).predictions $(RUN_CELEBA)
+	@$(STAGE) predictions $(RUN_CELEBA)
 $(PHOTOS)/mobileface.json: $(PHOTOS)/photos.json $(BUILD)/mobileface.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE).mobileface $(RUN_CELEBA)
+	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) mobileface $(RUN_CELEBA)
 $(PHOTOS)/celeba.json: $(PHOTOS)/predictions.json \
     $(if $(filter-out no,$(MOBILEFACE)),$(PHOTOS)/mobileface.json)
-	@$(STAGE).celeba $(RUN_CELEBA)
+	@$(STAGE) celeba $(RUN_CELEBA)
 $(PHOTOS)/celeba-flame.json: $(FLAME)/networks.json \
     $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json) \
     $(if $(filter-out no,$(MEDIAPIPE)),| $(MEDIAPIPE_READY))
-	@$(STAGE).celeba_flame $(RUN_CELEBA)
+	@$(STAGE) celeba_flame $(RUN_CELEBA)
 
 ablation: $(BUILD)/networks.json ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
-	@$(STAGE).ablation $(RUN)
+	@$(STAGE) ablation $(RUN)
 
 $(BUILD)/ablation.json: $(BUILD)/networks.json
-	@$(STAGE).ablation $(RUN)
+	@$(STAGE) ablation $(RUN)
 
 # Always run: it reads the tables of whatever other targets were run.
 audit: $(TABLE) $(BUILD)/ablation.json ## which claims of the paper hold: results/audit/   (3 min after ablation)
-	@$(STAGE).audit $(RUN) $(FLAME_FILES) --celeba '$(CELEBA_DIR)'
+	@$(STAGE) audit $(RUN) $(FLAME_FILES) --celeba '$(CELEBA_DIR)'
 
 report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
-	@$(STAGE).report --model $(MODEL) --preset $(PRESET)
+	@$(STAGE) report --model $(MODEL) --preset $(PRESET)
 
 ifneq ($(AUTHORS),)
 $(PHOTOS)/celeba.json: $(PHOTOS)/predictions/authors_weights.npz
 $(PHOTOS)/predictions/authors_weights.npz: | $(PHOTOS)/predictions.json
-	@$(STAGE).predictions $(RUN_CELEBA)
+	@$(STAGE) predictions $(RUN_CELEBA)
 $(FLAME)/flame.json: $(FLAME)/predictions/authors_weights.npz
 $(FLAME)/predictions/authors_weights.npz: | $(FLAME)/predictions.json
-	@$(STAGE).predictions $(RUN_FLAME)
+	@$(STAGE) predictions $(RUN_FLAME)
 $(TABLE): $(BUILD)/predictions/authors_weights.npz
 $(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
-	@$(STAGE).predictions $(RUN)
+	@$(STAGE) predictions $(RUN)
 endif
 
 bench: | $(READY) ## speed and memory beside the released way: results/bench/   (18 min)
-	@$(STAGE).bench $(RUN)
+	@$(STAGE) bench $(RUN)
 
 stream: $(BUILD)/networks.json ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
-	@$(STAGE).stream $(RUN) $(if $(FACES),--faces $(FACES))
+	@$(STAGE) stream $(RUN) $(if $(FACES),--faces $(FACES))
 
 seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min)
-	@$(STAGE).seeds $(RUN)
+	@$(STAGE) seeds $(RUN)
 
 pretrained: | $(READY) ## train the weights that ship with the package, and measure them
-	@$(STAGE).pretrained $(RUN)
+	@$(STAGE) pretrained $(RUN)
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
@@ -200,7 +200,7 @@ test: | $(READY) ## all tests
 	MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
 nightly: | $(READY) ## 50 kills, full disks and flipped bytes, thousands of damaged files   (1 to 2 h)
-	KILLS=50 FUZZ=20 $(PY) -m pytest tests/test_faults.py tests/test_fuzzing.py
+	KILLS=50 FUZZ=20 $(PY) -m pytest tests/experiments/test_faults.py tests/data_gen/test_fuzzing.py
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

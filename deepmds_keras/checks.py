@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

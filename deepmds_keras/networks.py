@@ -11,7 +11,7 @@ import numpy as np
 import tensorflow as tf
 from keras import layers, ops
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.proximities import VARIANTS
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 64_000_000

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import (
     build_autoencoder,
     build_dissimilarity_net,

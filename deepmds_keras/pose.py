@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras.checks import check_points
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import h5py
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 if TYPE_CHECKING:
     import keras

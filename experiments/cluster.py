@@ -30,7 +30,7 @@ from joblib import parallel_config
 from joblib.parallel import FallbackToBackend, ParallelBackendBase, SequentialBackend
 from threadpoolctl import threadpool_limits
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 # By which a task's results may differ, in its last digits.

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_gen.dataset import Dataset, load_dataset
-from data_gen.errors import DataError
-from data_gen.image_files import ImageFiles
-from data_gen.projections import Cameras, in_camera_frame
+from data_gen.datasets.dataset import Dataset, load_dataset
+from data_gen.datasets.image_files import ImageFiles
+from data_gen.views.projections import Cameras, in_camera_frame
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays
@@ -68,13 +68,13 @@ def load_faces(run: Run, part: str) -> Faces:
     """Read `"train"` or `"test"` faces of a run.
 
     Raises:
-        DataError: The file is missing or damaged, or of an earlier version of the FLAME track.
+        InputError: The file is missing or damaged, or of an earlier version of the FLAME track.
     """
     path = run.work / f"{part}.npz"
     dataset = load_dataset(path)
     centred = run.track == "flame" and run.protocol == "paper"
     if centred and dataset.description.get("views") != _CENTRED:
-        raise DataError(
+        raise InputError(
             f"{path} must hold centred views. Received one made by an earlier version; delete "
             f"{run.work} and run again."
         )
@@ -120,7 +120,7 @@ def load_rings(run: Run) -> tuple[ImageFiles, np.ndarray, np.ndarray]:
     """Images that RingNet is trained on, landmarks `(n, L, 2)` in them, and who each is, `(n,)`.
 
     Raises:
-        DataError: A file is missing or was changed.
+        InputError: A file is missing or was changed.
     """
     files = ring_files(run)
     files.check(load_record(run, "rings")["checksums"]["rings"])
@@ -137,7 +137,7 @@ def load_crops(run: Run) -> ImageFiles:
     """Photos of the test faces of the FLAME track, or of the CelebA experiment.
 
     Raises:
-        DataError: A file is missing or was changed.
+        InputError: A file is missing or was changed.
     """
     files = crop_files(run, len(load_dataset(run.work / "test.npz")))
     name = "photos" if run.track == "celeba" else "scans"
@@ -149,7 +149,7 @@ def load_images(run: Run, part: str) -> ImageFiles:
     """Images as their stage left them.
 
     Raises:
-        DataError: A file is missing or was changed.
+        InputError: A file is missing or was changed.
     """
     files = image_files(run, part)
     files.check(load_record(run, "images")["checksums"][part])

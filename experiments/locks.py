@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from data_gen.errors import DataError
+from deepmds_keras.io.errors import InputError
 
 
 @contextmanager
@@ -19,7 +19,7 @@ def locked(folder: Path, *, wait: bool = False) -> Iterator[None]:
         wait: Whether to wait for another process that holds it.
 
     Raises:
-        DataError: Another process holds it, and `wait` is false.
+        InputError: Another process holds it, and `wait` is false.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / ".lock", "w") as file:
@@ -27,7 +27,7 @@ def locked(folder: Path, *, wait: bool = False) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if not wait:
-                raise DataError(
+                raise InputError(
                     f"{folder} is in use by another run; wait for it or choose another --build."
                 ) from None
             print(f"  another run writes to {folder}; waiting for it", flush=True)

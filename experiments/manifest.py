@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
-from data_gen.model_files import sha256_of
-from deepmds_keras.errors import InputError
+from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.errors import InputError
 from experiments.published import PUBLISHED
 from experiments.run import Run, load_record, write_json
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 
 @dataclass(frozen=True)

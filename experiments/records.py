@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from data_gen.errors import DataError
+from deepmds_keras.io.errors import InputError
 
 _CHECKSUM = "sha256"
 
@@ -20,17 +20,17 @@ def read_record(path: Path) -> dict:
     """A record without its checksum. Those of earlier versions have none and are read as they are.
 
     Raises:
-        DataError: The file is missing or damaged.
+        InputError: The file is missing or damaged.
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         whole = record.pop(_CHECKSUM, None) in (None, _checksum(record))
     except FileNotFoundError:
-        raise DataError(f"{path} must be there: the record of what is done.") from None
+        raise InputError(f"{path} must be there: the record of what is done.") from None
     except (AttributeError, RecursionError, TypeError, ValueError):
         whole = False
     if not whole:
-        raise DataError(
+        raise InputError(
             f"{path} must be a record as it was written. Received another text; delete it and make "
             "it again."
         )

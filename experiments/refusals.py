@@ -7,8 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from data_gen.errors import DataError
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO)
@@ -19,7 +18,7 @@ def refusals_on_one_line() -> Iterator[None]:
     """End with one line and status 2 on a file or argument that cannot be used, or a full disk."""
     try:
         yield
-    except (DataError, InputError) as error:
+    except InputError as error:
         reason = str(error)
     except OSError as error:
         if error.errno not in (*_FULL, *_FORBIDDEN):

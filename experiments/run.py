@@ -20,10 +20,10 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from data_gen.errors import DataError
-from data_gen.models import MODELS
-from data_gen.projections import PROTOCOLS
-from data_gen.writing import whole_file
+from data_gen.models.registry import MODELS
+from data_gen.views.projections import PROTOCOLS
+from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.errors import InputError
 from experiments.cluster import cluster
 from experiments.locks import locked
 from experiments.presets import PRESETS, Preset
@@ -59,13 +59,13 @@ class Run:
         preset: Sizes.
         track: Which of the paper's experiments, one of `SCHEMES`.
         seed: Of faces, views, initial weights, mini-batches and test subsets.
-        protocol: How faces are projected, see `data_gen.projections.draw_cameras`.
+        protocol: How faces are projected, see `data_gen.views.projections.draw_cameras`.
         data: File or folder of a model that is not embedded, or None.
         coma, casia: Folders of the data sets CoMA and CASIA-3D, or None: in `data`, if there, and
             otherwise the open stand-ins.
         celeba: Folder of the data set CelebA, or None: its stand-in.
-        tf_flame: Folder of faces with 51 landmarks for a figure, see `experiments.celeba_flame`, or
-            None.
+        tf_flame: Folder of faces with 51 landmarks for a figure, see
+            `experiments.tracks.celeba.celeba_flame`, or None.
         casia_index: Table of the scans of CASIA-3D that are used, or None for all.
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
@@ -159,7 +159,7 @@ class Run:
         found = next((path for path in names if path.name.lower().startswith(dataset)), None)
         if found is None and self.model == "flame":
             # Its expressions have no names by which a stand-in could be made.
-            raise DataError(
+            raise InputError(
                 f"{dataset.upper()}= must be the folder of {_DATASETS[dataset]}, or DATA= must "
                 f"hold one that begins with {dataset}. Received neither."
             )
@@ -251,7 +251,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
         yield record
         record |= {
             "stage": name,
-            "command": "python -m " + shlex.join([_module(), *sys.argv[1:]]),
+            "command": "python -m experiments " + shlex.join(sys.argv[1:]),
             "started": started.isoformat(timespec="seconds"),
             "seconds": round(time.perf_counter() - clock, 1),
             "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
@@ -278,7 +278,7 @@ def load_record(run: Run, name: str) -> dict:
     """What the stage of that name recorded when it was done.
 
     Raises:
-        DataError: It was not done, or its record is damaged.
+        InputError: It was not done, or its record is damaged.
     """
     return read_record(run.work / f"{name}.json")
 
@@ -300,11 +300,6 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, under a temporary name until it is complete."""
     with whole_file(path) as file:
         file.write(content)
-
-
-def _module() -> str:
-    main = sys.modules["__main__"]
-    return main.__spec__.name if getattr(main, "__spec__", None) else Path(sys.argv[0]).name
 
 
 def peak_memory_mb() -> int:

@@ -40,7 +40,7 @@ _EARLIEST = 0.2  # share of a stage's time in which it only starts
 def command(stage: str, folder: Path, *more: str) -> list[str]:
     """A stage at the smallest size, with `build` and `results` in a folder."""
     return [
-        sys.executable, "-m", f"experiments.{stage}", "--preset", "smoke",
+        sys.executable, "-m", "experiments", stage, "--preset", "smoke",
         "--build", str(folder / "build"), "--results", str(folder / "results"), *more,
     ]  # fmt: skip
 

@@ -213,7 +213,7 @@ _ALLOWED = (
 _HOSTILE = (
     *("posix system", "os mkdir", "builtins eval", "__builtin__ getattr", "builtins bytearray"),
     *("copyreg __newobj__", "copyreg add_extension", "functools partial", "operator attrgetter"),
-    *("numpy fromfile", "numpy.core.multiarray dot", "data_gen.plain_pickle _Unpickler"),
+    *("numpy fromfile", "numpy.core.multiarray dot", "data_gen.formats.plain_pickle _Unpickler"),
     *(
         "builtins __import__",
         "subprocess Popen",

@@ -9,9 +9,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 MAY_IMPORT = {
-    "data_gen": {"data_gen"},
-    "deepmds_keras": {"deepmds_keras"},
-    "experiments": {"experiments", "deepmds_keras", "data_gen"},
+    "data_gen": (
+        "data_gen",
+        "deepmds_keras.io",
+        "deepmds_keras.alignment",
+        "deepmds_keras.camera",
+    ),
+    "deepmds_keras": ("deepmds_keras",),
+    "experiments": ("experiments", "deepmds_keras", "data_gen"),
 }
 
 
@@ -26,8 +31,13 @@ def imports(path):
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_packages_import_only_what_lies_before_them(package):
     for path in (ROOT / package).rglob("*.py"):
-        own = {name.split(".")[0] for name in imports(path)} & {*MAY_IMPORT, "tests"}
-        assert own <= MAY_IMPORT[package], path
+        own = [name for name in imports(path) if name.split(".")[0] in (*MAY_IMPORT, "tests")]
+        beyond = [
+            name
+            for name in own
+            if not any(f"{name}.".startswith(f"{known}.") for known in MAY_IMPORT[package])
+        ]
+        assert not beyond, path
 
 
 @pytest.mark.parametrize("package", ["data_gen", "deepmds_keras", "experiments"])
@@ -44,6 +54,26 @@ def test_modules_import_only_what_lies_before_them(package):
     while ready := [m for m in graph if m not in done and not (graph[m] & graph.keys()) - done]:
         done |= {*ready}
     assert done == graph.keys(), f"these import each other: {graph.keys() - done}"
+
+
+@pytest.mark.parametrize("package", ["data_gen", "experiments"])
+def test_folders_import_only_what_lies_before_them(package):
+    graph = {path.parent.name: set() for path in (ROOT / package).glob("*/__init__.py")}
+    for folder, below in graph.items():
+        for path in (ROOT / package / folder).rglob("*.py"):
+            below |= {n.split(".")[1] for n in imports(path) if n.startswith(f"{package}.")}
+        below &= graph.keys() - {folder}
+    done = set()
+    while ready := [f for f in graph if f not in done and graph[f] <= done]:
+        done |= {*ready}
+    assert done == graph.keys(), f"these import each other: {graph.keys() - done}"
+
+
+def test_no_two_modules_of_experiments_share_a_name_and_none_looks_like_a_test():
+    paths = [p for p in (ROOT / "experiments").rglob("*.py") if not p.stem.startswith("__")]
+    names = [path.stem for path in paths]
+    assert sorted({*names}) == sorted(names)
+    assert not [name for name in names if name.startswith("test_") or name.endswith("_test")]
 
 
 def test_only_embedding_imports_mds():

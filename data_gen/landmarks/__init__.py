@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.errors import DataError
-from data_gen.tables import read_table
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.tables import read_table
 
 SCHEMES = ("bfm72", "ibug68", "ibug51")
 _FOLDER = Path(__file__).parent
@@ -39,10 +39,10 @@ def load_vertices(scheme: str) -> LandmarkVertices:
             `deepmds_keras.landmarks`.
 
     Raises:
-        DataError: Another name.
+        InputError: Another name.
     """
     if scheme not in SCHEMES:
-        raise DataError(
+        raise InputError(
             f"landmark scheme must be one of {', '.join(SCHEMES)}. Received {scheme!r}."
         )
     rows = _rows("bfm72.csv" if scheme == "bfm72" else "ibug68.csv")

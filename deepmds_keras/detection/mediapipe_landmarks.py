@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.detection.mediapipe_worker import N_POINTS, UNREADABLE_INPUT
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import FOLDER, read_table
 from deepmds_keras.photos import check_photo
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 SCHEMES = ("bfm72", "ibug68", "ibug51")
 FOLDER = Path(__file__).parent

@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import FOLDER, load_scheme, read_table
 
 SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}

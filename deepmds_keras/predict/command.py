@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from tqdm import tqdm
 
 from deepmds_keras.checks import check_points
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.uprightness import check_upright
 from deepmds_keras.photos import open_photo

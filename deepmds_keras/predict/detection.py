@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmds_keras.detection import mediapipe_landmarks
 from deepmds_keras.detection.dlib_landmarks import shared_detector
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.photos import open_photo
 

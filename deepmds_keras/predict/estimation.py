@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import deepmds_keras
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import SIZES
 from deepmds_keras.pose import HeadPose, head_poses

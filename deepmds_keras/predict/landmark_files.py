@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.checks import check_points
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 N_LANDMARKS = (51, 68, 72, 468, 478)
 _TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow

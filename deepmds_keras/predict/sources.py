@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.predict.landmark_files import SUFFIXES as LANDMARK_SUFFIXES
 
 PHOTO_SUFFIXES = (

@@ -6,7 +6,7 @@ import contextlib
 import os
 from pathlib import Path
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

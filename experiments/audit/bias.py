@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
 from experiments.methods import title
-from experiments.numbers import enumeration, plus_minus
+from experiments.scoring.numbers import enumeration, plus_minus
 
 # Share of a face's offset from the mean that may be lost, and share of the squared error that may
 # be the same for all faces, where a method still counts as unbiased.

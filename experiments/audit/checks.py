@@ -13,14 +13,14 @@ from experiments.audit import (
     elsewhere,
     noise,
     occlusion,
-    parameters,
     perspective,
     poses,
     ranking,
     significance,
-    training,
     zhao,
 )
+from experiments.audit import mini_batches as training
+from experiments.audit import parameter_counts as parameters
 from experiments.audit.findings import Finding
 
 _TOPICS = (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.io.errors import InputError
 from experiments.audit.findings import Finding
 
 CLAIMS_FILE = Path(__file__).parents[2] / "results" / "published" / "claims.csv"

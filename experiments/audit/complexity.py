@@ -9,10 +9,10 @@ import numpy as np
 
 from deepmds_keras.embedding import classical_scaling, embed
 from deepmds_keras.proximities import pair_features
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds
-from experiments.audit.inputs import Inputs
-from experiments.numbers import factor
 from experiments.run import one_core
+from experiments.scoring.numbers import factor
 
 # An exponent is the slope of a straight line through a few measured times.
 _TOLERANCE = 0.2

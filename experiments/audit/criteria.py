@@ -7,16 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import spearmanr
 
-from data_gen.morphable_model import MorphableModel
+from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras import metrics
 from deepmds_keras.alignment import align
 from deepmds_keras.normalisation import centre, normalise
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if, unknown
-from experiments.audit.inputs import Inputs
 from experiments.methods import title
-from experiments.numbers import enumeration, scientific
 from experiments.published import printed_number, published
-from experiments.scores import Scores
+from experiments.scoring.numbers import enumeration, scientific
+from experiments.scoring.scores import Scores
 
 # A criterion that leaves this share of its maximum to an answer without depth tells nothing.
 NEARLY_ALL = 0.9

@@ -12,9 +12,9 @@ from deepmds_keras.embedding import check_dissimilarities, classical_scaling, em
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
-from experiments.numbers import enumeration, scientific
+from experiments.scoring.numbers import enumeration, scientific
 
 if TYPE_CHECKING:
     from deepmds_keras.pipeline import DeepMDS

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, unknown
-from experiments.audit.inputs import Inputs
 
 
 def measure(inputs: Inputs) -> dict:

@@ -8,12 +8,12 @@ import numpy as np
 
 from deepmds_keras.landmarks import LandmarkScheme
 from deepmds_keras.normalisation import normalise
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
 from experiments.inputs import Faces
 from experiments.methods import title
-from experiments.numbers import enumeration, factor, scientific
-from experiments.scores import score
+from experiments.scoring.numbers import enumeration, factor, scientific
+from experiments.scoring.scores import score
 
 # Standard deviations of each coordinate, in percent of the distance of the outer corners of the
 # eyes, in which the errors of landmark detectors are given.

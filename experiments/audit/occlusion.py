@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data_gen.projections import in_camera_frame, project_with_depth
+from data_gen.views.projections import in_camera_frame, project_with_depth
 from deepmds_keras.normalisation import normalise
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
 from experiments.audit.poses import FRONTAL, WITHOUT, kinds, without_autoencoder
 from experiments.inputs import Faces
 from experiments.methods import title
-from experiments.numbers import enumeration, factor, minus, scientific
-from experiments.scores import score
+from experiments.scoring.numbers import enumeration, factor, minus, scientific
+from experiments.scoring.scores import score
 
 PERCENTAGES = (0, 5, 10, 20, 30)
 # What stands in for a missing landmark: its mean place in the training views, or where a

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_gen.photo_views import DETECTOR_SD_MM
-from data_gen.projections import (
+from data_gen.views.photo_views import DETECTOR_SD_MM
+from data_gen.views.projections import (
     PROJECTIONS,
     PROTOCOLS,
     Cameras,
@@ -16,9 +16,9 @@ from data_gen.projections import (
     rotations,
 )
 from deepmds_keras.alignment import align
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
-from experiments.numbers import scientific
+from experiments.scoring.numbers import scientific
 
 # Degrees: the most that the paper draws, and what MATLAB's help likens to a normal and to a
 # wide-angle lens.

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from data_gen.projections import PROJECTIONS, Cameras, project
+from data_gen.views.projections import PROJECTIONS, Cameras, project
 from deepmds_keras.alignment import align
 from deepmds_keras.normalisation import normalise
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
 from experiments.inputs import Faces
 from experiments.methods import title
-from experiments.numbers import enumeration, factor, minus, scientific
-from experiments.scores import score
+from experiments.scoring.numbers import enumeration, factor, minus, scientific
+from experiments.scoring.scores import score
 
 # Degrees; all other angles are 0, and the projection orthographic but in the last sweep. Training
 # views have yaws of -45 to 45, pitches of -30 to 0, no roll and fields of view of 0 to 5.

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if, unknown
-from experiments.audit.inputs import Inputs
 from experiments.methods import title
-from experiments.numbers import enumeration, factor, plus_minus, power
 from experiments.published import printed_number
-from experiments.scores import score
+from experiments.scoring.numbers import enumeration, factor, plus_minus, power
+from experiments.scoring.scores import score
 
 _BFM, _CELEBA, _CASIA = 1e-4, 1e-5, 1e-3  # units in which the paper prints the three tables
 _RANKED = ("mobileface", "ours", "aldrian", "zhao")  # from the best, as the paper has it

@@ -10,10 +10,10 @@ from scipy.stats import norm, rankdata, wilcoxon
 
 from deepmds_keras.metrics import wilcoxon_table
 from experiments.audit.claims import load_claims
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
-from experiments.audit.inputs import Inputs
-from experiments.numbers import enumeration, scientific
 from experiments.published import printed_number
+from experiments.scoring.numbers import enumeration, scientific
 
 _PAPER = ("zhao", "aldrian", "mobileface", "ours")
 _NUMBERS = range(5, 31)  # of differences, for which the least p-value is computed

@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from data_gen.dataset import Dataset
-from data_gen.projections import PROJECTIONS, Cameras, project
+from data_gen.datasets.dataset import Dataset
+from data_gen.views.projections import PROJECTIONS, Cameras, project
 from deepmds_keras import metrics
 from deepmds_keras.alignment import align
 from deepmds_keras.normalisation import normalise
+from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if, unknown
-from experiments.audit.inputs import Inputs
 from experiments.inputs import load_faces
 from experiments.methods import title
-from experiments.numbers import enumeration, factor, plus_minus, power, scientific
 from experiments.published import printed_number
-from experiments.released_evaluator import TRUE_DEPTH, ZHAO, as_released
-from experiments.scores import Scores
+from experiments.scoring.numbers import enumeration, factor, plus_minus, power, scientific
+from experiments.scoring.scores import Scores
+from experiments.tracks.bfm.released_evaluator import TRUE_DEPTH, ZHAO, as_released
 
 # "Much better" is an error below a tenth.
 MUCH = 10.0

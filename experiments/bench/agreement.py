@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_gen.models import MODELS
+from data_gen.models.registry import MODELS
 from deepmds_keras.alignment import align
 from deepmds_keras.embedding import SOLVERS, embed
 from experiments.bench.material import WEIGHTS, Material
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
-from experiments.predictions import fitted
 from experiments.run import SCHEMES, Run
+from experiments.tracks.predictions import fitted
 
 COLUMNS = (
     "model", "experiment", "method", "n_faces", "largest_stress_difference",

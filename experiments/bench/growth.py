@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 from joblib import effective_n_jobs
 
-from data_gen.errors import DataError
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import build_autoencoder
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
-from experiments.bench import parts, released
+from experiments.bench import parts
+from experiments.bench import released_code as released
 from experiments.bench.material import Material, dissimilarities, embed_all, predict_all
 from experiments.bench.measurements import RELEASED, SKLEARN, Way
 from experiments.bench.parts import BATCHED, DATA, EMBEDDING, END_TO_END, FEATURES, OURS, PREDICTION
@@ -70,14 +71,14 @@ def frontal_views(material: Material, n_landmarks: int) -> np.ndarray:
     """True frontal views `(n, L, 2)` of random faces with that many landmarks.
 
     Raises:
-        DataError: The face model has fewer vertices.
+        InputError: The face model has fewer vertices.
     """
     model, rng = material.model, material.rng(2, n_landmarks)
     schemes = {len(own): own for name, own in model.landmarks.items() if name != "ibug68"}
     vertices = schemes.get(n_landmarks)
     if vertices is None:
         if n_landmarks > model.n_vertices:
-            raise DataError(
+            raise InputError(
                 f"{model.name} must have {n_landmarks} vertices. Received {model.n_vertices}."
             )
         vertices = rng.choice(model.n_vertices, n_landmarks, replace=False)

@@ -10,9 +10,9 @@ import keras
 import numpy as np
 from scipy.spatial.distance import squareform
 
-from data_gen.dataset import make_dataset
-from data_gen.models import load_model
-from data_gen.morphable_model import MorphableModel
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.registry import load_model
 from deepmds_keras import batched_mds
 from deepmds_keras.embedding import SOLVERS, embed
 from deepmds_keras.networks import forward

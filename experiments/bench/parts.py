@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from data_gen.dataset import make_dataset
+from data_gen.datasets.dataset import make_dataset
 from deepmds_keras.batched_mds import is_compiled
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
-from experiments.bench import released
+from experiments.bench import released_code as released
 from experiments.bench.material import (
     SCHEME,
     Material,

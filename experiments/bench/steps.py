@@ -23,7 +23,7 @@ from deepmds_keras.training import (
     train_autoencoder,
     train_dissimilarity_net,
 )
-from experiments.bench import released
+from experiments.bench import released_code as released
 from experiments.bench.material import Material
 from experiments.bench.measurements import RELEASED, Way
 from experiments.bench.parts import OURS

@@ -121,7 +121,7 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
     Args:
         errors: One row a face and method: `method` (id), `projection` (`"orthographic"` or
             `"perspective"`), `yaw` and `pitch` of the face in degrees as in
-            `data_gen.projections.Cameras`, `mse` in squared normalised units.
+            `data_gen.views.projections.Cameras`, `mse` in squared normalised units.
     """
     methods = list(dict.fromkeys(errors["method"]))
     figure = Figure(figsize=(7.2, 3.3), layout="constrained")

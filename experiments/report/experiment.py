@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.examples import EXAMPLES
+from experiments.figures.examples import EXAMPLES
 from experiments.manifest import read_manifest
 from experiments.published import PUBLISHED, SOURCES
 

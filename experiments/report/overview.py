@@ -9,7 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.numbers import (
+from experiments.report import wording
+from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
+from experiments.report.experiment import COMMANDS, REPORT, Experiment
+from experiments.report.report_tables import method_cell, metric_head, time_cell
+from experiments.report.summaries import better_than_ours, measured
+from experiments.scoring.numbers import (
     NOTHING,
     as_quoted,
     duration,
@@ -18,11 +23,6 @@ from experiments.numbers import (
     power,
     size,
 )
-from experiments.report import wording
-from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
-from experiments.report.experiment import COMMANDS, REPORT, Experiment
-from experiments.report.summaries import better_than_ours, measured
-from experiments.report.tables import method_cell, metric_head, time_cell
 
 _AT_A_GLANCE = ("bfm", "flame", "flame-true-landmarks", "celeba", "celeba-true-landmarks")
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from deepmds_keras.landmarks import load_scheme
+from experiments.audit.report_claims import claim_blocks, read_claims
 from experiments.figures.style import colour
 from experiments.manifest import MANIFEST
 from experiments.methods import title
-from experiments.numbers import duration, power, size
 from experiments.report import wording
 from experiments.report.blocks import (
     Block,
@@ -20,7 +20,6 @@ from experiments.report.blocks import (
     Picture,
     Table,
 )
-from experiments.report.claims import claim_blocks, read_claims
 from experiments.report.experiment import REPORT, Experiment
 from experiments.report.overview import (
     at_a_glance,
@@ -29,8 +28,7 @@ from experiments.report.overview import (
     not_run,
     what_was_run,
 )
-from experiments.report.summaries import summary
-from experiments.report.tables import (
+from experiments.report.report_tables import (
     ablation_table,
     criteria_table,
     method_cell,
@@ -40,6 +38,8 @@ from experiments.report.tables import (
     time_cell,
     wilcoxon_table,
 )
+from experiments.report.summaries import summary
+from experiments.scoring.numbers import duration, power, size
 
 # Of a stage's record: what tables have of their own, or nobody asks for.
 _NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
-from data_gen.model_files import sha256_of
-from deepmds_keras.errors import InputError
+from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.errors import InputError
 from experiments.manifest import MANIFEST, files_of, read_manifest
-from experiments.numbers import moment
 from experiments.published import PUBLISHED
 from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
+from experiments.scoring.numbers import moment
 
 # Whose stages an experiment is made from, and whose networks. Others have stages of their own.
 _STAGES_OF = {

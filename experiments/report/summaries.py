@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 
 from experiments.methods import BY_ID, DEEP_MDS, title
-from experiments.numbers import as_quoted, enumeration, factor, plus_minus, power
 from experiments.report.experiment import Experiment
+from experiments.scoring.numbers import as_quoted, enumeration, factor, plus_minus, power
 
 _OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
 _SAME_METHOD = (*DEEP_MDS, "authors_weights")

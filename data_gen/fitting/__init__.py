@@ -1,0 +1,1 @@
+"""Face models fitted to landmarks, edges and scans."""

@@ -1,0 +1,1 @@
+"""Morphable models of faces: their files, their landmarks, their meshes."""

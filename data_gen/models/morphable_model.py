@@ -1,0 +1,143 @@
+"""The linear statistical shape model that every face model file is read into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deepmds_keras.io.errors import InputError
+
+_BASES = ("mean", "identity_basis_times_sd", "expression_basis")
+
+
+@dataclass(frozen=True, eq=False)
+class MorphableModel:
+    """A 3D morphable model: a mean face and what one standard deviation of each component adds.
+
+    Blanz and Vetter 1999, doi:10.1145/311535.311556. Units are millimetres; +x points to the
+    subject's left, +y up, +z out of the face.
+
+    Attributes:
+        name: Identifier, as in `MODEL=` on the command line.
+        mean: `(V, 3)` float, vertices of the mean face.
+        identity_basis_times_sd: `(K, V, 3)` float, offsets at one standard deviation, so that
+            identity coefficients are standard normal.
+        triangles: `(T, 3)` int, 0-based vertex numbers, counter-clockwise seen from outside.
+        landmarks: Scheme name (`"bfm72"`, `"ibug68"`, `"ibug51"`) to `(L,)` 0-based vertex numbers.
+        expression_mean: `(V, 3)` float, added whenever an expression is asked for; zero for most.
+        expression_basis: `(E, V, 3)` float, offsets at weight one, or None.
+        expression_names: `E` names, empty where the file has none.
+        colour_mean: `(V, 3)` float in [0, 1], or None.
+        colour_basis_times_sd: `(C, V, 3)` float, or None.
+        sha256: Hash of the file(s) that the model was read from.
+    """
+
+    name: str
+    mean: np.ndarray
+    identity_basis_times_sd: np.ndarray
+    triangles: np.ndarray
+    landmarks: dict[str, np.ndarray] = field(default_factory=dict)
+    expression_mean: np.ndarray | None = None
+    expression_basis: np.ndarray | None = None
+    expression_names: tuple[str, ...] = ()
+    colour_mean: np.ndarray | None = None
+    colour_basis_times_sd: np.ndarray | None = None
+    sha256: str = ""
+
+    def __post_init__(self):
+        n_vertices = len(self.mean)
+        for label in _BASES:
+            array = getattr(self, label)
+            if array is None:
+                continue
+            array = array[None] if label == "mean" else array
+            if array.ndim != 3 or array.shape[1:] != (n_vertices, 3):
+                raise InputError(
+                    f"{self.name}: {label} must hold ({n_vertices}, 3) numbers a component. "
+                    f"Received shape {array.shape}."
+                )
+        for label in (*_BASES, "expression_mean", "colour_mean", "colour_basis_times_sd"):
+            array = getattr(self, label)
+            if array is not None and not np.isfinite(array).all():
+                raise InputError(f"{self.name}: {label} must be finite. Received NaN or infinity.")
+        for scheme, vertices in self.landmarks.items():
+            if len(vertices) and (vertices.min() < 0 or vertices.max() >= n_vertices):
+                raise InputError(
+                    f"{self.name}: landmarks {scheme} must be vertex numbers below {n_vertices}. "
+                    f"Received {vertices.min()} to {vertices.max()}."
+                )
+
+    @property
+    def n_vertices(self) -> int:
+        return len(self.mean)
+
+    @property
+    def n_identity(self) -> int:
+        return len(self.identity_basis_times_sd)
+
+    def shape(self, identity: np.ndarray, expression: np.ndarray | None = None) -> np.ndarray:
+        """Vertices of the faces with the given coefficients.
+
+        Args:
+            identity: `(n, k)` or `(k,)` standard-normal coefficients, `k <= K`.
+            expression: `(n, e)` or `(e,)` weights, `e <= E`; None is the neutral face.
+
+        Returns:
+            `(n, V, 3)` or `(V, 3)` vertices in millimetres.
+
+        Raises:
+            InputError: More coefficients than components, or no expression basis.
+        """
+        vertices = self.mean + _combine("identity", identity, self.identity_basis_times_sd)
+        if expression is not None:
+            if self.expression_basis is None:
+                raise InputError(f"{self.name} has no expression basis; leave expression out.")
+            vertices = vertices + _combine("expression", expression, self.expression_basis)
+            if self.expression_mean is not None:
+                vertices = vertices + self.expression_mean
+        return vertices
+
+    def sample(self, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Neutral faces of standard-normal identity coefficients.
+
+        Returns:
+            `(n, K)` coefficients and `(n, V, 3)` vertices in millimetres.
+        """
+        identity = rng.standard_normal((n, self.n_identity))
+        return identity, self.shape(identity)
+
+    def restrict(self, vertices: np.ndarray, triangles: np.ndarray | None = None) -> MorphableModel:
+        """The same model on some vertices only: what sampling landmarks alone needs.
+
+        Args:
+            vertices: `(L,)` 0-based vertex numbers, in the order wanted.
+            triangles: `(T, 3)` int, of the new vertices; none by default.
+        """
+
+        def pick(basis):
+            # Contiguous, unlike by an index: a basis is not copied again for every face.
+            return None if basis is None else np.take(basis, vertices, axis=-2)
+
+        return replace(
+            self,
+            mean=pick(self.mean),
+            identity_basis_times_sd=pick(self.identity_basis_times_sd),
+            triangles=np.empty((0, 3), int) if triangles is None else triangles,
+            landmarks={},
+            expression_mean=pick(self.expression_mean),
+            expression_basis=pick(self.expression_basis),
+            colour_mean=pick(self.colour_mean),
+            colour_basis_times_sd=pick(self.colour_basis_times_sd),
+        )
+
+
+def _combine(label: str, coefficients: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    coefficients = np.asarray(coefficients)
+    k = coefficients.shape[-1]
+    if k > len(basis):
+        raise InputError(
+            f"{label} must have at most {len(basis)} coefficients a face. Received {k}."
+        )
+    flat = coefficients @ basis[:k].reshape(k, -1)
+    return flat.reshape(*coefficients.shape[:-1], *basis.shape[1:])

@@ -1,0 +1,1 @@
+"""Cameras: shapes of faces into 2D views of their landmarks."""

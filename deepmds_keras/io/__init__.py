@@ -1,0 +1,1 @@
+"""Errors, files and tables: the lowest floor, which imports nothing of the project."""

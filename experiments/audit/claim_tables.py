@@ -1,0 +1,93 @@
+"""The claims with their verdicts: `claims.csv`, and of all face models as Markdown and LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from experiments.audit.checks import CHECKS
+from experiments.audit.claims import Claim, described
+from experiments.audit.findings import VERDICTS, Finding
+from experiments.audit.report_claims import claims_page, phrase, read_claims
+from experiments.report.markdown import markdown
+from experiments.run import write_text
+from experiments.scoring.tables import to_csv
+from experiments.scoring.typesetting import NOTHING, tex
+
+COLUMNS = ("id", "where", "claim", "check", "model", "verdict", "condition", "evidence")
+
+
+def table_of(
+    claims: Mapping[str, Claim], findings: Mapping[str, Finding], model: str
+) -> pd.DataFrame:
+    """`COLUMNS`, a row a claim; what holds comes first.
+
+    Args:
+        claims, findings: By the claim's id.
+        model: Face model that was checked on.
+    """
+    rows = [
+        (
+            *(claim.id, claim.where, claim.claim, described(CHECKS[claim.id]), model),
+            *(findings[claim.id].verdict, findings[claim.id].condition),
+            findings[claim.id].evidence,
+        )
+        for claim in claims.values()
+    ]
+    return _sorted(pd.DataFrame(rows, columns=[*COLUMNS]))
+
+
+def combine(root: Path, names: Mapping[str, str]) -> Path:
+    """Write the claims of all face models side by side: `claims.csv`, `.md` and `.tex`.
+
+    Args:
+        root: `results`, in which `<model>/audit/claims.csv` are looked for.
+        names: Face model to its name in texts.
+
+    Returns:
+        The folder, `results/audit`.
+    """
+    files = [root / model / "audit" / "claims.csv" for model in names]
+    table = _sorted(pd.concat([read_claims(path) for path in files if path.exists()]))
+    folder = root / "audit"
+    write_text(folder / "claims.csv", to_csv(table))
+    write_text(folder / "claims.md", markdown(claims_page(table, dict(names)), folder))
+    write_text(folder / "claims.tex", latex(table, names))
+    return folder
+
+
+def latex(table: pd.DataFrame, names: Mapping[str, str]) -> str:
+    r"""Claims and verdicts by face model, as a booktabs `longtable` to `\input`."""
+    models = [model for model in names if model in {*table["model"]}]
+    heads = ["Claim", "Where", *(names[model] for model in models)]
+    width = f"{0.5 / max(len(models), 1):.3f}"
+    columns = rf"p{{0.3\linewidth}}p{{0.14\linewidth}}*{{{len(models)}}}{{p{{{width}\linewidth}}}}"
+    lines = [
+        r"{\footnotesize\setlength{\tabcolsep}{3pt}\raggedright",
+        rf"\begin{{longtable}}{{@{{}}{columns}@{{}}}}",
+        r"\toprule",
+        " & ".join(map(tex, heads)) + r" \\",
+        r"\midrule\endhead",
+        r"\bottomrule\endfoot",
+    ]
+    for _, own in table.groupby("id", sort=False):
+        said = {row.model: phrase(row.verdict, row.condition) for row in own.itertuples()}
+        row = [*own.iloc[0][["claim", "where"]], *(said.get(m, NOTHING) for m in models)]
+        lines.append(" & ".join(map(tex, row)) + r" \\")
+    return "\n".join([*lines, r"\end{longtable}}", ""])
+
+
+def _sorted(table: pd.DataFrame) -> pd.DataFrame:
+    """By how far a claim holds, on all face models together, then in the order of the checks."""
+    places = table["verdict"].map(VERDICTS.index)
+    keys = pd.DataFrame(
+        {
+            "place": places.groupby(table["id"]).transform("mean").to_numpy(),
+            "claim": table["id"].map([*CHECKS].index).to_numpy(),
+        }
+    )
+    return table.iloc[keys.sort_values(["place", "claim"], kind="stable").index].reset_index(
+        drop=True
+    )

@@ -1,0 +1,1 @@
+"""Predictions into metrics, and metrics into tables."""

@@ -1,0 +1,144 @@
+"""The paper's table of trainable parameters and time complexity, with ours beside it."""
+
+from __future__ import annotations
+
+import keras
+import pandas as pd
+
+from deepmds_keras.baselines.mobileface import build_mobileface_net
+from deepmds_keras.baselines.ringnet_net import build_ringnet
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, count_trainable
+from experiments.inputs import load_landmark_model
+from experiments.methods import BY_ID, METHODS
+from experiments.published import printed
+from experiments.run import Run, write_text
+from experiments.scoring.tables import to_csv
+from experiments.scoring.typesetting import NOTHING, tex
+
+# Which pair features the dissimilarity net of a method takes.
+_VARIANTS = {
+    "ours": "paper",
+    "ours_stable": "paper",
+    "ours_released": "released",
+    "authors_weights": "released",
+}
+
+_RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
+
+# Time of one prediction in the number of landmarks n, derived from the algorithms: the widths of
+# Zhao's net and of the ends of our autoencoder grow with n; embedding starts from an eigenvalue
+# problem and then sorts all pairs in each of t steps; k is the number of model components.
+_COMPLEXITY = {
+    "mean_shape": "O(n)",
+    "linear": "O(n^2)",
+    "zhao": "O(n^2)",
+    "zhao_authors": "O(n^2)",
+    "zhao_frontal": "O(n^2)",
+    "aldrian": "O(t (n k^2 + k^3))",
+    "mobileface": "O(n k)",
+    "ringnet": "O(1)",
+    "mediapipe": "O(1)",
+    **dict.fromkeys(_VARIANTS, "O(n^3 + t n^2 log n)"),
+}
+_LEGEND = (
+    "Paper: quoted from Kamyab and Azimifar, trainable parameters. Total: with the moving "
+    "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
+    f"model. {NOTHING}: not measured here, or not in the paper."
+)
+
+HEADS = {
+    "method": "Method",
+    "trainable": "Trainable",
+    "total": "Total",
+    "paper": "Paper",
+    "complexity_paper": "Complexity (paper)",
+    "complexity": "Complexity",
+    "ms_per_face": "ms/face",
+}
+
+
+def parameter_table(
+    metrics: pd.DataFrame, n_landmarks: int = 72, n_coefficients: int = 199
+) -> pd.DataFrame:
+    """Parameters, complexity and measured time of every method, as strings.
+
+    Args:
+        metrics: As `metrics.csv`. Counts and times of methods that have no row stay empty.
+        n_landmarks: For which our networks are counted; the paper counts at 72.
+        n_coefficients: Of the face model, for which MobileFace is counted; the Basel model has 199.
+
+    Returns:
+        Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
+        adds the moving statistics of batch normalisation, which nothing trains.
+    """
+    counts = _values(metrics, "n_parameters")
+    times = _values(metrics, "ms_per_face")
+    quoted = printed("parameters", "n_parameters")
+    quoted_times = printed("parameters", "time_complexity")
+    rows = []
+    for method in METHODS:
+        if method.id not in _COMPLEXITY:
+            continue
+        trainable = total = counts.get(method.id)
+        nets = _networks(method.id, n_landmarks, n_coefficients)
+        if nets:
+            total = sum(net.count_params() for net in nets)
+            trainable = count_trainable(*nets)
+        time = times.get(method.id)
+        rows.append(
+            {
+                "method": method.id,
+                "trainable": "" if trainable is None else f"{trainable:.0f}",
+                "total": "" if total is None else f"{total:.0f}",
+                "paper": quoted.get(method.paper, ""),
+                "complexity_paper": quoted_times.get(method.paper, ""),
+                "complexity": _COMPLEXITY[method.id],
+                "ms_per_face": "" if time is None else f"{time:.3g}",
+            }
+        )
+    return pd.DataFrame(rows, columns=[*HEADS])
+
+
+def latex(table: pd.DataFrame) -> str:
+    r"""The table as a booktabs `tabular` to `\input`."""
+    rows = table.assign(method=[BY_ID[method].title for method in table["method"]])
+    return "\n".join(
+        [
+            r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
+            r"\begin{tabular}{@{}lrrrllr@{}}",
+            r"\toprule",
+            " & ".join(HEADS.values()) + r" \\",
+            r"\midrule",
+            *(
+                " & ".join(tex(cell or NOTHING) for cell in row) + r" \\"
+                for row in rows.itertuples(index=False)
+            ),
+            r"\bottomrule",
+            rf"\multicolumn{{{len(HEADS)}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{{tex(_LEGEND)}}} \\",
+            r"\end{tabular}}",
+            "",
+        ]
+    )
+
+
+def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
+    """Write `table.csv` and `table.tex` into `results/<model>/parameters`."""
+    folder = run.model_results / "parameters"
+    table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
+    write_text(folder / "table.csv", to_csv(table))
+    write_text(folder / "table.tex", latex(table))
+
+
+def _networks(method: str, n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
+    if method == "mobileface":
+        return [build_mobileface_net(n_coefficients)]
+    if method == "ringnet":
+        return [build_ringnet(*_RINGNET)]
+    if method in _VARIANTS:
+        return [build_autoencoder(n_landmarks), build_dissimilarity_net(_VARIANTS[method])]
+    return []
+
+
+def _values(metrics: pd.DataFrame, metric: str) -> dict[str, float]:
+    rows = metrics[metrics["metric"] == metric]
+    return dict(zip(rows["method"], rows["value"], strict=True))

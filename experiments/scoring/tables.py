@@ -1,0 +1,185 @@
+"""From `metrics.csv` to the files of an experiment: `table.csv`, `table.tex`, `wilcoxon.csv`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.metrics import wilcoxon_table
+from experiments.methods import METHODS, title
+from experiments.published import published
+from experiments.run import write_text
+from experiments.scoring.typesetting import latex
+
+METRICS = (
+    "depth_corr",
+    "mse",
+    "mse_mm2",
+    "rmse_mm",
+    "depth_corr_across_faces",
+    "mirrored_fraction",
+    "ms_per_face",
+    "n_parameters",
+)
+COLUMNS = (
+    "method",
+    "metric",
+    "mean",
+    "std",
+    "paper_mean",
+    "paper_std",
+    "n_subsets",
+    "subset_size",
+    "note",
+)
+TESTED = ("mse", "depth_corr")  # As in the paper, "Evaluation Criteria".
+
+
+def summarise(
+    metrics: pd.DataFrame,
+    quoted: pd.DataFrame,
+    notes: Mapping[str, str],
+    *,
+    subset_size: int,
+    beside: Mapping[str, str] = {},
+) -> pd.DataFrame:
+    """Mean and standard deviation over subsets of every method and metric, beside the paper's.
+
+    Args:
+        metrics: `method`, `metric`, `subset` (empty where a number is of no subset), `value`.
+        quoted: As from `published.published`.
+        notes: Method to what a reader must know of it; for one that was not run, why not.
+        subset_size: Test faces in a subset.
+        beside: Method of the paper to the one that its numbers stand beside, where that is another
+            than `METHODS` says.
+
+    Returns:
+        `COLUMNS`, with a row for every method (measured, quoted or noted) and metric. A cell that
+        was not measured is empty and its `note` says why. `std` is that of a sample (n - 1), and
+        `rmse_mm` the root of `mse_mm2` of each subset. Notes of a cell are separated by `"; "`.
+
+    Raises:
+        InputError: A column is missing, a row is there twice, or a method is unknown.
+    """
+    metrics = _with_rmse(_checked(metrics))
+    grouped = metrics.groupby(["method", "metric"])
+    measured = grouped.agg(
+        mean=("value", "mean"), std=("value", "std"), n_subsets=("subset", "count")
+    )
+    ours = {method.paper: method.id for method in METHODS if method.paper} | dict(beside)
+    quoted = quoted.assign(method=quoted["method"].map(ours)).set_index(["method", "metric"])
+    present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
+    for method in sorted(present):
+        title(method)
+    known = [*METRICS, *sorted({*metrics["metric"]} - {*METRICS})]
+    cells = pd.MultiIndex.from_product(
+        [[method.id for method in METHODS if method.id in present], known],
+        names=["method", "metric"],
+    )
+    table = measured.reindex(cells).join(quoted)
+    table["n_subsets"] = table["n_subsets"].replace(0, np.nan).astype("Int64")
+    table["subset_size"] = pd.Series(subset_size, table.index, "Int64").where(
+        table["n_subsets"].notna()
+    )
+    run = {*metrics["method"]}
+    table["note"] = [
+        _note(method, metric, row, method in run, notes.get(method))
+        for (method, metric), row in table.iterrows()
+    ]
+    return table.reset_index()[[*COLUMNS]]
+
+
+def write_tables(
+    folder: Path,
+    metrics: pd.DataFrame,
+    *,
+    experiment: str,
+    subset_size: int,
+    notes: Mapping[str, str],
+    per_face: Mapping[str, Mapping[str, np.ndarray]],
+    beside: Mapping[str, str] = {},
+) -> pd.DataFrame:
+    """Write `table.csv`, `table.tex` and `wilcoxon.csv`.
+
+    Args:
+        folder: `results/<model>/<experiment>`.
+        metrics, subset_size, notes, beside: As for `summarise`.
+        experiment: As for `latex`.
+        per_face: Metric to method to `(n,)`, of all test faces in one order.
+
+    Returns:
+        What `table.csv` holds.
+    """
+    quoted = published(experiment)
+    table = summarise(metrics, quoted, notes, subset_size=subset_size, beside=beside)
+    write_text(folder / "table.csv", to_csv(table))
+    write_text(folder / "table.tex", latex(table, experiment))
+    write_text(folder / "wilcoxon.csv", to_csv(wilcoxon_tests(metrics, per_face)))
+    return table
+
+
+def wilcoxon_tests(
+    metrics: pd.DataFrame, per_face: Mapping[str, Mapping[str, np.ndarray]]
+) -> pd.DataFrame:
+    """Wilcoxon tests over the subsets, the paper's way, and over all faces.
+
+    Subsets of one test set differ only by resampling, so the first says little of the methods.
+    """
+    tests = []
+    for metric in TESTED:
+        rows = metrics[(metrics["metric"] == metric) & metrics["subset"].notna()]
+        subsets = rows.pivot(index="subset", columns="method", values="value")
+        subsets = subsets[[m.id for m in METHODS if m.id in subsets]]
+        tests.append(("subsets", metric, {m: subsets[m].to_numpy() for m in subsets}))
+    tests += [("faces", metric, dict(values)) for metric, values in per_face.items()]
+    frames = []
+    for over, metric, values in tests:
+        frame = wilcoxon_table(values)
+        frame.insert(0, "over", over)
+        frame.insert(1, "metric", metric)
+        frames.append(frame)
+    return pd.concat([f for f in frames if len(f)] or frames[:1], ignore_index=True)
+
+
+def to_csv(table: pd.DataFrame) -> str:
+    """CSV with eight significant digits, alike on every system."""
+    return table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+
+
+def _checked(metrics: pd.DataFrame) -> pd.DataFrame:
+    missing = {"method", "metric", "subset", "value"} - {*metrics.columns}
+    if missing:
+        raise InputError(
+            "metrics must have columns method, metric, subset, value. "
+            f"Received {', '.join(metrics.columns)}."
+        )
+    twice = metrics[metrics.duplicated(["method", "metric", "subset"])]
+    if len(twice):
+        raise InputError(
+            "metrics must have one row for each method, metric and subset. "
+            f"Received {', '.join(map(str, twice.iloc[0, :3]))} twice."
+        )
+    return metrics
+
+
+def _with_rmse(metrics: pd.DataFrame) -> pd.DataFrame:
+    squares = metrics[metrics["metric"] == "mse_mm2"]
+    roots = squares.assign(metric="rmse_mm", value=np.sqrt(squares["value"]))
+    return pd.concat([metrics, roots], ignore_index=True)
+
+
+def _note(method: str, metric: str, row: pd.Series, was_run: bool, note: str | None) -> str:
+    if not was_run:
+        reason = note or "not part of this experiment"
+    elif math.isnan(row["mean"]):
+        reason = f"{metric} not measured"
+    else:
+        reason = note
+    remark = row["paper_note"] if isinstance(row["paper_note"], str) else ""
+    of_paper = [f"in the paper, {part}" for part in remark.split("; ") if part]
+    return "; ".join([reason, *of_paper] if reason else of_paper)

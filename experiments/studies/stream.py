@@ -1,0 +1,65 @@
+"""Any number of faces, made, given to the method and scored in bounded memory: the tails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from data_gen.models.model_files import sha256_of
+from experiments.figures.errors import error_distribution
+from experiments.figures.style import save
+from experiments.inputs import load_faces
+from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.methods import title
+from experiments.run import one_core, parse_run, stage, write_text
+from experiments.scoring.tables import to_csv
+from experiments.studies.streamed import BESIDE, OURS, Files, make_files, networks_file, read_scores
+from experiments.tracks.predictions import fitted
+
+_QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
+
+
+def summarise(values: np.ndarray) -> dict[str, float]:
+    """Mean over all faces, how sure it is, and how the faces spread."""
+    std = values.std(ddof=1)
+    return {
+        "n_faces": len(values),
+        "mean": values.mean(),
+        "std": std,
+        "standard_error": std / np.sqrt(len(values)),
+        **{name: np.quantile(values, share) for name, share in _QUANTILES.items()},
+        "maximum": values.max(),
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    folder = run.experiment_results("stream")
+    with stage(run, "stream") as record:
+        train = load_faces(run, "train")
+        stream = run.work.absolute() / "stream"
+        networks = networks_file(stream)
+        # Without a number of processes: by its bytes the method is known.
+        fitted(run, train, OURS).set_params(n_jobs=None).save(networks)
+        with one_core():  # the regression's last bits depend on the threads
+            beside = {method: fitted(run, train, method) for method in BESIDE}
+        del train
+        sizes = run.preset.streamed_faces, run.preset.faces_per_file
+        files = Files(stream, *sizes, sha256_of([networks]))
+        record["processes_mb"] = make_files(run, files, beside)
+        values = read_scores(files)
+        clear_results(folder)
+        table = pd.DataFrame(
+            [
+                {"method": method, "metric": metric, **summarise(own)}
+                for (method, metric), own in values.items()
+            ]
+        )
+        write_text(folder / "table.csv", to_csv(table))
+        errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
+        save(error_distribution(errors), folder / "figures", "errors")
+    records = records_of(run, ("faces", "networks", "stream"))
+    write_manifest(run, "stream", records, folder)
+    print(f"\n{run.model}, {files.n:,} faces\n")
+    print(table.assign(method=table["method"].map(title)).to_string(index=False))
+    print(f"\nTable, figure and manifest: {folder}/")

@@ -1,0 +1,1 @@
+"""The paper's first table: neutral faces of a morphable model."""

@@ -1,0 +1,43 @@
+"""Stage 1 of the BFM track: random faces and their views."""
+
+from __future__ import annotations
+
+import numpy as np
+from tqdm import tqdm
+
+from data_gen.datasets.dataset import make_dataset, save_dataset
+from data_gen.models.registry import load_model
+from deepmds_keras.weights import write_arrays
+from experiments.run import Run, parse_run, stage
+
+
+def make_faces(run: Run) -> dict:
+    """Write the training faces, the test faces and the landmark model of a run.
+
+    Returns:
+        Name and hash of the morphable model, for the record.
+    """
+    model = load_model(run.model, run.data)
+    landmarks = model.restrict(model.landmarks[run.scheme])
+    components = model.identity_basis_times_sd.reshape(model.n_identity, -1)
+    arrays = {
+        "mean": landmarks.mean,
+        "identity_basis_times_sd": landmarks.identity_basis_times_sd,
+        "shape_gram": components @ components.T / components.shape[1],
+    }
+    write_arrays(run.work / "landmark_model.npz", arrays, {"model": model.name})
+    sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
+    for number, (part, n) in enumerate(sizes.items()):
+        rng = np.random.default_rng([run.seed, number])
+        with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
+            dataset = make_dataset(
+                model, n, rng, scheme=run.scheme, protocol=run.protocol, progress=bar.update
+            )
+        save_dataset(run.work / f"{part}.npz", dataset)
+    return {"model": model.name, "model_sha256": model.sha256}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "faces") as record:
+        record |= make_faces(run)

@@ -1,0 +1,1 @@
+"""The paper's third table: photos, to which a face model is fitted."""

@@ -1,0 +1,1 @@
+"""The paper's second table: expressive faces, photos and scans."""

@@ -1,0 +1,197 @@
+"""Last stage of the FLAME track: the paper's CASIA-3D table, ours beside it, figures, manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from data_gen.datasets.image_files import ImageFiles
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.weights import read_arrays
+from experiments.figures.curves import learning_curves
+from experiments.figures.errors import error_per_condition
+from experiments.figures.face_figures import draw_faces, draw_landmark_errors
+from experiments.figures.ground_truth import Example, ground_truth
+from experiments.figures.qualitative import Photos
+from experiments.figures.style import save
+from experiments.inputs import (
+    CROP_SIZE,
+    USED,
+    Faces,
+    crop_files,
+    load_faces,
+    load_histories,
+    of_used,
+)
+from experiments.manifest import records_of, write_manifest
+from experiments.methods import DEEP_MDS
+from experiments.run import Run, parse_run, stage
+from experiments.scoring.scores import Scores, evaluate, load_predictions
+from experiments.scoring.truths import against
+from experiments.tracks.results import write_results
+
+_STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
+_TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
+_DRAWN = (
+    "mean_shape",
+    "linear",
+    "zhao",
+    _FIT,
+    "ringnet",
+    "mediapipe",
+    "mediapipe_corrected",
+    *DEEP_MDS,
+    "authors_weights",
+)
+_MAPPED = ("mean_shape", "linear", "zhao", "mediapipe_corrected", "ours")
+_NOT_SHOWN = ("ours_released", "mediapipe")  # in the picture: to the eye they are their neighbours
+_SHOWN_FACES = 4
+_CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it in the pictures
+
+
+def load_scans(run: Run) -> dict[str, np.ndarray]:
+    """What is known of every scan beside the test set, see `scans.examine`; also of the unused."""
+    return read_arrays(run.work / "scans.npz")[0]
+
+
+def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
+    """What a reader must know of a method, or why it has no number of ours."""
+    found = {}
+    for method in ("mediapipe", "mediapipe_corrected"):
+        if method in scores:
+            lost = int(np.isnan(scores[method].mse).sum())
+            found[method] = (
+                f"no face found in {lost:,} of {len(scores[method].mse):,} photos (N/A), which are "
+                "left out"
+            )
+    if "mediapipe" not in scores:
+        found["mediapipe"] = "left out (MEDIAPIPE=no)"
+    if "ringnet" not in scores:
+        found["ringnet"] = "left out (RINGNET=no)"
+    elif run.ringnet is None:
+        steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
+        found["ringnet"] = (
+            f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
+            "paper's is the published one"
+        )
+    if "authors_weights" not in scores:
+        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
+    return found
+
+
+def draw(
+    run: Run,
+    test: Faces,
+    scans: dict[str, np.ndarray],
+    scores: dict[str, Scores],
+    frontal: np.ndarray,
+    folder: Path,
+) -> None:
+    """Write the figures that are of the methods and of the test set, and faces as numbers."""
+    figures = folder / "figures"
+    scheme = load_scheme(run.scheme)
+    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    ringnet = None
+    if "ringnet" in scores and run.ringnet is None:
+        # The other record, of the landmarks' error alone, is in another unit.
+        ringnet = {"train": read_arrays(run.network_file("ringnet"))[1]["history"]["train"]}
+    save(learning_curves(load_histories(run), ringnet=ringnet), figures, "learning_curves")
+
+    conditions = of_used(scans, "condition")
+    faces = shown_faces(conditions, scores)
+    files = crop_files(run, len(test.views))
+    photos = Photos(*map(np.stack, zip(*(small_photo(files, k) for k in faces), strict=True)))
+    titles = [conditions[k].replace("_", " ") for k in faces]
+    draw_faces(
+        folder, "casia", scheme, test, frontal, drawn, faces, titles,
+        not_shown=_NOT_SHOWN, photos=photos,
+    )  # fmt: skip
+    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
+    if len({*conditions}) > 1:
+        rows = [
+            pd.DataFrame({"method": method, "condition": conditions, "mse": own.mse})
+            for method, own in drawn.items()
+        ]
+        save(error_per_condition(pd.concat(rows)), figures, "error_per_expression")
+    if kept := examples(scans, files):
+        save(ground_truth(kept, scheme, *found_and_true(scans)), figures, "scans")
+
+
+def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
+    """Faces of the median error of `ours` for each of some conditions, and one that is N/A.
+
+    Where the conditions are not known, faces from a small error of `ours` to a large one.
+    """
+    mse = scores["ours"].mse
+    names = [*dict.fromkeys(conditions)]
+    groups = [np.flatnonzero(conditions == name) for name in names]
+    if len(names) == 1:
+        groups = np.array_split(np.argsort(mse), min(_SHOWN_FACES, len(mse)))
+    faces = [own[np.argsort(mse[own])[len(own) // 2]] for own in groups]
+    missing = [np.flatnonzero(np.isnan(own.mse)) for own in scores.values()]
+    missing = next((faces for faces in missing if len(faces)), [])
+    return np.array([*faces[: _SHOWN_FACES - bool(len(missing))], *missing[:1]])
+
+
+def small_photo(files: ImageFiles, face: int) -> tuple[np.ndarray, np.ndarray]:
+    """The middle of a test photo, `(112, 112, 3)`, and the landmarks in its pixels."""
+    box = (_CUT, _CUT, CROP_SIZE - _CUT, CROP_SIZE - _CUT)
+    photo = Image.fromarray(files[[face]][0]).resize((_PHOTO, _PHOTO), box=box)
+    scale = _PHOTO / (CROP_SIZE - 2 * _CUT)
+    return np.asarray(photo), (files.landmarks(range(face, face + 1))[0] - _CUT) * scale
+
+
+def examples(scans: dict[str, np.ndarray], files: ImageFiles) -> list[Example]:
+    """The scans whose points were kept."""
+    used = np.flatnonzero(scans["status"] == USED)
+    found = []
+    kept = (scans.get(key, ()) for key in ("example", "example_points"))
+    for number, points in zip(*kept, strict=True):
+        face = int(np.searchsorted(used, number))
+        truth = scans["truth"][number]
+        image, detected = small_photo(files, face)
+        found.append(
+            Example(
+                image=image,
+                detected=detected,
+                points=points,
+                fitted=scans["fitted"][number],
+                found=scans["landmarks"][number],
+                truth=None if np.isnan(truth).any() else truth,
+            )
+        )
+    return found
+
+
+def found_and_true(scans: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Landmarks found on the scans, and the true ones if they are known: `(n, 51, 3)` mm."""
+    truth = of_used(scans, "truth")
+    return of_used(scans, "landmarks"), None if np.isnan(truth).any() else truth
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    with stage(run, "flame"):
+        test, scans = load_faces(run, "test"), load_scans(run)
+        loaded = load_predictions(run)
+        shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
+        descriptions = {method: described for method, (_, described) in loaded.items()}
+        shapes[_FIT] = of_used(scans, "fitted")
+        found, truth = found_and_true(scans)
+        here = shapes if truth is None else shapes | {_TRUE: truth}
+        folder = run.experiment_results("flame")
+        metrics, scores = evaluate(run, test, here, descriptions)
+        write_results(run, folder, metrics, scores, notes(run, scores))
+        draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder)
+        folders = [folder]
+        if truth is not None:
+            folders.append(run.experiment_results("flame-true-landmarks"))
+            true_test = against(test, truth)
+            metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
+            write_results(run, folders[1], metrics, scores, notes(run, scores))
+        records = records_of(run, (*_STAGES, run.ringnet_stage))
+        for own in folders:
+            write_manifest(run, "reproduce-flame", records, own)

@@ -1,0 +1,28 @@
+"""Stage of MobileFace: train it on the images, then its predictions of the test images.
+
+The CelebA experiment tests the net of the BFM track.
+"""
+
+from __future__ import annotations
+
+import tensorflow as tf
+
+from experiments.inputs import load_crops, load_images
+from experiments.run import parse_run, stage
+from experiments.tracks.predictions import write_prediction
+from experiments.tracks.recipes import mobileface
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    # A layer of this net is too small to be shared between threads; two layers' gradients are not.
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    tf.config.threading.set_inter_op_parallelism_threads(2)
+    with stage(run, "mobileface") as record:
+        # A damaged file is to be reported before the long work.
+        test = load_crops(run) if run.track == "celeba" else load_images(run, "test")
+        model = mobileface(run.trained)
+        record["final_rms_error_mm"] = {
+            mode: round(losses[-1] ** 0.5, 6) for mode, losses in model.history_.items()
+        }
+        write_prediction(run, "mobileface", model, test)

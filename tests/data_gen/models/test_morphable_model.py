@@ -1,0 +1,110 @@
+"""The linear model: its mean, its covariance, and restriction to some vertices."""
+
+import numpy as np
+import pytest
+
+from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.io.errors import InputError
+
+
+@pytest.fixture
+def model():
+    rng = np.random.default_rng(0)
+    return MorphableModel(
+        name="toy",
+        mean=rng.normal(size=(20, 3)) * 50,
+        identity_basis_times_sd=rng.normal(size=(4, 20, 3)),
+        triangles=np.array([[0, 1, 2]]),
+        landmarks={"bfm72": np.array([3, 5])},
+        expression_mean=rng.normal(size=(20, 3)),
+        expression_basis=rng.normal(size=(2, 20, 3)),
+        expression_names=("smile", "frown"),
+        colour_mean=np.full((20, 3), 0.5),
+        colour_basis_times_sd=rng.normal(size=(1, 20, 3)),
+    )
+
+
+def test_zero_coefficients_give_the_mean(model):
+    np.testing.assert_array_equal(model.shape(np.zeros(4)), model.mean)
+    np.testing.assert_array_equal(model.shape(np.zeros((3, 4))), np.stack([model.mean] * 3))
+
+
+def test_zero_expression_adds_the_expression_mean(model):
+    face = model.shape(np.zeros(4), np.zeros(2))
+    np.testing.assert_allclose(face, model.mean + model.expression_mean)
+
+
+def test_unit_coefficient_adds_its_component(model):
+    face = model.shape([0, 1.0], [0, 1.0])
+    expected = (
+        model.mean
+        + model.identity_basis_times_sd[1]
+        + model.expression_mean
+        + model.expression_basis[1]
+    )
+    np.testing.assert_allclose(face, expected)
+
+
+def test_faces_of_a_batch_are_those_made_one_by_one(model):
+    identity = np.random.default_rng(1).normal(size=(5, 4))
+    np.testing.assert_allclose(model.shape(identity), [model.shape(row) for row in identity])
+
+
+def test_sample_covariance_tends_to_the_models(model):
+    n = 40_000
+    _, faces = model.sample(n, np.random.default_rng(2))
+    flat = model.identity_basis_times_sd.reshape(4, -1)
+    expected = flat.T @ flat
+    found = np.cov(faces.reshape(n, -1), rowvar=False)
+    # A covariance entry of n normal samples has s.d. sqrt((c_ii c_jj + c_ij^2) / n).
+    variance = np.diag(expected)
+    sd = np.sqrt((np.outer(variance, variance) + expected**2) / n)
+    assert (np.abs(found - expected) < 6 * sd).all()
+
+
+def test_sampling_repeats_with_its_generator(model):
+    first, second = (model.sample(2, np.random.default_rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(first[1], second[1])
+    np.testing.assert_allclose(model.shape(first[0]), first[1])
+
+
+def test_restrict_commutes_with_shape(model):
+    vertices = np.array([7, 0, 19])
+    identity, expression = np.ones((2, 4)), np.ones((2, 2))
+    np.testing.assert_allclose(
+        model.restrict(vertices).shape(identity, expression),
+        model.shape(identity, expression)[:, vertices],
+    )
+    assert model.restrict(vertices).n_vertices == 3
+
+
+def test_too_many_coefficients_are_refused(model):
+    with pytest.raises(InputError, match="identity must have at most 4 coefficients.*Received 5"):
+        model.shape(np.zeros(5))
+    with pytest.raises(InputError, match="expression must have at most 2 coefficients.*Received 3"):
+        model.shape(np.zeros(4), np.zeros(3))
+
+
+def test_expression_without_a_basis_is_refused(model):
+    neutral = MorphableModel("toy", model.mean, model.identity_basis_times_sd, model.triangles)
+    with pytest.raises(InputError, match="no expression basis"):
+        neutral.shape(np.zeros(4), np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"identity_basis_times_sd": np.zeros((4, 19, 3))}, r"\(20, 3\).*Received shape"),
+        ({"mean": np.full((20, 3), np.nan)}, "mean must be finite"),
+        ({"landmarks": {"bfm72": np.array([20])}}, "below 20. Received 20"),
+        ({"landmarks": {"bfm72": np.array([-1])}}, "below 20. Received -1"),
+    ],
+)
+def test_unusable_arrays_are_refused(model, change, message):
+    fields = {
+        "mean": model.mean,
+        "identity_basis_times_sd": model.identity_basis_times_sd,
+        "triangles": model.triangles,
+    }
+    with pytest.raises(InputError, match=message):
+        MorphableModel("toy", **(fields | change))

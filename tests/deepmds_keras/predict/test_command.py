@@ -1,0 +1,419 @@
+"""`deepmds predict` as people run it: photos and landmarks in, files out, a line for what fails."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from test_dlib_landmarks import SHARED, drawn_heads
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views.photo_views import draw_photo_views
+from deepmds_keras import DeepMDS, __version__
+from deepmds_keras.__main__ import main
+from deepmds_keras.detection import dlib_landmarks
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.predict import command
+from deepmds_keras.predict.arguments import parse
+
+ROOT = Path(__file__).parents[3]
+TABLES = ("csv", "json", "ply", "obj", "png")
+
+
+@pytest.fixture(scope="module")
+def heads(apart):
+    """Images of five open heads, and their 51 landmarks in pixels."""
+    return apart(drawn_heads)
+
+
+@pytest.fixture(scope="module")
+def landmarks(heads):
+    """`(51, 2)` of one face, frontal but for its errors."""
+    return heads[1][2] + np.random.default_rng(0).normal(0, 0.5, (51, 2))
+
+
+@pytest.fixture
+def run(capsys, tmp_path):
+    """Runs the command in this process: `run(*arguments)` → status, stdout, errors.
+
+    Results lie in `tmp_path / "out"`, unless the arguments say otherwise.
+    """
+
+    def run(*arguments, jobs=1):
+        out = [] if "--out" in arguments else ["--out", tmp_path / "out"]
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
+        said = capsys.readouterr()
+        lines = re.split(r"[\r\n]+", said.err)  # a bar begins its line anew
+        return ended.value.code, said.out, [line for line in lines if line.startswith("error: ")]
+
+    return run
+
+
+def command_line(*arguments):
+    return [sys.executable, "-m", "deepmds_keras", *map(str, arguments)]
+
+
+def written(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def arrays_of(path):
+    """All arrays of an npz, which is closed again."""
+    with np.load(path) as file:
+        return dict(file)
+
+
+def save(path, landmarks):
+    np.save(path, landmarks)
+    return path
+
+
+def test_help_is_answered_without_what_takes_long_to_load():
+    code = """
+import sys
+from deepmds_keras.__main__ import main
+try:
+    main(["predict", "--help"])
+finally:
+    print({"tensorflow", "keras", "sklearn", "matplotlib", "pandas"} & {*sys.modules})
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.endswith("set()\n")
+    assert "--interocular" in done.stdout
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_photo_gives_its_face_and_no_noise(tmp_path, heads):
+    """As a user has it: another process, another folder, several of them side by side."""
+    Image.fromarray(heads[0][1]).save(tmp_path / "turned.png")
+    for name, image in (("two.png", np.hstack(heads[0][[2, 4]])), ("one.jpg", heads[0][3])):
+        Image.fromarray(image).save(tmp_path / name)
+    arguments = ("turned.png", "two.png", "one.jpg", "--view", "--jobs", 2)
+    done = subprocess.run(
+        command_line("predict", *arguments), cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    lines = filter(str.strip, re.split(r"[\r\n]+", done.stderr))
+    assert [line for line in lines if not re.search(r"\| \d/3 \[", line)] == []  # but the bar
+    assert "two.png: 2 faces → deepmds-out/two.csv" in done.stdout
+    out = tmp_path / "deepmds-out"
+    faces = [f"{face}.{kind}" for face in ("two-1", "two-2") for kind in ("ply", "obj", "png")]
+    pages = ["two.csv", "two.json", "two.html", "turned.html", "one.html"]
+    single = [f"{name}.{kind}" for name in ("turned", "one") for kind in TABLES]
+    assert written(out) == sorted([*faces, *pages, *single, "deepmds.json", "summary.png"])
+
+    table = pd.read_csv(out / "turned.csv", comment="#")
+    assert tuple(table.name) == load_scheme("ibug51").names
+    off = table[["image_x", "image_y"]] - heads[1][1]
+    assert np.abs(off).mean().max() < 4
+    yaws = [
+        face["pose"]["yaw"]
+        for name in ("turned", "two", "one")
+        for face in json.loads((out / f"{name}.json").read_bytes())["faces"]
+    ]
+    assert np.allclose(sorted(yaws), [-10, 0, 10, 20], atol=8)
+    assert np.allclose(yaws[0], -10, atol=8)
+
+
+def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, run, landmarks):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "text.jpg").write_text("hello")
+    (folder / "empty.jpg").touch()
+    Image.new("L", (10_000, 10_001)).save(folder / "huge.png")
+    Image.new("RGB", (200, 200)).save(folder / "nobody.png")
+    (folder / "broken.json").write_text("{")
+    arrays = {
+        "upside_down": landmarks * (1, -1),
+        "mirrored": landmarks * (-1, 1),
+        "count": landmarks[:50],
+        "nan": np.where(landmarks == landmarks[3], np.nan, landmarks),
+        "point": np.ones((51, 2)),
+        "good": landmarks,
+    }
+    for name, array in arrays.items():
+        save(folder / f"{name}.npy", array)
+    odd = save(folder / "new\nline 'and' \"more\"\udcff.npy", landmarks)
+    files = sorted(folder.iterdir())
+    status, said, errors = run(*files, folder / "missing.jpg", folder / "notes.txt", folder / "..")
+    assert status == 1
+    for name, wanted in {
+        "text.jpg": "no image",
+        "empty.jpg": "0 bytes",
+        "huge.png": "at most 64,000,000 pixels. Received 10000 x 10001",
+        "nobody.png": "no face found by dlib",
+        "broken.json": "must be JSON",
+        "upside_down.npy": "--y-up",
+        "mirrored.npy": "a mirrored face",
+        "count.npy": "Received 50",
+        "nan.npy": "finite",
+        "point.npy": "one point 51 times",
+        "missing.jpg": "does not exist",
+        "notes.txt": "does not exist",
+        "..": "must hold photos",
+    }.items():
+        (line,) = [line for line in errors if str(folder / name) in line.split(" must ")[0]]
+        assert wanted in line, name
+    assert len(errors) == 13
+    assert said.count("1 face →") == 2
+    assert "new\\nline" in said
+    out = tmp_path / "out"
+    results = {f"{name}.{kind}" for name in ("good", odd.stem) for kind in TABLES}
+    assert {*written(out)} == results | {"deepmds.json", "summary.png"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "the following arguments are required: SOURCE"),
+        (["a.jpg", "--jobs", "0"], "must be 1 or more, or -1. Received '0'"),
+        (["a.jpg", "--interocular", "0"], "must be above 0"),
+        (["a.jpg", "--interocular", "nan"], "must be a number"),
+        (["a.jpg", "--smooth", "-1"], "not negative. Received '-1'"),
+        (["a.jpg", "--format", "csv,stl"], "Received 'stl'"),
+        (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
+    ],
+)
+def test_wrong_arguments_are_named(capsys, arguments, said):
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", *arguments])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_version_is_said(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out == f"deepmds-keras {__version__}\n"
+
+
+@pytest.mark.parametrize("n", [51, 68, 468, 478])
+def test_landmarks_of_every_order_are_taken(tmp_path, run, landmarks, n):
+    scheme = {51: "ibug51", 68: "ibug68"}.get(n, "mediapipe")
+    points = convert(landmarks, "ibug51", scheme, missing="nan")
+    points = np.where(np.isnan(points), 0, points)  # what is not among the 51 is not looked at
+    points = np.concatenate([points, np.zeros((n - len(points), 2))])
+    status, _, errors = run(save(tmp_path / "points.npy", points), "--format", "json")
+    assert (status, errors) == (0, [])
+    content = json.loads((tmp_path / "out" / "points.json").read_bytes())
+    assert (content["scheme"], content["model"]["name"]) == ("ibug51", "openhead-ibug51")
+    assert np.allclose(content["faces"][0]["landmarks"], landmarks, atol=1e-3)
+
+
+def test_the_papers_72_landmarks_have_their_own_weights(tmp_path, run):
+    views, _, _ = draw_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))
+    status, said, _ = run(save(tmp_path / "points.npy", views), "--y-up", "--format", "json,ply")
+    assert (status, "2 faces" in said) == (0, True)
+    content = json.loads((tmp_path / "out" / "points.json").read_bytes())
+    assert (content["scheme"], content["model"]["name"]) == ("bfm72", "openhead-bfm72")
+    assert np.shape([face["shape"] for face in content["faces"]]) == (2, 72, 3)
+
+
+def test_options_reach_the_results(tmp_path, run, landmarks, monkeypatch):
+    monkeypatch.setattr(command, "_DRAWN_FACES", 1)
+    frames = landmarks + np.random.default_rng(1).normal(0, 2, (8, 51, 2))
+    points = save(tmp_path / "frames.npy", frames * (1, -1))
+    arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
+    for folder, options in (("rough", ()), ("smooth", ("--smooth", 2))):
+        assert run(*arguments, *options, "--out", tmp_path / folder)[0] == 0
+    rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
+    assert np.allclose(rough["landmarks"], frames)
+    assert json.loads(str(rough["description"]))["unit"] == "mm"
+    apart = np.linalg.norm(rough["shape"][:, 28] - rough["shape"][:, 19], axis=1)
+    assert np.allclose(apart, 90)
+    jitter = [np.diff(arrays["shape"], axis=0).std() for arrays in (rough, smooth)]
+    assert jitter[1] < 0.5 * jitter[0]
+
+
+def test_of_many_faces_only_the_first_are_drawn(tmp_path, run, landmarks, monkeypatch):
+    monkeypatch.setattr(command, "_DRAWN_FACES", 2)
+    points = save(tmp_path / "many.npy", landmarks + np.zeros((5, 1, 1)))
+    status, said, _ = run(points, "--view")
+    assert status == 0
+    names = ["many-1.png", "many-2.png", "many.csv", "many.html", "many.npz"]
+    assert written(tmp_path / "out") == ["deepmds.json", *names]
+    assert "5 faces" in said
+    assert "pictures are of the first 2" in said
+    assert pd.read_csv(tmp_path / "out" / "many.csv", comment="#").face.nunique() == 5
+
+
+def test_what_is_done_is_not_done_again_unless_something_changed(tmp_path, run, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    out = tmp_path / "out"
+
+    def made(*options, status=0):
+        """What a run makes anew, by the times of the files."""
+        before = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        ended, said, _ = run(first, second, "--format", "csv", *options)
+        assert ended == status
+        after = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        assert ("sources are done already" in said) == (len(after.items() - before.items()) < 2)
+        return sorted(path.stem for path, _ in after.items() - before.items())
+
+    assert made() == ["a", "b"]
+    assert made() == []
+    save(second, landmarks + 1)
+    assert made() == ["b"]
+    (out / "a.csv").unlink()
+    assert made() == ["a"]
+    assert made("--interocular", "90") == ["a", "b"]
+    assert made("--interocular", "90") == []
+    (out / "deepmds.json").write_text('{"a": {"files": 3}}')
+    assert made("--interocular", "90") == ["a", "b"]
+
+
+def test_other_weights_make_everything_anew(tmp_path, run, landmarks):
+    points, weights = save(tmp_path / "a.npy", landmarks), tmp_path / "mine.npz"
+    model = DeepMDS.pretrained("openhead-ibug51")
+    model.save(weights)
+    arguments = (points, "--model", weights, "--format", "json")
+    assert run(*arguments)[0] == 0
+    content = json.loads((tmp_path / "out" / "a.json").read_bytes())
+    assert content["model"]["name"] == str(weights)
+    assert "done already" in run(*arguments)[1]
+    model.set_params(seed=5).save(weights)
+    assert "done already" not in run(*arguments)[1]
+
+
+def test_results_that_another_source_overwrote_are_made_again(tmp_path, run, landmarks):
+    for folder, shift in (("x", 0), ("y", 9)):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / "a.npy", landmarks + shift)
+    for folder, shift in (("x", 0), ("y", 9), ("x", 0)):
+        assert run(tmp_path / folder / "a.npy", "--format", "npz")[0] == 0
+        assert np.allclose(arrays_of(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
+
+
+def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
+    files = [save(tmp_path / f"{i:03d}.npy", landmarks) for i in range(60)]
+    out = tmp_path / "out"
+    arguments = command_line("predict", *files, "--out", out, "--jobs", 1)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    started = subprocess.Popen(arguments, **pipes)
+    while not (out / "003.png").exists() and started.poll() is None:
+        time.sleep(0.02)
+    started.send_signal(signal.SIGINT)
+    _, errors = started.communicate()
+    assert started.returncode == 130, errors
+    assert errors.endswith("Stopped. The same command goes on from here.\n")
+    assert "Traceback" not in errors
+    done = json.loads((out / "deepmds.json").read_bytes())
+    assert 3 <= len(done) < 60
+    assert not [name for name in written(out) if "partial" in name]
+    complete = [path for path in files if (out / f"{path.stem}.png").exists()]
+    assert len(complete) - len(done) <= 1  # the one it was just at
+
+
+def test_a_stop_whose_exception_was_lost_counts_after_the_source(tmp_path, landmarks):
+    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "abc"]
+    options = parse(["predict", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    with pytest.raises(KeyboardInterrupt):
+        command.run(options, lambda: True)
+    assert len(json.loads((tmp_path / "out" / "deepmds.json").read_bytes())) == 1
+
+
+def test_names_of_the_run_are_not_those_of_a_source(tmp_path, run, landmarks):
+    files = [save(tmp_path / f"{name}.npy", landmarks) for name in ("deepmds", "Summary", "a")]
+    assert run(*files, "--format", "json")[0] == 0
+    assert len(json.loads((tmp_path / "out" / "deepmds.json").read_bytes())) == 3
+    assert (tmp_path / "out" / "deepmds_npy.json").exists()
+    assert (tmp_path / "out" / "Summary_npy.png").exists()
+
+
+def test_a_folder_that_takes_no_results_is_said_before_the_work(tmp_path, run, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "within"):
+        status, said, errors = run(points, "--out", out)
+        assert (status, said) == (1, "")
+        (line,) = errors
+        assert str(tmp_path / "file") in line
+    (tmp_path / "out" / "a.csv").mkdir(parents=True)
+    good = save(tmp_path / "b.npy", landmarks)
+    status, said, (line,) = run(points, good, "--format", "csv")
+    assert status == 1
+    assert "a.csv must be a file that can be written" in line
+    assert (tmp_path / "out" / "b.csv").is_file()
+
+
+def test_without_a_detector_photos_are_refused_and_landmarks_done(
+    tmp_path, run, landmarks, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "dlib", None)
+    dlib_landmarks.shared_detector.cache_clear()
+    Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
+    points = save(tmp_path / "a.npy", landmarks)
+    status, said, (line,) = run(tmp_path / "photo.png")
+    assert (status, said) == (1, "")
+    assert "pip install dlib-bin face_recognition_models" in line
+    assert not (tmp_path / "out").exists()
+    status, _, (line,) = run(tmp_path / "photo.png", points, "--format", "csv")
+    assert status == 1 and "1 photo cannot be used. dlib must be installed" in line
+    assert (tmp_path / "out" / "a.csv").is_file()
+    detector = ("--detector", "mediapipe", "--mediapipe-python", tmp_path / "none")
+    status, _, (line,) = run(tmp_path / "photo.png", *detector)
+    assert status == 1
+    assert f"{tmp_path / 'none'} must be a Python that runs MediaPipe" in line
+
+
+def test_models_that_do_not_fit_are_named(tmp_path, run, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    for model, said in (
+        ("openhead", "its name must be one of openhead-bfm72, openhead-ibug51"),
+        (tmp_path / "none.npz", "none.npz must be a file that DeepMDS.save() wrote"),
+        (points, "a.npy must be an npz written by save()"),
+        ("openhead-bfm72", "a.npy must have 72 landmarks a face for the model openhead-bfm72"),
+    ):
+        status, _, (line,) = run(points, "--model", model)
+        assert status == 1
+        assert said in line
+
+
+def test_mediapipe_finds_the_faces_too(tmp_path, run, heads):
+    python = os.environ.get("MEDIAPIPE_PYTHON", ROOT / ".venv-mediapipe/bin/python")
+    if not Path(python).exists():
+        pytest.skip(f"{python} is absent: make setup-mediapipe")
+    Image.fromarray(heads[0][1]).save(tmp_path / "head.png")
+    Image.new("RGB", (90, 120), "white").save(tmp_path / "nobody.png")
+    (tmp_path / "text.jpg").write_text("hello")
+    files = [tmp_path / name for name in ("nobody.png", "text.jpg", "head.png")]
+    detector = ("--detector", "mediapipe", "--mediapipe-python", python)
+    status, _, errors = run(*files, *detector, "--format", "npz")
+    assert status == 1
+    assert "nobody.png: no face found by mediapipe; try --detector dlib" in errors[0]
+    assert "text.jpg must be a photo" in errors[1]
+    found = arrays_of(tmp_path / "out" / "head.npz")
+    assert np.abs(found["landmarks"][0] - heads[1][1]).mean() < 4
+    assert found["yaw"][0] == pytest.approx(-10, abs=8)
+
+
+def test_the_photos_that_users_have_give_plausible_faces(tmp_path, run):
+    photos = sorted((SHARED / "photos").glob("photo[12345]*"))
+    if not photos:
+        pytest.skip("../shared is absent")
+    status, _, errors = run(*photos, "--format", "npz")
+    assert (status, errors) == (0, [])
+    scheme = load_scheme("ibug51")
+    groups = np.array(scheme.groups)
+    eyes, mouth = np.isin(groups, ["right_eye", "left_eye"]), groups == "outer_mouth"
+    tip = scheme.names.index("nose_tip")
+    for photo in photos:
+        with np.load(tmp_path / "out" / f"{photo.stem}.npz") as found:
+            shapes = found["shape"]
+        for shape in shapes:
+            assert shape[eyes, 1].mean() > shape[tip, 1] > shape[mouth, 1].mean()
+            assert shape[tip, 2] == shape[:, 2].max()
+            centred = shape - shape.mean(0) * (1, 0, 0)
+            asymmetry = centred - centred[scheme.mirror] * (-1, 1, 1)
+            assert np.linalg.norm(asymmetry, axis=1).mean() < 0.05

@@ -1,0 +1,175 @@
+"""Shapes of faces that were found: scale, pose, weights, and what is said of doubtful ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views.photo_views import draw_photo_views
+from deepmds_keras import DeepMDS, InputError, weights
+from deepmds_keras.alignment import align
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.metrics import mse
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.predict.estimation import (
+    PRETRAINED,
+    describe_model,
+    estimate,
+    hash_weights,
+    load_model,
+)
+from deepmds_keras.predict.faces import Found
+
+SHARED = Path(__file__).parents[4] / "shared"
+N = 60
+
+
+def found(landmarks, scheme="ibug51", is_photo=False):
+    names = [f"a-{i}" for i in range(len(landmarks))]
+    return Found(Path("a.npy"), names, scheme, np.asarray(landmarks, float), is_photo)
+
+
+@pytest.fixture(scope="module", params=["ibug51", "bfm72"])
+def drawn(request):
+    """Scheme, landmarks in pixels, true shapes and cameras of faces that no weights have seen."""
+    rng = np.random.default_rng(77)
+    views, shapes, cameras = draw_photo_views(load_openhead(), request.param, N, rng)
+    return request.param, 3 * views * (1, -1) + (700, 500), shapes, cameras
+
+
+@pytest.fixture(scope="module")
+def landmarks():
+    """Of five faces."""
+    views, _, _ = draw_photo_views(load_openhead(), "ibug51", 5, np.random.default_rng(78))
+    return views * (1, -1)
+
+
+def notes(landmarks, **options):
+    return [" ".join(face.notes) for face in estimate(found(landmarks), **options)]
+
+
+def test_shipped_weights_recover_shape_and_pose_of_faces_in_photos(drawn):
+    scheme, landmarks, shapes, cameras = drawn
+    faces = estimate(found(landmarks, scheme))
+    truth, found_shapes = normalise(shapes), np.stack([face.shape for face in faces])
+    flat = mse(align(truth * [1, 1, 0], truth), truth).mean()
+    assert mse(align(found_shapes, truth), truth).mean() < 0.25 * flat
+    mouth = np.array([group == "outer_mouth" for group in load_scheme(scheme).groups])
+    opened = [np.ptp(each[:, mouth, 1], axis=1) for each in (found_shapes, truth)]
+    assert np.corrcoef(opened)[0, 1] > 0.65
+    for angle, most in (("yaw", 7), ("pitch", 7), ("roll", 4)):
+        off = [getattr(face.pose, angle) for face in faces] - getattr(cameras, angle)
+        assert np.sqrt(np.mean(off**2)) < most, angle
+
+
+def test_few_faces_like_those_of_the_training_are_doubted(drawn):
+    scheme, landmarks, _, _ = drawn
+    faces = estimate(found(landmarks, scheme))
+    assert sum(bool(face.notes) for face in faces) < 0.1 * N
+    assert max(face.pose.residual for face in faces) < 0.1
+
+
+def test_the_pose_lays_the_shape_over_the_landmarks(landmarks):
+    for face in estimate(found(landmarks), interocular=90):
+        seen = face.pose.project(face.shape) * (1, -1)
+        off = np.sqrt(((seen - face.landmarks) ** 2).sum(1).mean())
+        assert off == pytest.approx(face.pose.residual * np.ptp(face.landmarks, axis=0).max())
+
+
+def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
+    scheme = load_scheme("ibug51")
+    corners = [scheme.names.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
+    plain, scaled = (estimate(found(landmarks), interocular=mm) for mm in (None, 88.5))
+    for face, millimetres in zip(plain, scaled, strict=True):
+        assert (face.unit, millimetres.unit) == ("normalised", "mm")
+        right, left = millimetres.shape[corners]
+        assert np.linalg.norm(left - right) == pytest.approx(88.5)
+        ratio = 88.5 / np.linalg.norm(np.subtract(*face.shape[corners]))
+        assert np.allclose(millimetres.shape, ratio * face.shape)
+        assert millimetres.pose.yaw == pytest.approx(face.pose.yaw)
+        assert ratio * millimetres.pose.scale == pytest.approx(face.pose.scale)
+
+
+def test_where_and_how_large_a_face_is_does_not_change_its_shape(landmarks):
+    near = estimate(found(landmarks))
+    far = estimate(found(0.2 * landmarks + (5000, -30)))
+    for one, other in zip(near, far, strict=True):
+        assert np.allclose(one.shape, other.shape, atol=1e-4)
+
+
+def test_a_face_is_of_its_photo_only_if_it_was_found_there(landmarks):
+    assert estimate(found(landmarks))[0].photo is None
+    face = estimate(found(landmarks, is_photo=True))[0]
+    assert face.photo == face.source == Path("a.npy")
+
+
+def test_progress_counts_faces(landmarks):
+    done = []
+    estimate(found(landmarks), progress=done.append)
+    assert sum(done) == len(landmarks)
+
+
+def test_landmarks_of_photos_are_not_doubted():
+    files = sorted((SHARED / "tf_flame").glob("*_lmks.npy"))
+    if not files:
+        pytest.skip("../shared is absent")
+    assert notes([np.load(file) for file in files]) == 4 * [""]
+
+
+def test_a_profile_is_said_to_be_beyond_the_training():
+    turned = 3 * load_openhead().mean[load_openhead().landmarks["ibug51"]]
+    angle = np.deg2rad(75)
+    x = np.cos(angle) * turned[:, 0] + np.sin(angle) * turned[:, 2]
+    (note,) = notes([np.stack([x, -turned[:, 1]], 1)])
+    assert note.startswith("turned farther than the faces of the training: yaw +")
+    assert "at most ±50°" in note
+    assert "±25" not in note
+
+
+@pytest.mark.parametrize("by", ["shuffled", "shifted", "brows"])
+def test_landmarks_in_another_order_are_doubted(landmarks, by):
+    order = np.arange(51)
+    if by == "shuffled":
+        order = np.random.default_rng(0).permutation(51)
+    elif by == "shifted":
+        order = np.roll(order, 1)
+    else:
+        order[:10] = [*range(5, 10), *range(5)]
+    for note in notes(landmarks[:, order]):
+        assert "misses the landmarks by" in note
+        assert "another order" in note
+
+
+def test_weights_that_know_another_origin_are_said_to(tmp_path, landmarks):
+    model = DeepMDS.pretrained(PRETRAINED["ibug51"])
+    model.set_params(centre_views=False).save(tmp_path / "mine.npz")
+    given = str(tmp_path / "mine.npz")
+    assert all(
+        "where the landmarks have their origin" in note for note in notes(landmarks, model=given)
+    )
+    assert describe_model("ibug51", given) == {"name": given, "weights": "given by the user"}
+    assert "shipped" in describe_model("bfm72", None)["weights"]
+
+
+def test_what_fits_no_weights_is_named(landmarks, tmp_path):
+    with pytest.raises(
+        InputError, match="a.npy must have 72 landmarks .* openhead-bfm72. Received 51"
+    ):
+        estimate(found(landmarks), model="openhead-bfm72")
+    with pytest.raises(InputError, match="file of DeepMDS.save.., or its name must be one of open"):
+        load_model("openhead")
+    with pytest.raises(InputError, match="no.npz must be a file that DeepMDS.save.. wrote"):
+        hash_weights(str(tmp_path / "no.npz"))
+
+
+def test_other_weights_have_another_hash(tmp_path):
+    file, name = tmp_path / "mine.npz", PRETRAINED["ibug51"]
+    shipped = hash_weights(name)
+    assert hash_weights(None) != shipped  # of all that are defaults
+    file.write_bytes(weights.pretrained_path(name).read_bytes())
+    assert hash_weights(str(file)) == shipped
+    arrays, described = weights.read_arrays(file)
+    key = next(key for key in arrays if key.endswith("kernel"))
+    weights.write_arrays(file, arrays | {key: arrays[key] + np.float32(0.1)}, described)
+    assert hash_weights(str(file)) != shipped

@@ -1,0 +1,416 @@
+"""The page of 3D faces in a real browser: it is drawn, turns, and loads and runs nothing else."""
+
+import base64
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from data_gen.models.openhead import load_openhead
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.pose import HeadPose, head_pose
+from deepmds_keras.predict.cutout import cut_out
+from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.page import json_in_html, wireframe_script, write_page
+
+PHONE = {
+    "viewport": {"width": 390, "height": 844},
+    "device_scale_factor": 2,
+    "is_mobile": True,
+    "has_touch": True,
+}
+STILL = {"reduced_motion": "reduce", "viewport": {"width": 1280, "height": 900}}
+HOSTILE = "<img src=x onerror=window.ran=1>\"'&amp;{{faces}}</script><script>window.ran=1</script>"
+FRONT = {"rotation": np.eye(3)}
+SIDE = {"rotation": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])}
+
+
+@pytest.fixture(scope="module")
+def shape():
+    model = load_openhead()
+    return normalise(model.mean[model.landmarks["bfm72"]][None])[0]
+
+
+@pytest.fixture(scope="module")
+def face(shape):
+    """A head that is turned, looks up and leans, in a photo of 640 x 480."""
+    angles = np.deg2rad([20, 12, -8])
+    (a, b, c), (p, q, r) = np.cos(angles), np.sin(angles)
+    rotation = (
+        np.array([[c, -r, 0], [r, c, 0], [0, 0, 1]])
+        @ np.array([[1, 0, 0], [0, b, q], [0, -q, b]])
+        @ np.array([[a, 0, p], [0, 1, 0], [-p, 0, a]])
+    )
+    view = 180 * shape @ rotation[:2].T + (330, -420)
+    pose = head_pose(view, shape)
+    photo = Path("/somewhere/private/photo.jpg")
+    return Face("photo", photo, photo, "bfm72", view * (1, -1), shape, "normalised", pose)
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
+
+
+@pytest.fixture
+def page_of(tmp_path, visit):
+    def page_of(faces, photos, **options):
+        path = tmp_path / "page.html"
+        write_page(path, faces, photos)
+        return visit(path, **(STILL | options))
+
+    return page_of
+
+
+def drawn(page, which=0):
+    """What a canvas shows, `(H, W, 4)`, once what was asked of it is drawn."""
+    canvas = page.locator("canvas").nth(which)
+    canvas.scroll_into_view_if_needed()
+    encoded = canvas.evaluate(
+        """async (canvas) => {
+          for (let k = 0; k < 4; k += 1) await new Promise(requestAnimationFrame);
+          return canvas.toDataURL();
+        }"""
+    )
+    png = io.BytesIO(base64.b64decode(encoded.partition(",")[2]))
+    return np.asarray(Image.open(png).convert("RGBA"))
+
+
+def coloured(image, colour):
+    """Number of pixels of about one colour, faint ones left out."""
+    near = (np.abs(image[..., :3].astype(int) - colour) < 40).all(-1)
+    return int((near & (image[..., 3] > 100)).sum())
+
+
+def middle(page):
+    box = page.locator("canvas").first.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_the_photo_is_loaded_and_the_shape_drawn(page_of, face, photo):
+    page = page_of([face], [photo])
+    assert page.title() == "3D face of photo"
+    width, height = page.locator("img").evaluate("(i) => [i.naturalWidth, i.naturalHeight]")
+    assert (height, width) == cut_out(photo, face.landmarks).image.shape[:2]
+    assert coloured(drawn(page), (201, 79, 0)) > 500
+    assert page.locator("svg circle").count() == 72
+
+
+def test_landmarks_lie_where_the_photo_has_them(page_of, face):
+    marked = np.zeros((480, 640, 3), np.uint8)
+    x, y = face.landmarks[28].astype(int)
+    marked[y - 2 : y + 3, x - 2 : x + 3] = 255
+    page = page_of([face], [marked])
+    dot = page.locator("svg circle").nth(28)
+    # Of the picture as loaded, the middle of what is bright; of the dot, where the page has it.
+    bright = page.locator("img").evaluate(
+        """(img) => {
+          const canvas = document.createElement("canvas");
+          [canvas.width, canvas.height] = [img.naturalWidth, img.naturalHeight];
+          const pen = canvas.getContext("2d");
+          pen.drawImage(img, 0, 0);
+          const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
+          let [sum, sx, sy] = [0, 0, 0];
+          for (let i = 0; i < data.length; i += 4) {
+            if (data[i] < 128) continue;
+            [sum, sx, sy] = [sum + 1, sx + (i / 4) % canvas.width + 0.5,
+                             sy + Math.floor(i / 4 / canvas.width) + 0.5];
+          }
+          const box = img.getBoundingClientRect();
+          const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
+          return [box.x + box.width / 2 + scale * (sx / sum - canvas.width / 2),
+                  box.y + box.height / 2 + scale * (sy / sum - canvas.height / 2)];
+        }"""
+    )
+    box = dot.bounding_box()
+    centre = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    assert np.abs(np.subtract(centre, bright)).max() < 2
+
+
+@pytest.mark.parametrize(
+    ("button", "pose"), [("Front", FRONT), ("Side", SIDE), ("As in the photo", {})]
+)
+def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, pose):
+    page = page_of([face], [photo])
+    page.get_by_role("button", name=button).click()
+    drawn(page)
+    extent = face.shape.min(0), face.shape.max(0)
+    centred = face.shape - np.mean(extent, axis=0)
+    radius = np.linalg.norm(centred, axis=1).max()
+    seen = (centred @ pose.get("rotation", face.pose.rotation).T)[:, :2]
+    gaps = np.linalg.norm(seen[:, None] - seen, axis=2) + 9 * np.eye(len(seen))
+    lonely = int(gaps.min(1).argmax())  # no other is as near the pointer
+    canvas = page.locator("canvas").bounding_box()
+    pixels = middle(page) + 0.44 * canvas["width"] / radius * seen[lonely] * (1, -1)
+    page.mouse.move(*pixels)
+    drawn(page)
+    marked = "(dots) => dots.flatMap((d, i) => d.classList.contains('marked') ? [i] : [])"
+    assert page.locator("svg circle").evaluate_all(marked) == [lonely]
+
+
+def test_dragging_keys_and_wheel_turn_and_zoom_and_reset_goes_back(page_of, face, photo):
+    page = page_of([face], [photo])
+    first = drawn(page)
+    page.mouse.move(*middle(page))
+    page.mouse.wheel(0, -200)  # scrolls the page, as long as the canvas has not been chosen
+    page.mouse.move(5, 5)
+    assert np.array_equal(drawn(page), first)
+
+    x, y = middle(page)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 80, y + 20, steps=4)
+    page.mouse.up()
+    page.mouse.move(5, 5)
+    dragged = drawn(page)
+    assert not np.array_equal(dragged, first)
+
+    page.keyboard.press("ArrowLeft")  # the canvas has the focus since it was dragged
+    turned = drawn(page)
+    assert not np.array_equal(turned, dragged)
+
+    page.mouse.move(*middle(page))
+    page.mouse.wheel(0, -400)
+    page.mouse.move(5, 5)
+    zoomed = drawn(page)
+    assert coloured(zoomed, (201, 79, 0)) > 0
+    assert not np.array_equal(zoomed, turned)
+
+    page.get_by_role("button", name="Reset").click()
+    page.mouse.move(5, 5)
+    assert np.array_equal(drawn(page), first)
+
+
+def test_a_reader_without_a_mouse_reaches_the_canvas_and_its_numbers(page_of, face, photo):
+    page = page_of([face], [photo])
+    first = drawn(page)
+    canvas = page.locator("canvas")
+    assert "photo" in canvas.get_attribute("aria-label")
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        if canvas.evaluate("(c) => c === document.activeElement"):
+            break
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("+")
+    assert not np.array_equal(drawn(page), first)
+    page.keyboard.press("0")
+    assert np.array_equal(drawn(page), first)
+
+    page.get_by_text("Coordinates").click()
+    page.locator("tbody").wait_for()
+    cells = page.locator("tbody tr").nth(28).locator("td").all_inner_texts()
+    assert cells[:2] == ["29", "nose tip"]
+    values = [float(cell.replace("−", "-")) for cell in cells[2:]]
+    assert np.allclose(values[:3], face.shape[28], atol=1e-4)
+    assert np.allclose(values[3:], face.landmarks[28], atol=0.1)
+
+
+def test_numbers_and_landmarks_can_be_switched(page_of, face, photo):
+    page = page_of([face], [photo])
+    of_photo, of_shape = page.get_by_role("button", name="Numbers").all()
+    number = page.locator("svg text").nth(28)
+    assert not number.is_visible()
+    of_photo.click()
+    assert number.is_visible()
+    assert number.text_content() == "29"
+    page.get_by_role("button", name="Landmarks").click()
+    assert not page.locator("svg").is_visible()
+    before = drawn(page)
+    of_shape.click()
+    assert of_shape.get_attribute("aria-pressed") == "true"
+    assert (drawn(page)[..., 3] > 0).sum() > (before[..., 3] > 0).sum() + 1000
+
+
+def test_the_table_can_be_taken_away_as_csv(page_of, face, photo):
+    page = page_of([face], [photo])
+    page.get_by_text("Coordinates").click()
+    link = page.get_by_role("link", name="CSV")
+    assert link.get_attribute("download") == "photo.csv"
+    kind, text = link.get_attribute("href").split(",", 1)
+    assert kind == "data:text/csv;charset=utf-8"
+    lines = unquote(text).splitlines()
+    assert "normalised" in lines[0]
+    assert "+z out of the face" in lines[1]
+    rows = list(csv.DictReader(lines[2:]))
+    values = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
+    assert np.allclose(values, face.shape, atol=1e-5)
+    assert rows[28]["name"] == "nose_tip"
+
+
+def test_nothing_is_wider_than_a_phone(page_of, face, photo):
+    long = replace(face, name="a" * 150, notes=("b" * 200,))
+    page = page_of([long], [photo], **PHONE)
+    page.get_by_text("Coordinates").click()
+    page.locator("tbody").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    left, right = (page.locator(kind).first.bounding_box() for kind in ("img", "canvas"))
+    assert right["y"] > left["y"] + left["height"]  # below, not beside
+
+
+def test_a_finger_that_moves_sideways_turns_the_shape(page_of, face, photo):
+    page = page_of([face], [photo], **PHONE)
+    first = drawn(page)
+    x, y = middle(page)
+    touch = page.context.new_cdp_session(page)
+    for kind, at in (("Start", 0), ("Move", 30), ("Move", 60), ("Move", 90), ("End", None)):
+        points = [] if at is None else [{"x": x + at, "y": y}]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+    turned = drawn(page)
+    assert not np.array_equal(turned, first)
+    for kind, half in (("Start", 40), ("Move", 60), ("Move", 80), ("End", None)):
+        points = [] if half is None else [{"x": x - half, "y": y}, {"x": x + half, "y": y}]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+    assert not np.array_equal(drawn(page), turned)
+
+
+def test_a_hostile_name_is_text(page_of, face, photo):
+    hostile = replace(face, name=HOSTILE, source=Path("/x") / "<b>y<", notes=(f"see {HOSTILE}",))
+    page = page_of([hostile], [photo])
+    drawn(page)
+    page.get_by_text("Coordinates").click()
+    assert page.title() == f"3D face of {HOSTILE}"
+    assert page.locator("h1").inner_text() == f"3D face of {HOSTILE}"
+    assert page.locator("h2").inner_text() == HOSTILE
+    assert page.locator(".note").inner_text() == f"see {HOSTILE}"
+    assert page.locator("dd").first.inner_text() == "<b>y<"
+    assert page.locator("img").count() == 1
+    assert page.evaluate("window.ran") is None
+
+
+def test_a_name_of_bytes_that_are_no_text_is_written(page_of, face, photo):
+    page = page_of([replace(face, name="photo\udcff")], [photo])
+    assert "photo" in page.locator("h2").inner_text()
+
+
+def test_only_the_scripts_of_the_page_run_and_nothing_is_loaded(tmp_path, browser, face, photo):
+    path = tmp_path / "page.html"
+    write_page(path, [face], [photo])
+    text = path.read_text(encoding="utf-8")
+    other = "<script>window.ran = 1</script><img src=x onerror='window.ran = 1'></main>"
+    path.write_text(text.replace("</main>", other), encoding="utf-8")
+    context = browser.new_context(offline=True)
+    page = context.new_page()
+    asked = []
+    page.on("request", lambda request: asked.append(request.url[:60]))
+    page.goto(path.as_uri())
+    refused = page.evaluate("fetch('data:,x').then(() => false, () => true)")
+    ran, cards = page.evaluate("window.ran"), page.locator(".card").count()
+    context.close()
+    assert refused
+    assert ran is None
+    assert cards == 1
+    assert all(url.startswith((path.as_uri()[:60], "data:image/")) for url in asked)
+
+
+def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):
+    faces = [replace(face, name=f"photo-{i}") for i in range(5)]
+    faces[3] = replace(faces[3], photo=None, unit="mm", shape=160 * face.shape)
+    page = page_of(faces, (None if face.photo is None else photo for face in faces))
+    assert page.title() == "5 faces in 3D"
+    assert page.locator("h2").all_inner_texts() == [face.name for face in faces]
+    assert page.locator("img").count() == 4
+    for which in range(5):
+        assert coloured(drawn(page, which), (201, 79, 0)) > 500
+    assert "millimetres" in page.locator(".facts").nth(3).inner_text()
+    assert "one view does not show the true size" in page.locator(".facts").nth(2).inner_text()
+    sizes = page.locator("canvas").evaluate_all("(all) => all.map((c) => c.width)")
+    assert sizes[0] == 0  # far out of sight: hundreds of faces would not fit into memory
+
+
+def test_dark_and_printed_pages_have_colours_of_their_own(page_of, face, photo):
+    page = page_of([face], [photo], color_scheme="dark")
+    canvas = page.locator("canvas")
+    background = "(c) => getComputedStyle(c).backgroundColor"
+    assert coloured(drawn(page), (255, 148, 72)) > 200
+    assert canvas.evaluate(background) == "rgb(31, 34, 38)"
+    page.emulate_media(media="print", color_scheme="dark")
+    assert canvas.evaluate(background) == "rgb(255, 255, 255)"
+    assert coloured(drawn(page), (201, 79, 0)) > 200
+    assert not page.get_by_role("button", name="Front").is_visible()
+
+
+def test_several_shapes_are_drawn_over_one_another(tmp_path, visit, shape):
+    options = {
+        "shapes": [
+            {"name": "truth", "points": shape.tolist(), "colour": "#0000ff"},
+            {"name": "ours", "points": (shape + 0.05).tolist(), "colour": "#ff0000"},
+        ],
+        "lines": [[0, 2, 11, 3, 0]],
+    }
+    path = tmp_path / "two.html"
+    path.write_text(
+        "<!DOCTYPE html><meta charset=utf-8><canvas style='width:400px;height:400px'></canvas>"
+        f"<script>{wireframe_script()}</script><script>const options = {json_in_html(options)};"
+        "const view = drawWireframe(document.querySelector('canvas'), options);</script>",
+        encoding="utf-8",
+    )
+    page = visit(path, **STILL)
+    both = drawn(page)
+    assert coloured(both, (0, 0, 255)) > 50
+    assert coloured(both, (255, 0, 0)) > 50
+    page.evaluate("view.show(options.shapes.slice(1))")
+    one = drawn(page)
+    assert coloured(one, (0, 0, 255)) == 0
+    assert coloured(one, (255, 0, 0)) > 50
+    page.evaluate("view.show([]), view.showNumbers(true), view.mark(0)")
+    assert coloured(drawn(page), (255, 0, 0)) == 0
+
+
+def test_json_in_html_holds_no_markup_and_stays_what_it_is():
+    value = {"</script><!--": ["&<>", 1.5, None, "é\u2028\udcff"]}
+    text = json_in_html(value)
+    assert not set("<>&") & set(text)
+    assert text.isascii()
+    assert json.loads(text) == value
+    with pytest.raises(ValueError, match="JSON"):
+        json_in_html([float("nan")])
+
+
+def test_a_page_that_fails_leaves_no_file(tmp_path, face):
+    def photos():
+        raise RuntimeError("the photo is gone")
+        yield
+
+    with pytest.raises(RuntimeError):
+        write_page(tmp_path / "page.html", [face], photos())
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_page_does_not_tell_where_the_photo_lies(tmp_path, face, photo):
+    write_page(tmp_path / "page.html", [face], [photo])
+    assert "private" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_large_photo_stays_small_and_its_landmarks_in_place():
+    dots = np.array([[2100, 1500], [2900, 1600], [2500, 2200]]) + 0.5
+    photo = np.zeros((3000, 4000, 3), np.uint8)
+    for x, y in dots.astype(int):
+        photo[y - 12 : y + 13, x - 12 : x + 13] = 255
+    cutout = cut_out(photo, dots)
+    assert max(cutout.image.shape) <= 800
+    for x, y in cutout.landmarks:
+        assert cutout.image[int(y), int(x)].min() > 200
+        assert cutout.image[int(y) + 15, int(x)].max() < 60
+
+
+@pytest.mark.parametrize("at", [(-500.0, -500.0), (5.0, 5.0), (99.0, 59.0)])
+def test_a_face_at_or_beyond_the_edge_of_the_photo_is_cut_out(at):
+    photo = np.random.default_rng(1).integers(0, 255, (60, 100, 3), np.uint8)
+    landmarks = np.array(at) + [[0, 0], [10, 0], [5, 12]]
+    cutout = cut_out(photo, landmarks)
+    low = (landmarks - cutout.landmarks).mean(0).round().astype(int)
+    height, width = cutout.image.shape[:2]
+    assert np.array_equal(cutout.image, photo[low[1] : low[1] + height, low[0] : low[0] + width])
+
+
+def test_poses_reach_the_page_as_they_are(page_of, face, photo):
+    assert isinstance(face.pose, HeadPose)
+    assert np.allclose([face.pose.yaw, face.pose.pitch, face.pose.roll], [20, 12, -8])
+    text = page_of([face], [photo]).locator(".facts").inner_text()
+    assert "yaw 20.0°, pitch 12.0°, roll −8.0°" in text

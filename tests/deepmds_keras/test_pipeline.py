@@ -1,0 +1,176 @@
+"""The estimator: scikit-learn's conventions, a face that faces the front, files, and errors."""
+
+import h5py
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.openhead import load_openhead
+from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
+from deepmds_keras.alignment import is_mirrored
+from deepmds_keras.orientation import face_front, front_landmark
+
+
+@pytest.fixture(scope="module")
+def test_faces():
+    return make_dataset(load_openhead(), 400, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return DeepMDS.pretrained("openhead-bfm72")
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A network of 8 landmarks that is trained in a few seconds, and what it was trained on."""
+    rng = np.random.default_rng(0)
+    shapes = rng.random((1, 8, 3)) + 0.05 * rng.normal(size=(48, 8, 3))
+    model = DeepMDS(8, autoencoder_epochs=2, dissimilarity_epochs=1, seed=3)
+    return model.fit(shapes[..., :2], shapes), shapes
+
+
+def test_shipped_weights_recover_unseen_faces(shipped, test_faces):
+    truth = normalise(test_faces.landmarks)
+    shapes = shipped.predict(test_faces.views)
+    assert shapes.shape == (400, 72, 3)
+    mse = metrics.mse(align(shapes, truth), truth).mean()
+    flat = truth * [1, 1, 0]
+    assert mse < 0.1 * metrics.mse(align(flat, truth), truth).mean()
+    assert not is_mirrored(shapes, truth).any()
+
+
+def test_shipped_weights_tell_faces_apart(shipped, test_faces):
+    truth = normalise(test_faces.landmarks)
+    shapes = shipped.predict(test_faces.views)
+    others = np.roll(truth, 1, axis=0)
+    own = metrics.mse(align(shapes, truth), truth)
+    assert (own < metrics.mse(align(shapes, others), others)).mean() > 0.55
+
+
+def test_prediction_does_not_see_scale_and_place_of_a_view(shipped, test_faces):
+    views = test_faces.views[:3]
+    assert np.allclose(shipped.predict(views), shipped.predict(17 * views + [400, -90]), atol=1e-3)
+
+
+def test_prediction_lies_over_the_frontal_view_with_the_nose_in_front(shipped, test_faces):
+    shapes = shipped.predict(test_faces.views[:20])
+    assert np.abs(shapes[..., :2] - shipped.frontalise(test_faces.views[:20])).mean() < 0.02
+    assert np.allclose(shapes[..., 2].mean(1), 0)
+    assert (shapes[:, shipped.front_landmark_, 2] > 0.05).all()
+
+
+def test_dissimilarities_are_symmetric(shipped, test_faces):
+    matrices = shipped.dissimilarities(test_faces.views[:3])
+    assert matrices.shape == (3, 72, 72)
+    assert np.array_equal(matrices, np.swapaxes(matrices, 1, 2))
+
+
+def test_one_face_and_a_batch_give_the_same(shipped, test_faces):
+    batch = shipped.predict(test_faces.views[:2])
+    assert np.allclose(shipped.predict(test_faces.views[0])[0], batch[0], atol=1e-4)
+
+
+def test_a_mirrored_embedding_is_turned_to_the_front():
+    rng = np.random.default_rng(0)
+    shapes = normalise(rng.random((6, 9, 3)))
+    front = front_landmark(shapes)
+    shapes[:, front, 2] += 1
+    for mirror in (1, -1):
+        turned = face_front(shapes @ np.diag([1, 1, mirror]), shapes[..., :2], front)
+        assert np.allclose(turned - turned.mean(1, keepdims=True),
+                           shapes - shapes.mean(1, keepdims=True))  # fmt: skip
+
+
+def test_saved_and_loaded_predict_the_same(small, tmp_path):
+    model, shapes = small
+    model.save(tmp_path / "model.npz")
+    loaded = DeepMDS.load(tmp_path / "model.npz")
+    assert loaded.get_params() == model.get_params()
+    assert loaded.history_ == model.history_
+    assert np.array_equal(loaded.predict(shapes[..., :2]), model.predict(shapes[..., :2]))
+    assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
+
+
+def test_clone_has_the_parameters_and_no_weights(small):
+    copy = clone(small[0])
+    assert copy.get_params() == small[0].get_params()
+    assert not hasattr(copy, "autoencoder_")
+    assert DeepMDS().get_params()["variant"] == "paper"
+
+
+def test_same_seed_same_prediction(small):
+    model, shapes = small
+    again = clone(model).fit(shapes[..., :2], shapes)
+    assert np.array_equal(again.predict(shapes[..., :2]), model.predict(shapes[..., :2]))
+
+
+def test_n_parameters_are_the_trainable_ones(shipped):
+    assert shipped.n_parameters == 24_880 + 2443
+
+
+def test_damaged_files_are_refused(small, tmp_path):
+    model, _ = small
+    path = tmp_path / "model.npz"
+    model.save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="model.npz must be an npz written by save"):
+        DeepMDS.load(path)
+    np.savez(path, description=np.array("{}"))
+    with pytest.raises(InputError, match="was not written by DeepMDS.save"):
+        DeepMDS.load(path)
+    np.savez(path, description=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match="must be an npz written by save"):
+        DeepMDS.load(path)
+    with pytest.raises(InputError, match="none.npz does not exist"):
+        DeepMDS.load(tmp_path / "none.npz")
+
+
+def test_a_flipped_byte_is_refused_or_harmless(small, tmp_path):
+    path = tmp_path / "model.npz"
+    small[0].save(path)
+    whole = path.read_bytes()
+    refused = 0
+    for position in np.random.default_rng(0).integers(0, len(whole), 40):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            DeepMDS.load(path)
+        except InputError:
+            refused += 1
+    assert refused > 20
+
+
+def test_foreign_keras_files_are_refused(tmp_path):
+    text = tmp_path / "text.h5"
+    text.write_text("no HDF5")
+    with pytest.raises(InputError, match="text.h5 must be a Keras 2 weight file"):
+        DeepMDS.from_released(text, text)
+    foreign = tmp_path / "foreign.h5"
+    with h5py.File(foreign, "w") as file:
+        file.attrs["layer_names"] = ["dense"]
+        group = file.create_group("dense")
+        group.attrs["weight_names"] = ["kernel"]
+        group["kernel"] = np.zeros((4, 4))
+    with pytest.raises(InputError, match="foreign.h5 does not fit the network autoencoder_72"):
+        DeepMDS.from_released(foreign, foreign)
+
+
+def test_bad_input_is_named(shipped, test_faces):
+    views = test_faces.views[:4].copy()
+    with pytest.raises(InputError, match="views must have 72 landmarks a face. Received 71"):
+        shipped.predict(views[:, 1:])
+    with pytest.raises(InputError, match=r"shape \(faces >= 1, landmarks >= 3, 2\)"):
+        shipped.predict(np.zeros((4, 72, 3)))
+    views[1, 5] = np.nan
+    with pytest.raises(InputError, match="NaN or infinity in face 1"):
+        shipped.predict(views)
+    with pytest.raises(InputError, match="openhead-bfm72, openhead-ibug51. Received 'bfm'"):
+        DeepMDS.pretrained("bfm")
+    with pytest.raises(InputError, match="4 views and 3 shapes"):
+        DeepMDS().fit(test_faces.views[:4], test_faces.landmarks[:3])
+    with pytest.raises(InputError, match="not trained"):
+        DeepMDS().predict(test_faces.views[:1])

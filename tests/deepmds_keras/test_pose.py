@@ -1,0 +1,127 @@
+"""Head poses: what was turned is found turned, by the angles that the data are made with."""
+
+import numpy as np
+import pytest
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views.projections import Cameras, camera_angles, project
+from deepmds_keras import InputError
+from deepmds_keras.pose import head_pose, head_poses
+
+N = 40
+ANGLES = ("yaw", "pitch", "roll")
+
+
+def cameras(yaw, pitch, roll):
+    none = np.zeros(len(yaw))
+    return Cameras(none.astype(int), np.array(yaw), np.array(pitch), np.array(roll), none)
+
+
+def random_cameras(n=N):
+    rng = np.random.default_rng(1)
+    return cameras(*(rng.uniform(-most, most, n) for most in (80, 60, 150)))
+
+
+@pytest.fixture(scope="module")
+def shape():
+    """`(51, 3)` of the mean head, its middle anywhere but at the origin."""
+    model = load_openhead()
+    return model.mean[model.landmarks["ibug51"]] + [30.0, -20, 10]
+
+
+def seen(shape, turned, scale=1.0, shift=(0, 0)):
+    return scale * project(np.stack([shape] * len(turned.yaw)), turned) + shift
+
+
+def test_the_angles_scale_and_place_of_a_view_are_found(shape):
+    turned, shift = random_cameras(), np.array([400.0, -300])
+    views = seen(shape, turned, 2.5, shift)
+    for i, view in enumerate(views):
+        pose = head_pose(view, shape)
+        assert pose.yaw == pytest.approx(turned.yaw[i])
+        assert pose.pitch == pytest.approx(turned.pitch[i])
+        assert pose.roll == pytest.approx(turned.roll[i])
+        assert pose.scale == pytest.approx(2.5)
+        assert pose.residual < 1e-12
+        assert np.allclose(pose.project(shape), view)
+        # Where the origin of the shape is seen; `project` keeps it where it is.
+        assert np.allclose(pose.translation, shift)
+
+
+def test_angles_are_those_of_the_data(shape):
+    rotations = [pose.rotation for pose in head_poses(seen(shape, random_cameras()), [shape] * N)]
+    assert np.allclose(np.linalg.det(rotations), 1)
+    poses = head_poses(seen(shape, random_cameras()), np.stack([shape] * N))
+    assert np.allclose(
+        [[getattr(pose, angle) for pose in poses] for angle in ANGLES], camera_angles(rotations)
+    )
+
+
+@pytest.mark.parametrize(
+    ("angle", "landmark", "moved"),
+    [
+        ("yaw", "nose_tip", (1, 0)),  # to the subject's own left: rightwards in the view
+        ("pitch", "nose_tip", (0, 1)),  # looks up
+        ("roll", "brow", (-1, 0)),  # the top leans to the subject's own right
+    ],
+)
+def test_direction_of_each_angle(shape, angle, landmark, moved):
+    middle = shape.mean(0)
+    index = {"nose_tip": 13, "brow": 4}[landmark]
+    turn = {name: [20.0 if name == angle else 0.0] for name in ANGLES}
+    front, turned = (shape - middle)[index, :2], seen(shape - middle, cameras(**turn))[0]
+    assert (turned[index] - front) @ moved > 5
+    pose = head_pose(turned, shape)
+    assert getattr(pose, angle) == pytest.approx(20)
+    assert sum(abs(getattr(pose, other)) for other in ANGLES) == pytest.approx(20)
+
+
+def test_many_at_once_are_as_one_by_one(shape):
+    rng = np.random.default_rng(2)
+    shapes = shape + rng.normal(0, 4, (N, *shape.shape))
+    views = seen(shape, random_cameras()) + rng.normal(0, 4, (N, len(shape), 2))
+    for pose, view, own in zip(head_poses(views, shapes), views, shapes, strict=True):
+        alone = head_pose(view, own)
+        for name, value in vars(alone).items():
+            assert np.allclose(getattr(pose, name), value), name
+
+
+def test_the_residual_is_in_sizes_of_the_face(shape):
+    rng = np.random.default_rng(3)
+    turned = cameras([15.0], [-10.0], [30.0])
+    (view,) = seen(shape, turned) + rng.normal(0, 3, (1, len(shape), 2))
+    pose = head_pose(view, shape)
+    off = np.linalg.norm(pose.project(shape) - view, axis=1)
+    assert pose.residual == pytest.approx(
+        np.sqrt(np.mean(off**2)) / max(np.ptp(view[:, 0]), np.ptp(view[:, 1]))
+    )
+    assert 0.03 < pose.residual < 0.06  # of some 100 mm, 3 mm to either side
+    assert head_pose(70 * view + 900, shape).residual == pytest.approx(pose.residual)
+    assert head_pose(view, 0.01 * shape).residual == pytest.approx(pose.residual)
+
+
+def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
+    views = seen(shape, cameras([10.0, 0, -20], [0.0, 5, 5], [0.0, 0, 10]))
+    mirrored = views * [-1, 1]
+    for view in mirrored:
+        with pytest.raises(InputError, match="view must show the face from in front, .* mirrored"):
+            head_pose(view, shape)
+    upside_down = views * [1, -1]  # y down: a mirrored view of a head that stands on its top
+    with pytest.raises(InputError, match="y up"):
+        head_pose(upside_down[0], shape)
+    poses = head_poses(np.concatenate([views, mirrored]), [shape] * 6)
+    assert [abs(pose.yaw) > 90 for pose in poses] == 3 * [False] + 3 * [True]
+
+
+def test_what_is_no_view_of_the_shape_is_named(shape):
+    view = shape[:, :2]
+    with pytest.raises(InputError, match=r"same faces and landmarks. Received \(1, 50\) and \(1,"):
+        head_pose(view[:50], shape)
+    with pytest.raises(InputError, match="view must be finite"):
+        head_pose(np.where(view == view[3], np.nan, view), shape)
+    with pytest.raises(InputError, match=r"of one face, .* Received shapes \(2, 51, 2\)"):
+        head_pose(np.stack([view] * 2), shape)
+    with pytest.raises(InputError, match="shape must have shape"):
+        head_pose(view, view)
+    with pytest.raises(InputError, match="view must not be collinear"):
+        head_pose(np.stack([view[:, 0]] * 2, 1), shape)

@@ -1,0 +1,42 @@
+"""The printed digits do not depend on the solver; `test_faults` is of threads and repetition."""
+
+import shutil
+
+import faults
+import numpy as np
+import pytest
+
+from deepmds_keras.weights import read_arrays, write_arrays
+from experiments.inputs import load_faces
+from experiments.methods import DEEP_MDS
+from experiments.presets import SMOKE
+from experiments.run import Run
+from experiments.tracks.predictions import fitted
+
+
+@pytest.fixture
+def batched(whole_bfm, tmp_path):
+    """The BFM experiment with the predictions of the batched solver in place of scikit-learn's."""
+    shutil.copytree(whole_bfm.folder / "build", tmp_path / "build")
+    run = Run("openhead", SMOKE, build=tmp_path / "build", jobs=1)
+    train, test = load_faces(run, "train"), load_faces(run, "test")
+    for method in DEEP_MDS:
+        path = run.prediction_file(method)
+        arrays, described = read_arrays(path)
+        predicted = np.float32(
+            fitted(run, train, method).set_params(solver="batched").predict(test.views)
+        )
+        assert np.abs(predicted - arrays["shapes"]).max() < 1e-3
+        write_arrays(path, arrays | {"shapes": predicted}, described)
+    return tmp_path
+
+
+def test_both_solvers_print_the_same_table(whole_bfm, batched):
+    done = faults.run("bfm", batched)
+    assert done.returncode == 0, done.stderr
+    for name in ("bfm/table.tex", "parameters/table.tex"):
+        first, second = (
+            (folder / "results/smoke/openhead" / name).read_text(encoding="utf-8")
+            for folder in (whole_bfm.folder, batched)
+        )
+        assert first == second, name

@@ -1,0 +1,176 @@
+"""The CelebA experiment from the command line, at the smallest size."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from data_gen.datasets.dataset import load_dataset
+from deepmds_keras.weights import read_arrays
+
+ROOT = Path(__file__).parents[3]
+TF_FLAME = ROOT.parent / "shared" / "tf_flame"
+MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", ROOT / ".venv-mediapipe/bin/python"))
+ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
+
+
+def run(stage, folder, *more):
+    command = [
+        sys.executable, "-m", "experiments", stage, "--preset", "smoke", "--mediapipe",
+        str(MEDIAPIPE), "--build", str(folder / "build"), "--results", str(folder / "results"),
+        *more,
+    ]  # fmt: skip
+    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+
+
+def succeed(stage, folder, *more):
+    done = run(stage, folder, *more)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def results(folder, name="celeba"):
+    return folder / "results" / "smoke" / "openhead" / name
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The networks of the BFM track, MobileFace's too, and every stage on the stand-in."""
+    folder = tmp_path_factory.mktemp("celeba")
+    for stage in ("faces", "networks", "images", "mobileface"):
+        succeed(stage, folder)
+    for stage in ("photos", "predictions", "mobileface", "celeba"):
+        succeed(stage, folder, "--track", "celeba")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def work(whole):
+    return whole / "build" / "openhead" / "celeba-smoke-paper-seed0"
+
+
+def mse_of(folder, name):
+    table = pd.read_csv(results(folder, name) / "table.csv")
+    return table[table["metric"] == "mse"].set_index("method")["mean"]
+
+
+def test_everything_is_written(whole):
+    for name in ("celeba", "celeba-true-landmarks"):
+        folder = results(whole, name)
+        names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+        assert {"metrics.csv", "table.csv", "table.tex", "wilcoxon.csv", "manifest.json"} <= names
+    figures = {path.stem for path in (results(whole) / "figures").glob("*.png")}
+    assert figures == {"summary", "celeba", "fits", "photos", "error_per_landmark"}
+    assert (results(whole) / "examples.json").is_file()
+
+
+def test_tables_have_the_papers_methods_and_both_truths(whole):
+    found, true = mse_of(whole, "celeba"), mse_of(whole, "celeba-true-landmarks")
+    papers = {"zhao", "mobileface", "aldrian", "ours"}
+    assert papers | {"mean_shape", "linear", "true_landmarks"} <= {*found.dropna().index}
+    assert papers | {"mean_shape", "linear", "model_fit"} <= {*true.dropna().index}
+    # How far the two truths lie apart is the same number from either side, but for the unit.
+    assert true["model_fit"] == pytest.approx(found["true_landmarks"], rel=0.3)
+    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("mobileface", "mse"), "paper_mean"] == pytest.approx(0.092e-5)
+
+
+def test_methods_get_what_the_camera_of_the_fit_sees(work):
+    test = load_dataset(work / "test.npz")
+    photos, _ = read_arrays(work / "photos.npz")
+    used = photos["status"] == "used"
+    scale = np.ptp(photos["pixels"][used], axis=1) / np.ptp(test.views, axis=1)
+    assert np.allclose(scale[:, 0], scale[:, 1], rtol=1e-4)  # one scale, y turned up
+    apart = np.linalg.norm(photos["pixels"] - photos["true_pixels"], axis=2)[used].mean()
+    assert apart < 8  # of 218 pixels: the fit finds the face
+
+
+def test_networks_are_those_of_the_bfm_track(whole, work):
+    assert not (work / "networks").exists()
+    manifest = json.loads((results(whole) / "manifest.json").read_text())
+    trained = json.loads((whole / "build/openhead/bfm-smoke-paper-seed0/networks.json").read_text())
+    record = next(r for r in manifest["stages"] if r["stage"] == "networks")
+    assert record["started"] == trained["started"]
+    assert manifest["command"].startswith("make reproduce-celeba MODEL=openhead PRESET=smoke")
+
+
+def test_a_stopped_run_goes_on(whole, work, tmp_path):
+    shutil.copytree(whole / "build", tmp_path / "build")
+    copy = tmp_path / "build" / work.relative_to(whole / "build")
+    (copy / "photos.json").unlink()
+    (copy / "photos.npz").unlink()
+    succeed("photos", tmp_path, "--track", "celeba")
+    for key, array in read_arrays(work / "photos.npz")[0].items():
+        np.testing.assert_array_equal(read_arrays(copy / "photos.npz")[0][key], array)
+    assert not (copy / "predictions").exists()  # of an earlier test set
+
+
+def write_photos(folder, n):
+    """Photos of the stand-in under the names of CelebA's."""
+    from data_gen.datasets.photos_standin import PhotosStandin
+    from data_gen.models.openhead import load_openhead
+
+    for number, photo in enumerate(PhotosStandin(load_openhead(), n, [3]).photos(range(n)), 1):
+        Image.fromarray(photo.image).save(folder / f"{number:06}.jpg")
+
+
+def test_celeba_as_distributed_takes_the_place_of_the_stand_in(whole, tmp_path, apart):
+    """Laid out as CelebA is; one photo is damaged, one shows nobody, one is not for testing."""
+    shutil.copytree(whole / "build", tmp_path / "build")
+    images = tmp_path / "celeba" / "img_align_celeba"
+    images.mkdir(parents=True)
+    apart(write_photos, images, 22)
+    (images / "000021.jpg").write_bytes(b"no photo")
+    Image.new("RGB", (178, 218), "grey").save(images / "000022.jpg")
+    lines = [f"{number:06}.jpg {0 if number == 20 else 2}" for number in range(1, 23)]
+    (tmp_path / "celeba" / "list_eval_partition.txt").write_text("\n".join(lines) + "\n")
+
+    given = ("--track", "celeba", "--celeba", str(tmp_path / "celeba"))
+    said = succeed("photos", tmp_path, *given)
+    assert "1 unreadable" in said and "no face found" in said
+    record = json.loads(
+        (tmp_path / "build/openhead/celeba-smoke-paper-seed0-real/photos.json").read_text()
+    )
+    assert record["source"] == "CelebA" and sum(record["photos"].values()) == 21  # not the 20th
+    for stage in ("predictions", "celeba"):
+        succeed(stage, tmp_path, *given)
+    folder = results(tmp_path, "celeba-real")
+    assert (folder / "figures" / "celeba.png").is_file()
+    table = pd.read_csv(folder / "table.csv")
+    assert "true_landmarks" not in {*table["method"]}
+    assert not results(tmp_path, "celeba-true-landmarks-real").exists()
+    note = table.set_index(["method", "metric"]).loc[("mobileface", "mse"), "note"]
+    assert "MOBILEFACE=no" in note
+
+
+def test_a_folder_that_is_no_celeba_is_refused(tmp_path):
+    done = run("photos", tmp_path, "--track", "celeba", "--data", str(tmp_path))
+    assert done.returncode == 2 and "img_align_celeba" in done.stderr
+    done = run("photos", tmp_path, "--track", "celeba", "--celeba", str(tmp_path / "none"))
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+
+
+def test_faces_with_flames_landmarks_are_drawn(tmp_path_factory, tmp_path):
+    if not TF_FLAME.is_dir():
+        pytest.skip("../shared/tf_flame is absent")
+    for stage in ("frames", "networks"):
+        succeed(stage, tmp_path, "--track", "flame")
+    succeed("celeba_flame", tmp_path, "--track", "celeba", "--tf-flame", str(TF_FLAME))
+    folder = results(tmp_path, "celeba-flame")
+    assert (folder / "figures" / "celeba_flame.png").stat().st_size > 50_000
+    record = json.loads((folder / "manifest.json").read_text())["stages"][0]
+    assert len(record["faces"]) == 4
+    expected = ["mediapipe_corrected"] * MEDIAPIPE.exists() + ["zhao", "ours", "ours_stable"]
+    assert record["methods"] == expected
+
+
+def test_a_folder_without_such_faces_is_refused(tmp_path):
+    done = run("celeba_flame", tmp_path, "--track", "celeba", "--tf-flame", str(tmp_path))
+    assert done.returncode == 2 and "_lmks.npy" in done.stderr

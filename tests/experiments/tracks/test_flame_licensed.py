@@ -1,0 +1,185 @@
+"""The FLAME track on files in the layouts of FLAME, CoMA and CASIA-3D, made from the open head."""
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.sparse import csc_matrix
+
+from data_gen.datasets.dataset import load_dataset
+from data_gen.datasets.frames_standin import make_frames
+from data_gen.models.registry import load_model
+
+ROOT = Path(__file__).parents[3]
+N_FRAMES, N_SCANS = 40, 4
+ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
+
+
+def run(stage, folder, *more):
+    command = [
+        sys.executable, "-m", "experiments", stage, "--track", "flame", "--preset", "smoke",
+        "--model", "flame", "--data", str(folder / "data"), "--build", str(folder / "build"),
+        "--results", str(folder / "results"), *more,
+    ]  # fmt: skip
+    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+
+
+def write_flame(folder, model):
+    """The open head as `generic_model.pkl`; its expressions take the place of FLAME's."""
+    shapedirs = np.zeros((model.n_vertices, 3, 400))
+    for start, basis in ((0, model.identity_basis_times_sd), (300, model.expression_basis)):
+        shapedirs[..., start : start + len(basis)] = np.moveaxis(basis, 0, -1) / 1e3
+    weights = np.zeros((model.n_vertices, 5))
+    weights[:, 0] = 1
+    arrays = {
+        "v_template": model.mean / 1e3,
+        "f": model.triangles.astype(np.uint32),
+        "shapedirs": shapedirs,
+        "posedirs": np.zeros((model.n_vertices, 3, 36)),
+        "J_regressor": csc_matrix(np.full((5, model.n_vertices), 1 / model.n_vertices)),
+        "J": np.zeros((5, 3)),
+        "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
+        "weights": weights,
+        "bs_style": "lbs",
+        "bs_type": "lrotmin",
+    }
+    (folder / "generic_model.pkl").write_bytes(pickle.dumps(arrays, 2))
+    landmarks = model.landmarks["ibug51"]
+    triangles = np.array([np.flatnonzero((model.triangles == v).any(1))[0] for v in landmarks])
+    weights = (model.triangles[triangles] == landmarks[:, None]).astype(float)
+    embedding = {"lmk_face_idx": triangles.astype(np.uint32), "lmk_b_coords": weights}
+    (folder / "flame_static_embedding.pkl").write_bytes(pickle.dumps(embedding, 0))
+
+
+def write_coma(folder, model):
+    """Frames as PLY meshes; one is cut short."""
+    frames = make_frames(model, 1, N_FRAMES, np.random.default_rng(0))
+    faces = np.empty(len(model.triangles), [("n", "u1"), ("v", "<i4", (3,))])
+    faces["n"], faces["v"] = 3, model.triangles
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {model.n_vertices}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    sequence = folder / "CoMA" / "FaceTalk_170725_00137_TA" / "bareteeth"
+    sequence.mkdir(parents=True)
+    shapes = np.float32(model.shape(frames.identity, frames.expression) / 1e3)
+    for k, vertices in enumerate(shapes, 1):
+        content = header.encode() + vertices.tobytes() + faces.tobytes()
+        path = sequence / f"bareteeth.{k:06}.ply"
+        path.write_bytes(content if k != 7 else content[:5000])
+
+
+def write_casia(folder, scans):
+    """Photos and clouds of points, in the frame of a camera that looks along +z, y down."""
+    for kind in ("BMP", "WRL"):
+        (folder / "CASIA-3D-FaceV1" / f"3D-Face-{kind}" / "001").mkdir(parents=True)
+    for scan in scans:
+        path = folder / "CASIA-3D-FaceV1" / "3D-Face-BMP" / "001" / f"{scan.name}.bmp"
+        Image.fromarray(scan.image).save(path)
+        points = scan.points * (1, -1, -1) + (0, 0, 800)
+        rows = ",\n".join(" ".join(f"{x:.3f}" for x in point) for point in points)
+        path = folder / "CASIA-3D-FaceV1" / "3D-Face-WRL" / "001" / f"{scan.name}.wrl"
+        path.write_text(
+            "#VRML V2.0 utf8\nShape { geometry IndexedFaceSet { coord Coordinate { point [\n"
+            f"{rows}\n] }} }} }}\n"
+        )
+
+
+def make_scans():
+    from data_gen.datasets.scans_standin import ScansStandin
+
+    return ScansStandin(load_model("openhead", scheme="ibug51"), 1, N_SCANS, [0, 5]).subject(0)
+
+
+@pytest.fixture(scope="module")
+def scans(apart):
+    return apart(make_scans)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scans):
+    folder = tmp_path_factory.mktemp("licensed")
+    (folder / "data").mkdir()
+    model = load_model("openhead", scheme="ibug51")
+    write_flame(folder / "data", model)
+    write_coma(folder / "data", model)
+    write_casia(folder / "data", scans)
+    return folder
+
+
+def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
+    done = run("frames", folder)
+    assert done.returncode == 0, done.stderr
+    assert "1 meshes skipped" in done.stdout
+    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    assert "bareteeth.000007.ply" in (work / "frames-skipped.txt").read_text()
+    train = load_dataset(work / "train.npz")
+    model = load_model("openhead", scheme="ibug51")
+    frames = make_frames(model, 1, N_FRAMES, np.random.default_rng(0))
+    landmarks = model.restrict(model.landmarks["ibug51"])
+    expected = np.delete(landmarks.shape(frames.identity, frames.expression), 6, axis=0)
+    assert np.allclose(train.landmarks, expected, atol=1e-3)
+
+
+def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
+    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    done = run("scans", folder)
+    assert done.returncode == 0, done.stderr
+    index = work / "casia-index.csv"
+    assert index.read_text().count(",yes,") == N_SCANS
+    with np.load(work / "scans.npz", allow_pickle=False) as found:
+        used = found["status"] == "used"
+        assert used.sum() >= N_SCANS - 1
+        assert np.isnan(found["truth"]).all()
+        landmarks = found["landmarks"][used]
+    truth = np.array([scan.truth for scan in scans])[used]
+    assert 0.5 < np.linalg.norm(landmarks - truth, axis=2).mean() < 8
+
+    chosen = folder / "chosen.csv"
+    chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
+    (work / "scans.json").unlink()
+    (work / "predictions").mkdir()
+    (work / "predictions" / "linear.npz").touch()
+    done = run("scans", folder, "--casia-index", str(chosen))
+    assert done.returncode == 0, done.stderr
+    with np.load(work / "scans.npz", allow_pickle=False) as found:
+        assert [*found["name"]] == ["001-001", "001-003", "001-004"]
+    assert not (work / "predictions").exists()  # they were of the test set before
+    refused = run("scans", folder, "--casia-index", "/nowhere.csv")
+    assert refused.returncode == 2
+    assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
+
+
+def test_the_licensed_ringnet_is_run_on_the_photos(folder):
+    """A graph of its tensors' names and shapes, whose vertices are linear in the mean colours."""
+    # Here, since the process that draws imports this module, and may not load TensorFlow.
+    from test_ringnet_released import write_checkpoint
+
+    prefix = folder / "ring_6_68641"
+    write_checkpoint(prefix)
+    done = run("ringnet", folder, "--ringnet", str(prefix))
+    assert done.returncode == 0, done.stderr
+    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    with np.load(work / "predictions" / "ringnet-licensed.npz", allow_pickle=False) as file:
+        shapes = file["shapes"]
+    assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)
+    assert len(np.unique(shapes[:, 0, 0])) == len(shapes)
+    refused = run("ringnet", folder, "--ringnet", str(folder / "nothing"))
+    assert refused.returncode == 2
+    assert "nothing.meta does not exist" in refused.stderr.splitlines()[-1]
+
+
+def test_a_data_set_that_is_missing_is_named(folder, tmp_path):
+    (tmp_path / "data").mkdir()
+    for name in ("generic_model.pkl", "flame_static_embedding.pkl"):
+        os.link(folder / "data" / name, tmp_path / "data" / name)
+    for stage, dataset in (("frames", "COMA"), ("scans", "CASIA")):
+        refused = run(stage, tmp_path)
+        assert refused.returncode == 2
+        assert f"{dataset}= must be the folder of" in refused.stderr.splitlines()[-1]

@@ -1,0 +1,240 @@
+"""The FLAME experiment from the command line, on the open stand-ins, at the smallest size."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_gen.datasets.dataset import load_dataset, save_dataset
+from deepmds_keras import build_autoencoder, build_dissimilarity_net
+from experiments.presets import SMOKE
+from experiments.run import AUTHORS_FILES
+
+ROOT = Path(__file__).parents[3]
+STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings", "ringnet", "flame")
+MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", ROOT / ".venv-mediapipe/bin/python"))
+ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
+
+
+def run(stage, folder, *more):
+    command = [
+        sys.executable, "-m", "experiments", stage, "--track", "flame", "--preset", "smoke",
+        "--build", str(folder / "build"), "--results", str(folder / "results"),
+        "--mediapipe", str(MEDIAPIPE), *more,
+    ]  # fmt: skip
+    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+
+
+def results(folder, name="flame"):
+    return folder / "results" / "smoke" / "openhead" / name
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run of every stage; without MediaPipe's environment, of every other."""
+    folder = tmp_path_factory.mktemp("flame")
+    for stage in STAGES:
+        if stage == "mediapipe" and not MEDIAPIPE.exists():
+            continue
+        done = run(stage, folder)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def work(whole):
+    return whole / "build" / "openhead" / "flame-smoke-paper-seed0"
+
+
+def test_everything_is_written(whole):
+    for name in ("flame", "flame-true-landmarks"):
+        folder = results(whole, name)
+        names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+        assert {"metrics.csv", "table.csv", "table.tex", "wilcoxon.csv", "manifest.json"} <= names
+        assert "figures/summary.png" in names
+    figures = {path.stem for path in (results(whole) / "figures").glob("*.png")}
+    assert figures == {"summary", "learning_curves", "casia", "error_per_landmark",
+                       "error_per_expression", "scans"}  # fmt: skip
+
+
+def test_manifest_says_what_was_left_out(whole, tmp_path):
+    manifest = json.loads((results(whole) / "manifest.json").read_text())
+    assert "RINGNET" not in manifest["command"]
+    assert ("MEDIAPIPE=no" in manifest["command"]) == (not MEDIAPIPE.exists())
+    folder = tmp_path / "without"
+    shutil.copytree(whole / "build", folder / "build")
+    next(folder.rglob("ringnet.json")).unlink()
+    assert run("flame", folder).returncode == 0
+    manifest = json.loads((results(folder) / "manifest.json").read_text())
+    assert manifest["command"].endswith("PROTOCOL=paper RINGNET=no")
+    table = pd.read_csv(results(folder) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("ringnet", "mse"), "note"] == "left out (RINGNET=no)"
+
+
+def test_every_scan_is_accounted_for(work):
+    counted = json.loads((work / "scans.json").read_text())["scans"]
+    assert sum(counted.values()) == SMOKE.scans
+    with np.load(work / "scans.npz", allow_pickle=False) as scans:
+        assert len({*scans["name"]}) == SMOKE.scans
+        assert {*scans["condition"]} >= {"neutral", "smile", "surprise"}
+        assert counted["used"] == (scans["status"] == "used").sum()
+    assert not (work / "scans").exists()
+
+
+def test_the_test_set_holds_detected_views_and_found_landmarks(work):
+    test = load_dataset(work / "test.npz")
+    with np.load(work / "scans.npz", allow_pickle=False) as scans:
+        used = scans["status"] == "used"
+        seen = scans["detected"][used] * (1, -1)
+        assert np.allclose(test.views, seen - seen.mean(1, keepdims=True), atol=1e-3)
+        truth, found = scans["truth"][used], scans["landmarks"][used]
+        pixels = np.linalg.norm(scans["detected"][used] - scans["true_pixels"][used], axis=2)
+    assert np.array_equal(test.landmarks, np.float32(found))
+    # The detector and the registration err, by some pixels and millimetres.
+    assert 0.5 < pixels.mean() < 10
+    assert 0.5 < np.linalg.norm(found - truth, axis=2).mean() < 8
+    assert np.abs(test.cameras.yaw).max() < 40
+
+
+def test_views_are_centred_in_training_too_but_not_by_the_released_protocol(whole, work, tmp_path):
+    """Min-max scaling of both axes together sees where the origin is."""
+    assert np.abs(load_dataset(work / "train.npz").views.mean(1)).max() < 1e-3
+    assert run("frames", tmp_path, "--protocol", "released").returncode == 0
+    released = tmp_path / "build" / "openhead" / "flame-smoke-released-seed0" / "train.npz"
+    assert np.abs(load_dataset(released).views.mean(1)).max() > 5  # mm
+
+
+def test_a_test_set_of_uncentred_views_is_refused(whole, work, tmp_path):
+    shutil.copytree(whole / "build", tmp_path / "build")
+    copy = tmp_path / "build" / work.relative_to(whole / "build") / "test.npz"
+    old = load_dataset(copy)
+    save_dataset(copy, replace(old, description={k: v for k, v in old.description.items()
+                                                 if k != "views"}))  # fmt: skip
+    done = run("flame", tmp_path)
+    assert done.returncode == 2 and "made by an earlier version" in done.stderr
+
+
+def test_table_stands_beside_the_papers(whole):
+    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("ours", "mse"), "paper_mean"] == 1.5e-3
+    assert table.loc[("ringnet", "mse"), "paper_mean"] == 1.34e-3
+    assert "exceeds 51" in table.loc[("mediapipe", "depth_corr"), "note"]
+    assert "retrained, 6 steps" in table.loc[("ringnet", "mse"), "note"]
+    measured = {"mean_shape", "linear", "zhao", "true_landmarks", "model_fit", "ringnet", "ours"}
+    for method in measured:
+        assert table.loc[(method, "mse"), "mean"] > 0
+        assert table.loc[(method, "depth_corr"), "mean"] <= 51
+    assert table.loc[("authors_weights", "mse"), "note"].startswith("their weight files were not")
+
+
+def test_the_second_table_is_against_the_truth(whole):
+    found, true = (
+        pd.read_csv(results(whole, name) / "table.csv").set_index(["method", "metric"])["mean"]
+        for name in ("flame", "flame-true-landmarks")
+    )
+    # How far apart the two truths are, from either side; the min-max units differ a little.
+    assert 0.8 < found[("true_landmarks", "mse")] / true[("scan_landmarks", "mse")] < 1.25
+    assert ("scan_landmarks", "mse") not in found.index
+    # The truth found on scans favours the fit that it starts from.
+    assert found[("model_fit", "mse")] < true[("model_fit", "mse")]
+
+
+@pytest.mark.skipif(not MEDIAPIPE.exists(), reason="make setup-mediapipe was not run")
+def test_mediapipe_finds_faces_and_the_corrected_list_fits_better(whole):
+    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])["mean"]
+    assert table[("mediapipe", "found_fraction")] > 0.9
+    assert table[("mediapipe_corrected", "mse")] < table[("mediapipe", "mse")]
+
+
+def test_show_prints_both_tables(whole):
+    shown = run("show", whole).stdout
+    assert "depth corr. (of 51)" in shown
+    assert "against the true landmarks" in shown
+    assert "65 ± 0.008" in shown
+
+
+def test_a_stopped_search_of_scans_goes_on(whole, work, tmp_path):
+    """Subjects that are done are taken from their files, and the test set comes out the same."""
+    folder = tmp_path / "build" / "openhead" / work.name
+    folder.mkdir(parents=True)
+    command = (
+        "from experiments.run import Run; from experiments.presets import SMOKE;"
+        "from experiments.tracks.flame.examination import examine;"
+        "from data_gen.models.registry import load_model;"
+        "from data_gen.datasets.scans_standin import ScansStandin;"
+        "from data_gen.fitting.ground_truth import GroundTruth; from pathlib import Path;"
+        f"run = Run('openhead', SMOKE, 'flame', build=Path({str(tmp_path / 'build')!r}));"
+        "model = load_model('openhead', scheme='ibug51');"
+        "source = ScansStandin(model, SMOKE.scan_subjects, SMOKE.scans, [0, 5]);"
+        "examine(run, source, GroundTruth(model), 2)"
+    )
+    subprocess.run([sys.executable, "-c", command], cwd=ROOT, check=True)
+    (folder / "scans" / "002.npz").stat()
+    done = run("scans", tmp_path)
+    assert done.returncode == 0, done.stderr
+    for name in ("views", "landmarks"):
+        first, second = (getattr(load_dataset(f / "test.npz"), name) for f in (work, folder))
+        assert np.array_equal(first, second), name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--model", "bfm2009"], "DATA= must be the file or folder of bfm2009"),
+        (["--model", "flame"], "DATA= must be the file or folder of flame"),
+        (["--casia", "/nowhere"], "/nowhere: must be the folder of CASIA-3D FaceV1"),
+        (["--evaluator", "released"], "--evaluator must be paper but for the BFM track"),
+        (["--authors", "/nowhere"], "--authors must be a folder with AE_occ2orth_FLAME.h5"),
+    ],
+)
+def test_unusable_arguments_end_with_one_line_and_status_2(tmp_path, arguments, message):
+    refused = run("scans", tmp_path, *arguments)
+    assert refused.returncode == 2
+    assert message in refused.stderr.splitlines()[-1]
+    assert "Traceback" not in refused.stderr
+
+
+def write_keras2(path, network):
+    """Weights in the layout of the authors' files, HDF5 by layer in order."""
+    with h5py.File(path, "w") as file:
+        layers = [layer for layer in network.layers if layer.weights]
+        file.attrs["layer_names"] = [layer.name.encode() for layer in layers]
+        for layer in layers:
+            group = file.create_group(layer.name)
+            names = [f"{layer.name}/{k}:0" for k in range(len(layer.weights))]
+            group.attrs["weight_names"] = [name.encode() for name in names]
+            for name, array in zip(names, layer.get_weights(), strict=True):
+                group[name] = array
+
+
+def test_the_authors_weights_join_under_the_names_of_their_files(whole, tmp_path):
+    nets = build_autoencoder(51, seed=3), build_dissimilarity_net("released", seed=3)
+    for name, network in zip(AUTHORS_FILES["flame"], nets, strict=True):
+        write_keras2(tmp_path / name, network)
+    for stage in ("predictions", "flame"):
+        done = run(stage, whole, "--authors", str(tmp_path))
+        assert done.returncode == 0, done.stderr
+    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
+    assert table.loc[("authors_weights", "mse"), "mean"] > 0
+    assert table.loc[("authors_weights", "n_parameters"), "mean"] == 21801
+
+
+def test_the_licensed_ringnet_needs_flame(whole):
+    refused = run("ringnet", whole, "--ringnet", "/nowhere/ring_6_68641")
+    assert refused.returncode == 2
+    assert "DATA= must be the folder of FLAME" in refused.stderr.splitlines()[-1]
+    assert "Traceback" not in refused.stderr
+
+
+def test_a_missing_environment_of_mediapipe_is_named(work, whole):
+    refused = run("mediapipe", whole, "--mediapipe", "/nowhere/python")
+    assert refused.returncode == 2
+    assert "make setup-mediapipe" in refused.stderr

@@ -1,0 +1,52 @@
+"""The authors' evaluator: what it makes of Zhao's depth, and that it leaves the others alone."""
+
+import numpy as np
+import pytest
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.openhead import load_openhead
+from deepmds_keras.alignment import align
+from deepmds_keras.metrics import depth_corr, mse
+from deepmds_keras.normalisation import normalise
+from experiments.tracks.bfm.released_evaluator import TRUE_DEPTH, as_released
+
+
+@pytest.fixture(scope="module")
+def truth():
+    faces = make_dataset(load_openhead(), 200, np.random.default_rng(0))
+    return normalise(faces.landmarks)
+
+
+def scores(shapes, truth):
+    aligned = align(shapes, truth)
+    return mse(aligned, truth).mean(), depth_corr(aligned, truth).mean()
+
+
+def test_a_perfect_depth_scores_what_the_paper_prints_for_zhao(truth):
+    error, correlation = scores(as_released({}, truth)[TRUE_DEPTH]["shapes"], truth)
+    # The paper: 22e-4 and 71.42 (BFM), 71.46 (CelebA).
+    assert 1.8e-3 < error < 2.6e-3
+    assert 71.3 < correlation < 71.6
+
+
+def test_only_the_depths_course_counts_not_its_size_or_place(truth):
+    shapes = truth * (5, -2, 0.1) + (0, 3, 7)
+    own = as_released({"zhao_frontal": {"shapes": shapes}}, truth)
+    assert np.allclose(own["zhao_frontal"]["shapes"], own[TRUE_DEPTH]["shapes"])
+
+
+def test_the_depth_is_that_of_the_face_before(truth):
+    depth = as_released({}, truth)[TRUE_DEPTH]["shapes"][..., 2]
+    assert np.allclose(depth.min(1), 0)
+    assert np.allclose(depth.max(1), 1)
+    before = truth[:-1, :, 2]
+    rescaled = (before - before.min(1, keepdims=True)) / np.ptp(before, axis=1, keepdims=True)
+    assert np.allclose(depth[1:], rescaled)
+
+
+def test_other_methods_are_left_alone(truth):
+    given = {"ours": {"shapes": truth + 1, "frontal": truth[..., :2]}, "zhao": {"shapes": truth}}
+    own = as_released(given, truth)
+    assert own["ours"] is given["ours"]
+    assert given["zhao"]["shapes"] is truth
+    assert {*own} == {"ours", "zhao", TRUE_DEPTH}
