@@ -8,7 +8,7 @@ from importlib import import_module
 
 _HOME = {
     "DeepMDS": "pipeline",
-    "InputError": "errors",
+    "InputError": "io.errors",
     "align": "alignment",
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",
