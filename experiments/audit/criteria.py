@@ -17,6 +17,7 @@ from experiments.methods import title
 from experiments.published import printed_number, published
 from experiments.scoring.numbers import enumeration, scientific
 from experiments.scoring.scores import Scores
+from experiments.streams import Stream
 
 # A criterion that leaves this share of its maximum to an answer without depth tells nothing.
 NEARLY_ALL = 0.9
@@ -36,7 +37,7 @@ _ANSWERS = {
 
 def measure(inputs: Inputs) -> dict:
     """Both criteria, in every reading, of predictions, of answers without depth and of noise."""
-    rng = np.random.default_rng(inputs.run.seed)
+    rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_CRITERIA])
     truth = inputs.test.shapes[inputs.audited].astype(float)
     answers = senseless(truth, inputs.predictions["mean_shape"][inputs.audited], rng)
     centred = senseless(centre(truth), answers["mean_shape"], rng)

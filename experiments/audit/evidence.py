@@ -17,11 +17,11 @@ from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from experiments.inputs import Faces, load_faces
 from experiments.run import Run
 from experiments.scoring.scores import Scores, load_predictions, score
+from experiments.streams import Stream
 
 # Stages whose files the checks read.
 _STAGES = ("faces", "networks", "predictions", "mobileface", "ablation")
 _DATA_SETS = {"flame": ("coma", "casia"), "celeba": ("celeba",)}  # that a track's results are of
-_AUDITED = 3  # stream of random numbers beside those of the data sets and subsets
 
 
 class Inputs:
@@ -77,7 +77,7 @@ class Inputs:
     @cached_property
     def audited(self) -> np.ndarray:
         """`(n,)` some test faces, on which what takes long is measured."""
-        rng = np.random.default_rng([self.run.seed, _AUDITED])
+        rng = np.random.default_rng([self.run.seed, Stream.AUDITED_FACES])
         n = min(self.run.preset.audited_faces, len(self.test.views))
         return np.sort(rng.choice(len(self.test.views), n, replace=False))
 

@@ -14,6 +14,7 @@ from experiments.inputs import Faces
 from experiments.methods import title
 from experiments.scoring.numbers import enumeration, factor, scientific
 from experiments.scoring.scores import score
+from experiments.streams import Stream
 
 # Standard deviations of each coordinate, in percent of the distance of the outer corners of the
 # eyes, in which the errors of landmark detectors are given.
@@ -25,7 +26,7 @@ _DRAWS = 3  # of the errors of each face, over which its MSE is averaged
 
 def measure(inputs: Inputs) -> dict:
     """`curves`: errors of the audited test faces by the noise on their landmarks."""
-    rng = np.random.default_rng(inputs.run.seed)
+    rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_NOISE])
     dataset, test = inputs.test_dataset, inputs.test[inputs.audited]
     views = dataset.views[inputs.audited].astype(float)
     distances = interocular_distances(dataset.landmarks[inputs.audited], inputs.scheme)

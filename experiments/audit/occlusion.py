@@ -15,6 +15,7 @@ from experiments.inputs import Faces
 from experiments.methods import title
 from experiments.scoring.numbers import enumeration, factor, minus, scientific
 from experiments.scoring.scores import score
+from experiments.streams import Stream
 
 PERCENTAGES = (0, 5, 10, 20, 30)
 # What stands in for a missing landmark: its mean place in the training views, or where a
@@ -29,7 +30,6 @@ _BEHIND = 2.0
 # Standard deviation by which the regression trusts the landmarks that are seen. Those of the data
 # sets are exact, which those of a real view are not.
 _SEEN_SD_MM = 1.0
-_MISSING = 5  # stream of random numbers beside those of the other topics
 ESTIMATED = "if missing landmarks are first estimated from those that are seen"
 
 StandIn = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -205,7 +205,7 @@ def stand_ins(train_views: np.ndarray) -> dict[str, StandIn]:
 def _thin(inputs: Inputs, faces: np.ndarray, models: dict, fillers: dict) -> list[dict]:
     """Rows of curves; what is missing at one percentage is so at all larger ones."""
     views, truth = inputs.test_dataset.views[faces].astype(float), inputs.test[faces]
-    rng = np.random.default_rng([inputs.run.seed, _MISSING])
+    rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_MISSING])
     order = rng.permuted(np.tile(np.arange(views.shape[1]), (len(views), 1)), axis=1)
     curves = []
     for percent in PERCENTAGES:

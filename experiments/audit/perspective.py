@@ -19,6 +19,7 @@ from deepmds_keras.alignment import align
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
 from experiments.scoring.numbers import scientific
+from experiments.streams import Stream
 
 # Degrees: the most that the paper draws, and what MATLAB's help likens to a normal and to a
 # wide-angle lens.
@@ -26,7 +27,6 @@ ANGLES = (5, 25, 60)
 # Share of the face's size below which views are the same but for the rounding of the computer.
 _ROUNDING = 1e-9
 _DRAWN = 10_000  # cameras of a protocol
-_CAMERAS = 4  # stream of random numbers beside those of the data sets, subsets and audited faces
 
 
 def measure(inputs: Inputs) -> dict:
@@ -34,7 +34,7 @@ def measure(inputs: Inputs) -> dict:
 
     Both are of the same faces and poses; shift, turn and scale of a whole view are left out.
     """
-    rng = np.random.default_rng([inputs.run.seed, _CAMERAS])
+    rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_CAMERAS])
     drawn = {protocol: draw_cameras(_DRAWN, rng, protocol) for protocol in PROTOCOLS}
     perspective = {
         protocol: cameras.projection == PROJECTIONS.index("perspective")

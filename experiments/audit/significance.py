@@ -14,6 +14,7 @@ from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds, holds_if
 from experiments.published import printed_number
 from experiments.scoring.numbers import enumeration, scientific
+from experiments.streams import Stream
 
 _PAPER = ("zhao", "aldrian", "mobileface", "ours")
 _NUMBERS = range(5, 31)  # of differences, for which the least p-value is computed
@@ -47,7 +48,7 @@ def measure(inputs: Inputs) -> dict:
             samplings,
             preset.subset_size,
             level,
-            np.random.default_rng(inputs.run.seed),
+            np.random.default_rng([inputs.run.seed, Stream.AUDIT_SIGNIFICANCE]),
         ),
         "pairs": over_faces({m: inputs.scores[m].mse for m in _PAPER if m in inputs.scores}, level),
     }

@@ -20,9 +20,9 @@ from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.run import Run
+from experiments.streams import Stream
 
 SCHEME, WEIGHTS = "bfm72", "openhead-bfm72"
-STREAM = 9  # of random numbers of a run
 _FACES_PER_CHUNK = 1024  # whose matrices are in memory at once, as in `DeepMDS.predict`
 _MATRICES = 2048  # different ones; rows of more faces go through them again
 
@@ -57,7 +57,7 @@ class Material:
 
     def rng(self, *numbers: int) -> np.random.Generator:
         """Random numbers of the run's seed, of this stage."""
-        return np.random.default_rng([self.run.seed, STREAM, *numbers])
+        return np.random.default_rng([self.run.seed, Stream.BENCH, *numbers])
 
 
 def make_material(run: Run) -> Material:
@@ -65,7 +65,7 @@ def make_material(run: Run) -> Material:
     model = load_model(run.model, run.data, SCHEME)
     networks = DeepMDS.pretrained(WEIGHTS)
     n = max(*run.preset.bench_many_faces, run.preset.bench_faces)
-    rng = np.random.default_rng([run.seed, STREAM])
+    rng = np.random.default_rng([run.seed, Stream.BENCH])
     faces = make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)
     some = slice(min(n, _MATRICES))
     matrices = np.abs(networks.dissimilarities(faces.views[some]))

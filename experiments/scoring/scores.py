@@ -13,9 +13,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import Faces
 from experiments.run import Run, load_record
-
-# Streams of random numbers of a run beside those of its two data sets.
-_SUBSETS = 2
+from experiments.streams import Stream
 
 
 def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
@@ -128,7 +126,7 @@ def landmark_errors(scores: dict[str, Scores], test: Faces) -> dict[str, np.ndar
 
 def subsets(run: Run, n: int) -> np.ndarray:
     """Random ones of n test faces, `(n_subsets, subset_size)`, none twice in a subset."""
-    rng, preset = np.random.default_rng([run.seed, _SUBSETS]), run.preset
+    rng, preset = np.random.default_rng([run.seed, Stream.SUBSETS]), run.preset
     if n < preset.subset_size:
         raise InputError(
             f"There must be at least {preset.subset_size} test faces to draw a subset from. "

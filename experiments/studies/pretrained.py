@@ -26,9 +26,9 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.run import SCHEMES, Run, parse_run, stage, write_text
+from experiments.streams import Stream
 from experiments.tracks.recipes import EpochBar
 
-_STREAM = 8  # of random numbers of a run
 # Standard deviation of the errors in the views, mm. No detector finds the 72: they come from fits
 # of face models to photos.
 _ERRORS_MM = {"ibug51": DETECTOR_SD_MM, "bfm72": 1.0}
@@ -91,7 +91,7 @@ def make(run: Run, number: int, scheme: str) -> tuple[Path, list[dict], str]:
         Their file in the run's folder, the rows of the table, and the hash of the face model.
     """
     model = load_model(run.model, run.data, scheme)
-    seed = [run.seed, _STREAM, number]
+    seed = [run.seed, Stream.PRETRAINED, number]
     rng = np.random.default_rng([*seed, 0])
     n, sd = run.preset.train_faces, _ERRORS_MM[scheme]
     views, shapes, _ = draw_photo_views(model, scheme, n, rng, detector_sd=sd)

@@ -24,12 +24,12 @@ from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.inputs import as_seen
 from experiments.run import Run, one_core, peak_memory_mb
 from experiments.scoring.scores import score
+from experiments.streams import Stream
 
 # Those that take no longer to score than to read, beside the method itself.
 BESIDE = ("mean_shape", "linear")
 METRICS = ("mse", "depth_corr", "mirrored")
 OURS = "ours"
-_STREAM = 10  # of random numbers of a run
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def make_file(run: Run, files: Files, file: int, beside: Mapping) -> tuple:
     """
     with one_core():
         if not files.faces(file).exists():
-            rng = np.random.default_rng([run.seed, _STREAM, file])
+            rng = np.random.default_rng([run.seed, Stream.STREAMED_FACES, file])
             model = _model(run.model, run.data)
             size, how = files.size(file), {"scheme": run.scheme, "protocol": run.protocol}
             save_dataset(files.faces(file), make_dataset(model, size, rng, **how))

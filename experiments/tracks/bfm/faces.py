@@ -9,6 +9,7 @@ from data_gen.datasets.dataset import make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.weights import write_arrays
 from experiments.run import Run, parse_run, stage
+from experiments.streams import Stream
 
 
 def make_faces(run: Run) -> dict:
@@ -27,8 +28,9 @@ def make_faces(run: Run) -> dict:
     }
     write_arrays(run.work / "landmark_model.npz", arrays, {"model": model.name})
     sizes = {"train": run.preset.train_faces, "test": run.preset.test_faces}
-    for number, (part, n) in enumerate(sizes.items()):
-        rng = np.random.default_rng([run.seed, number])
+    streams = {"train": Stream.TRAIN_FACES, "test": Stream.TEST_FACES}
+    for part, n in sizes.items():
+        rng = np.random.default_rng([run.seed, streams[part]])
         with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
             dataset = make_dataset(
                 model, n, rng, scheme=run.scheme, protocol=run.protocol, progress=bar.update

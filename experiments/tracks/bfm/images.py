@@ -15,9 +15,9 @@ from data_gen.models.registry import load_model
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import image_files
 from experiments.run import Run, one_core, parse_run, stage
+from experiments.streams import Stream
 
 PARTS = ("train", "test")
-_STREAM = 3  # of random numbers of a run, beside those of its faces and its subsets
 
 
 def make_file(
@@ -83,6 +83,6 @@ def main(arguments: list[str] | None = None) -> None:
         record["checksums"] = make_images(
             run,
             {part: image_files(run, part) for part in PARTS},
-            lambda part: (run.seed, _STREAM, PARTS.index(part)),
+            lambda part: (run.seed, Stream.IMAGES, PARTS.index(part)),
             scene,
         )

@@ -13,8 +13,7 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.models.registry import load_model
 from deepmds_keras.io.errors import InputError
 from experiments.run import Run
-
-_STREAM = 7  # of random numbers of a run: the stand-in's photos
+from experiments.streams import Stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +58,7 @@ class Standin:
 
     def __init__(self, run: Run):
         model = load_model(run.model, run.data, run.scheme)
-        self._photos = PhotosStandin(model, run.preset.photos, [run.seed, _STREAM])
+        self._photos = PhotosStandin(model, run.preset.photos, [run.seed, Stream.PHOTOS])
         self._scheme = run.scheme
         self.source = f"stand-in, {model.name}"
 

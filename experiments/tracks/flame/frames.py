@@ -16,8 +16,7 @@ from data_gen.models.registry import load_model
 from data_gen.views.projections import draw_cameras
 from experiments.inputs import in_photos
 from experiments.run import Run, parse_run, stage, write_text
-
-_STREAM = 4  # of random numbers of a run: frames and their views
+from experiments.streams import Stream
 
 
 def coma_frames(run: Run, folder: Path, record: dict) -> tuple[np.ndarray, dict]:
@@ -45,7 +44,7 @@ def standin_frames(
 
 def make_training_set(run: Run, model: MorphableModel, record: dict) -> Dataset:
     """The frames, one view of each."""
-    rng = np.random.default_rng([run.seed, _STREAM])
+    rng = np.random.default_rng([run.seed, Stream.FRAMES])
     folder = run.folder_of("coma")
     landmarks, source = (
         standin_frames(run, model, rng) if folder is None else coma_frames(run, folder, record)

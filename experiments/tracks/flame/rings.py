@@ -16,9 +16,9 @@ from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import write_arrays
 from experiments.inputs import CROP_MARGIN, ring_files
 from experiments.run import Run, parse_run, stage
+from experiments.streams import Stream
 from experiments.tracks.bfm.images import make_images
 
-_STREAM, _IMAGES_STREAM = 6, 7  # of random numbers of a run: people and their views; images
 _N_IDENTITY = 100  # leading components that RingNet estimates, as many as the published one
 
 
@@ -35,7 +35,7 @@ def make_people(run: Run, model: MorphableModel) -> None:
         },
         {"model": model.name},
     )
-    rng = np.random.default_rng([run.seed, _STREAM])
+    rng = np.random.default_rng([run.seed, Stream.RINGS])
     expressions = draw_expressions(model, preset.ring_subjects * preset.ring_images, rng)
     dataset = make_rings(
         model,
@@ -63,5 +63,5 @@ def main(arguments: list[str] | None = None) -> None:
         if not (run.work / "rings.npz").exists():
             make_people(run, model())
         record["checksums"] = make_images(
-            run, {"rings": ring_files(run)}, lambda part: (run.seed, _IMAGES_STREAM), scene
+            run, {"rings": ring_files(run)}, lambda part: (run.seed, Stream.RING_IMAGES), scene
         )

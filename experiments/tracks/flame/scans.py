@@ -19,10 +19,9 @@ from data_gen.views.projections import Cameras, camera_angles
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import in_photos
 from experiments.run import Run, parse_run, stage, write_bytes
+from experiments.streams import Stream
 from experiments.tracks.flame.examination import CasiaScans, examine, images_file, subject_file
 from experiments.tracks.found_faces import save_test_set
-
-_STREAM = 5  # of random numbers of a run: the stand-in's scans
 
 
 def collect(run: Run, n_subjects: int) -> dict:
@@ -80,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
         folder, preset = run.folder_of("casia"), run.preset
         if folder is None:
             record["source"] = f"stand-in, {model.name}"
-            seed = [run.seed, _STREAM]
+            seed = [run.seed, Stream.SCANS]
             source = ScansStandin(model, preset.scan_subjects, preset.scans, seed)
         else:
             record["source"] = "CASIA-3D"
