@@ -36,8 +36,9 @@ def embed(
 
     scikit-learn's non-metric `MDS` (SMACOF, Kruskal's stress-1) from a classical-scaling start,
     as the `mdscale` of the released code starts. Being non-metric it loses the scale, which is put
-    back by least squares; points are centred and turned to their principal axes. Which of the two
-    mirror images comes out is arbitrary: distances cannot tell, see `DeepMDS.predict`.
+    back by least squares; points are centred and turned to their principal axes, of the sign that
+    `classical_scaling` gives them. Which of the two mirror images that makes says nothing about the
+    face: distances cannot tell, see `DeepMDS.predict`.
 
     Args:
         dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
@@ -87,11 +88,13 @@ def embed(
 def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
     """Classical (Torgerson) scaling of each matrix: `(n, L, L)` → `(n, L, n_components)`.
 
-    Components of negative eigenvalues, which no Euclidean distances have, are left at zero.
+    Components of negative eigenvalues, which no Euclidean distances have, are left at zero. The
+    sign of a component, which distances leave open, is such that the first landmark far out on it
+    has a positive coordinate.
     """
     values, vectors = np.linalg.eigh(_doubly_centred(dissimilarities))
     top = slice(None, -n_components - 1, -1)
-    return vectors[..., top] * np.sqrt(np.maximum(values[..., top], 0))[..., None, :]
+    return _with_signs(vectors[..., top] * np.sqrt(np.maximum(values[..., top], 0))[..., None, :])
 
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
@@ -136,6 +139,18 @@ def _doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
     return -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
 
 
+def _with_signs(points: np.ndarray) -> np.ndarray:
+    """Points `(..., L, k)`, each axis turned so that the first landmark far out on it is positive.
+
+    The sign of an eigenvector hangs on rounding, hence on the processor. So would that of the
+    farthest landmark in a symmetric face, where two are equally far out on either side. Of all that
+    are at least 0.6 times as far out as the farthest, the first is the same on any processor.
+    """
+    sizes = np.abs(points)
+    first = (sizes >= 0.6 * sizes.max(-2, keepdims=True)).argmax(-2)
+    return points * np.sign(np.take_along_axis(points, first[..., None, :], -2))
+
+
 def _embed_faces(matrices, n_components, solver, max_iter, eps):
     matrices = check_dissimilarities(matrices)
     if solver == "batched":
@@ -150,6 +165,7 @@ def _embed_faces(matrices, n_components, solver, max_iter, eps):
             stress[face] = scaling.stress_
     points -= points.mean(1, keepdims=True)
     points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)
+    points = _with_signs(points)
     return points * _scales(points, matrices)[:, None, None], stress
 
 

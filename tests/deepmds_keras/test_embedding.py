@@ -1,5 +1,7 @@
 """Non-metric MDS: true distances come back as the shape, and only the order of distances counts."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
@@ -56,6 +58,20 @@ def test_points_are_centred_on_their_principal_axes(distances):
         moments = points.T @ points
         assert np.allclose(moments, np.diag(np.diag(moments)), atol=1e-8)
         assert (np.diff(np.diag(moments)) <= 0).all()
+
+
+@pytest.mark.parametrize(
+    "solve", [classical_scaling, *(partial(embed, solver=solver) for solver in SOLVERS)]
+)
+def test_the_sign_of_an_axis_hangs_neither_on_rounding_nor_on_symmetry(faces, solve):
+    half = faces * [1, 0.7, 0.4] + [1, 0, 0]
+    symmetric = np.concatenate([half, half * [-1, 1, 1]], 1)
+    matrices = np.array([squareform(pdist(face)) for face in symmetric])
+    expected = solve(matrices)
+    rng = np.random.default_rng(1)
+    for _ in range(5):  # the rounding errors of another processor
+        error = squareform(rng.uniform(-1e-14, 1e-14, matrices[0].size // 2 - 20))
+        np.testing.assert_allclose(solve(matrices * (1 + error)), expected, atol=1e-6)
 
 
 def test_progress_counts_every_face(distances):
