@@ -15,13 +15,13 @@ from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
 from experiments.audit.claim_tables import combine, table_of
 from experiments.audit.claims import judge, load_claims
 from experiments.audit.evidence import Inputs, measured_file
-from experiments.audit.report_claims import counted, phrase
+from experiments.face_models import TITLES
 from experiments.figures import audit_curves as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.report.wording import MODELS
 from experiments.run import parse_run, stage, write_json, write_text
 from experiments.scoring.tables import to_csv
+from experiments.verdicts import counted, phrase
 
 # Stages of the BFM track whose arrays are checked; the other results are read as tables.
 _STAGES = ("faces", "images", "networks", "predictions", "mobileface", "ablation", "audit")
@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> None:
         write_text(folder / "curves.csv", to_csv(curves))
         draw(numbers, curves, folder / "figures")
     write_manifest(run, "audit", records_of(inputs.run, _STAGES), folder)
-    together = combine(run.model_results.parent, {m: name for m, (name, _) in MODELS.items()})
+    together = combine(run.model_results.parent, TITLES)
     print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}: {counted(table)}\n")
     for row in table.itertuples():
         print(f"{row.claim}\n    {phrase(row.verdict, row.condition)}")

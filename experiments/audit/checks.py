@@ -11,26 +11,26 @@ from experiments.audit import (
     criteria,
     dissimilarity,
     elsewhere,
+    mini_batches,
     noise,
     occlusion,
+    parameter_counts,
     perspective,
     poses,
     ranking,
     significance,
     zhao,
 )
-from experiments.audit import mini_batches as training
-from experiments.audit import parameter_counts as parameters
 from experiments.audit.findings import Finding
 
 _TOPICS = (
-    dissimilarity, parameters, complexity, poses, perspective, occlusion, training, criteria,
-    significance, ranking, zhao, bias, elsewhere, noise,
+    dissimilarity, parameter_counts, complexity, poses, perspective, occlusion, mini_batches,
+    criteria, significance, ranking, zhao, bias, elsewhere, noise,
 )  # fmt: skip
 # By name: modules whose `measure` gives their checks the inputs.
 TOPICS: dict[str, ModuleType] = {module.__name__.rpartition(".")[2]: module for module in _TOPICS}
 # What is measured anew each time: it takes seconds, or is of results that may have changed.
-NOT_KEPT = ("parameters", "training", "ranking", "zhao", "elsewhere")
+NOT_KEPT = ("parameter_counts", "mini_batches", "ranking", "zhao", "elsewhere")
 
 # By the ids of `results/published/claims.csv`.
 CHECKS: dict[str, Callable[..., Finding]] = {
@@ -39,13 +39,13 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "rank-above-two": dissimilarity.rank_above_two,
     "distance-rank": dissimilarity.distance_rank,
     "shape-classes": dissimilarity.shape_classes,
-    "parameters-dissimilarity": parameters.below_bound,
-    "parameters-ours": parameters.ours,
-    "parameters-zhao": parameters.zhao,
-    "parameters-mobileface": parameters.mobileface,
-    "parameters-ringnet": parameters.ringnet,
-    "parameters-fewest": parameters.fewest,
-    "inference-time": parameters.inference_time,
+    "parameters-dissimilarity": parameter_counts.below_bound,
+    "parameters-ours": parameter_counts.ours,
+    "parameters-zhao": parameter_counts.zhao,
+    "parameters-mobileface": parameter_counts.mobileface,
+    "parameters-ringnet": parameter_counts.ringnet,
+    "parameters-fewest": parameter_counts.fewest,
+    "inference-time": parameter_counts.inference_time,
     "cubic-time": complexity.cubic_time,
     "many-landmarks": complexity.many_landmarks,
     "frontal-view": poses.frontal_view,
@@ -53,8 +53,8 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "projection-independent": poses.projection_independent,
     "perspective-views": perspective.perspective_views,
     "occlusion": occlusion.occlusion,
-    "mini-batches": training.same_face_batches,
-    "short-connection": training.short_connection,
+    "mini-batches": mini_batches.same_face_batches,
+    "short-connection": mini_batches.short_connection,
     "mse-formula": criteria.mse_formula,
     "depth-corr-meaning": criteria.depth_corr_meaning,
     "depth-corr-percent": criteria.depth_corr_percent,
@@ -62,7 +62,7 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "p-value": significance.p_value,
     "significance": significance.samplings,
     "bfm-mse": ranking.as_printed,
-    "training-luck": training.known_to,
+    "training-luck": mini_batches.known_to,
     "trivial-case": ranking.beats_constant,
     "bfm-rank": ranking.second,
     "zhao-score": zhao.bfm_score,
@@ -77,7 +77,7 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "first-use": elsewhere.first_use,
     "landmark-noise": noise.withstands,
     "missing-landmarks": occlusion.missing_landmarks,
-    "training-faces": training.enough_faces,
+    "training-faces": mini_batches.enough_faces,
 }
 
 

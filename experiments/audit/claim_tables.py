@@ -9,12 +9,13 @@ import pandas as pd
 
 from experiments.audit.checks import CHECKS
 from experiments.audit.claims import Claim, described
-from experiments.audit.findings import VERDICTS, Finding
-from experiments.audit.report_claims import claims_page, phrase, read_claims
-from experiments.report.markdown import markdown
+from experiments.audit.findings import Finding
+from experiments.markup.claim_blocks import claims_page
+from experiments.markup.markdown import markdown
 from experiments.run import write_text
 from experiments.scoring.tables import to_csv
 from experiments.scoring.typesetting import NOTHING, tex
+from experiments.verdicts import VERDICTS, phrase, read_claims
 
 COLUMNS = ("id", "where", "claim", "check", "model", "verdict", "condition", "evidence")
 

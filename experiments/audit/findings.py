@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-HOLDS = "holds"
-WITH_CONDITION = "holds with a condition"
-UNKNOWN = "cannot be checked"
-DOES_NOT_HOLD = "does not hold"
-# As they are listed: what holds comes first.
-VERDICTS = (HOLDS, WITH_CONDITION, UNKNOWN, DOES_NOT_HOLD)
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 # Errors within this factor count as alike wherever the paper calls methods or views comparable.
 ALIKE = 1.5

@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from deepmds_keras.predict.page import json_in_html, wireframe_script
-from experiments.report.blocks import (
+from experiments.markup.blocks import (
     Block,
     Cell,
     Column,
@@ -22,7 +22,7 @@ from experiments.report.blocks import (
     Picture,
     Table,
 )
-from experiments.report.inline import spans
+from experiments.markup.inline import spans
 from experiments.report.pictures import data_uri
 
 _FOLDER = Path(__file__).parent

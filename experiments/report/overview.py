@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from experiments.face_models import FACE_MODELS
+from experiments.markup.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
 from experiments.report import wording
-from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Table
 from experiments.report.experiment import COMMANDS, REPORT, Experiment
 from experiments.report.report_tables import method_cell, metric_head, time_cell
 from experiments.report.summaries import better_than_ours, measured
@@ -133,7 +134,7 @@ def not_run(model: str, experiments: list[Experiment], elsewhere: dict[str, str]
     ]
     models = [
         f"**{full}**: {elsewhere.get(name) or f'not run; {reason}.'}"
-        for name, (full, reason) in wording.MODELS.items()
+        for name, (full, reason) in FACE_MODELS.items()
         if name != model
     ]
     made_up = defaultdict(list)
@@ -224,7 +225,7 @@ def environment(experiments: list[Experiment]) -> list[Block]:
 def reports_elsewhere(results: Path) -> dict[str, str]:
     """What is to be said of the other face models that have results in `results/<model>`."""
     said = {}
-    for model in wording.MODELS:
+    for model in FACE_MODELS:
         if (results / model / REPORT / "report.md").is_file():
             said[model] = f"[its own report](../../{model}/{REPORT}/report.md)."
         elif [*(results / model).glob("*/manifest.json")]:

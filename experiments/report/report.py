@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 from data_gen.models.registry import MODELS
+from experiments.markup.markdown import markdown
 from experiments.presets import PRESETS
 from experiments.report.experiment import REPORT, load_experiments, result_folders
 from experiments.report.html import page
-from experiments.report.markdown import markdown
 from experiments.report.overview import reports_elsewhere
 from experiments.report.sections import report
 from experiments.report.staleness import stale

@@ -8,8 +8,8 @@ import math
 import pandas as pd
 
 from experiments.figures.style import colour
+from experiments.markup.blocks import Cell, Column, Table
 from experiments.methods import BY_ID, title
-from experiments.report.blocks import Cell, Column, Table
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
     NOTHING,

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from deepmds_keras.landmarks import load_scheme
-from experiments.audit.report_claims import claim_blocks, read_claims
+from experiments.face_models import TITLES
 from experiments.figures.style import colour
 from experiments.manifest import MANIFEST
-from experiments.methods import title
-from experiments.report import wording
-from experiments.report.blocks import (
+from experiments.markup.blocks import (
     Block,
     Cell,
     Column,
@@ -20,6 +18,9 @@ from experiments.report.blocks import (
     Picture,
     Table,
 )
+from experiments.markup.claim_blocks import claim_blocks
+from experiments.methods import title
+from experiments.report import wording
 from experiments.report.experiment import REPORT, Experiment
 from experiments.report.overview import (
     at_a_glance,
@@ -40,6 +41,7 @@ from experiments.report.report_tables import (
 )
 from experiments.report.summaries import summary
 from experiments.scoring.numbers import duration, power, size
+from experiments.verdicts import read_claims
 
 # Of a stage's record: what tables have of their own, or nobody asks for.
 _NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",
@@ -54,7 +56,7 @@ def report(model: str, experiments: list[Experiment], elsewhere: dict[str, str])
         experiments: Of that model, in order.
         elsewhere: As from `overview.reports_elsewhere`.
     """
-    name = wording.MODELS[model][0]
+    name = TITLES[model]
     return [
         Heading(1, f"Deep-MDS in Keras: results on {name}", "top"),
         Paragraph(wording.ABOUT),
@@ -102,8 +104,7 @@ def _grouped(sizes: dict) -> dict[str, str]:
 
 def _tables(experiment: Experiment) -> list[Block]:
     if experiment.has("claims.csv"):
-        names = {name: full for name, (full, _) in wording.MODELS.items()}
-        return claim_blocks(read_claims(experiment.folder / "claims.csv"), names)
+        return claim_blocks(read_claims(experiment.folder / "claims.csv"), TITLES)
     if not experiment.has("table.csv"):
         return []
     if experiment.base == "parameters":

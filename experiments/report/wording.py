@@ -125,11 +125,3 @@ FIGURES = {
     "batchnorm_lag": "The autoencoder's error by moving statistics, by those of the mini-batch, "
     "and by statistics estimated anew.",
 }
-MODELS = {
-    "openhead": ("the open head", "it is the default"),
-    "ict": ("ICT faces", "open, but to be downloaded: ICT-FaceKit, MIT licence"),
-    "bfm2009": ("Basel Face Model 2009", "the paper's model; its licence must be asked for"),
-    "bfm2017": ("Basel Face Model 2017", "its licence must be asked for"),
-    "bfm2019": ("Basel Face Model 2019", "its licence must be asked for"),
-    "flame": ("FLAME", "needs registration, and so do CoMA and CASIA-3D, which it is used with"),
-}

@@ -7,7 +7,7 @@ import pytest
 
 from deepmds_keras.alignment import align
 from experiments.audit import bias
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 N, L = 400, 30
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.audit import complexity
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS
 
 NUMBERS = (120, 24)
 

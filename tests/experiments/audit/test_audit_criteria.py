@@ -10,8 +10,8 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras.normalisation import normalise
 from experiments.audit import criteria
 from experiments.audit.claims import judge, load_claims
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 from experiments.scoring.scores import score
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 CLAIMS = load_claims()
 N_FACES = 60

@@ -7,7 +7,7 @@ import pytest
 
 from deepmds_keras.normalisation import normalise
 from experiments.audit import dissimilarity
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 N, L = 4, 24
 

@@ -8,8 +8,8 @@ import pytest
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise, unit
 from experiments.audit import noise
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 from experiments.inputs import Faces
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 N, L = 12, 72
 SCHEME = load_scheme("bfm72")

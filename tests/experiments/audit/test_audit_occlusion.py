@@ -11,9 +11,9 @@ from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.networks import build_dissimilarity_net
 from deepmds_keras.normalisation import normalise, unit
 from experiments.audit import occlusion
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 from experiments.audit.occlusion import hidden_landmarks
 from experiments.inputs import Faces
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 RADIUS, L = 50.0, 24
 

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.audit import parameter_counts as parameters
 from experiments.audit.claims import judge, load_claims
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 CLAIMS = load_claims()
 BFM = pd.DataFrame(

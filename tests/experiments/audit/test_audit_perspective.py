@@ -8,8 +8,8 @@ import pytest
 from data_gen.views.projections import Cameras, rotations
 from deepmds_keras.normalisation import normalise, unit
 from experiments.audit import perspective
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 from experiments.audit.perspective import viewmtx
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 
 def test_viewmtx_gives_the_numbers_of_matlabs_help():

@@ -11,9 +11,9 @@ from deepmds_keras.networks import build_dissimilarity_net, forward
 from deepmds_keras.normalisation import normalise, unit
 from deepmds_keras.proximities import proximities
 from experiments.audit import poses
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 from experiments.audit.poses import SWEEPS, WITHOUT, kinds, reach, without_autoencoder
 from experiments.inputs import Faces
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 N, L = 8, 10
 AUDITED = np.array([1, 6])

@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.audit import elsewhere, ranking
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 PAPER = {"mobileface": 0.6e-4, "ours": 1.4e-4, "aldrian": 2.5e-4, "zhao": 22e-4, "linear": 1e-6}
 PRINTED = {"printed_mse": 1.4e-4, "printed_depth_corr": 71.95}

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from experiments.audit import significance
 from experiments.audit.claims import judge, load_claims
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 CLAIMS = load_claims()
 N_FACES, SAMPLINGS, SIZE = 400, 10, 40

@@ -8,9 +8,9 @@ import pytest
 from faults import run
 
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS
-from experiments.audit.findings import UNKNOWN
 from experiments.studies.ablation import METRICS
 from experiments.studies.variants import TITLES
+from experiments.verdicts import UNKNOWN
 
 
 @pytest.fixture(scope="module")

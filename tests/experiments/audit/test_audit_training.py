@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.audit import mini_batches as training
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 SEEDS = np.array([1.0, 1.2, 0.9, 1.1, 1.05])
 PRINTED = {"printed_mse": 1.4e-4, "printed_std": 5e-7, "subset_size": 500}

@@ -12,12 +12,12 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras.normalisation import normalise, unit
 from experiments.audit import zhao
 from experiments.audit.claims import judge, load_claims
-from experiments.audit.findings import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 from experiments.inputs import Faces
 from experiments.presets import SMOKE
 from experiments.run import Run
 from experiments.scoring.scores import score
 from experiments.tracks.bfm.released_evaluator import TRUE_DEPTH
+from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 CLAIMS = load_claims()
 CELEBA = pd.DataFrame(

@@ -18,10 +18,10 @@ from experiments.figures.examples import write_examples
 from experiments.figures.style import save
 from experiments.inputs import Faces
 from experiments.manifest import clear_results, files_of, read_manifest, write_manifest
+from experiments.markup.markdown import markdown
 from experiments.presets import SMOKE
 from experiments.report.experiment import load_experiments
 from experiments.report.html import page as html_page
-from experiments.report.markdown import markdown
 from experiments.report.overview import reports_elsewhere
 from experiments.report.report import main
 from experiments.report.sections import report

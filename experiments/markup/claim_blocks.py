@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pandas as pd
 
-from experiments.audit.findings import UNKNOWN, VERDICTS, WITH_CONDITION
-from experiments.report.blocks import Block, Cell, Column, Fold, Heading, Listing, Paragraph, Table
+from experiments.markup.blocks import Block, Cell, Column, Fold, Heading, Listing, Paragraph, Table
+from experiments.verdicts import VERDICTS, counted, phrase
 
-_BEFORE_CONDITION = {WITH_CONDITION: "holds", UNKNOWN: "cannot be checked without"}
 _COLOURS = dict(zip(VERDICTS, ("#2E7D32", "#9CCC65", "#BDBDBD", "#C62828"), strict=True))
 _READING = (
     "Every verdict is computed by the check that is named with it, on the faces of the model that "
@@ -17,28 +14,6 @@ _READING = (
     "leaves its meaning open, the evidence has the reading that favours it, too; a cause that is "
     "inferred and not proven is said to be. “A reviewer's question” is no claim of the paper."
 )
-
-
-def read_claims(path: Path) -> pd.DataFrame:
-    """A `claims.csv`, empty cells as empty strings."""
-    return pd.read_csv(path, dtype=str, keep_default_na=False)
-
-
-def phrase(verdict: str, condition: str) -> str:
-    """Verdict and condition as one: `"holds for yaws up to 45°"`."""
-    return f"{_BEFORE_CONDITION[verdict]} {condition}" if condition else verdict
-
-
-def counted(table: pd.DataFrame) -> str:
-    """How many claims got which verdict: `"12 hold, 5 hold with a condition, …"`."""
-    plural = ("hold", "hold with a condition", "cannot be checked", "do not hold")
-    counts = table["verdict"].value_counts()
-    parts = [
-        f"{counts[verdict]} {verdict if counts[verdict] == 1 else words}"
-        for verdict, words in zip(VERDICTS, plural, strict=True)
-        if verdict in counts
-    ]
-    return ", ".join(parts)
 
 
 def claim_blocks(table: pd.DataFrame, names: dict[str, str]) -> list[Block]:

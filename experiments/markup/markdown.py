@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from experiments.report.blocks import (
+from experiments.markup.blocks import (
     Block,
     Cell,
     Faces,
@@ -18,7 +18,7 @@ from experiments.report.blocks import (
     Picture,
     Table,
 )
-from experiments.report.inline import spans
+from experiments.markup.inline import spans
 
 _SPECIAL = re.compile(r"([\\`*_{}<>|#~])")
 

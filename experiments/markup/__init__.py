@@ -1,0 +1,1 @@
+"""Markdown: tables, pages and the claims of the paper with their verdicts."""
