@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
@@ -56,12 +58,25 @@ def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.nd
     Raises:
         InputError: As `check_points`, or another number of landmarks.
     """
+    check_n_landmarks(n_landmarks)
     points = check_points(points, name, n_dimensions)
     if points.shape[1] != n_landmarks:
         raise InputError(
             f"{name} must have {n_landmarks} landmarks a face. Received {points.shape[1]}."
         )
     return points
+
+
+def check_n_landmarks(n_landmarks: int) -> None:
+    """Refuse what cannot be the number of landmarks of a network.
+
+    Raises:
+        InputError: No whole number, or fewer than 3.
+    """
+    if not isinstance(n_landmarks, Integral) or n_landmarks < 3:
+        raise InputError(
+            f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}."
+        )
 
 
 def check_training_faces(views, shapes) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 import tensorflow as tf
 from keras import layers, ops
 
+from deepmds_keras.checks import check_n_landmarks
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.proximities import VARIANTS
 
@@ -28,7 +29,11 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
 
     Returns:
         Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, 2L)`.
+
+    Raises:
+        InputError: No whole number of landmarks, or fewer than 3.
     """
+    check_n_landmarks(n_landmarks)
     dense = _dense_blocks(seed)
     view = keras.Input((2 * n_landmarks,), name="view")
     x = dense(view, 64, "encode_1")

@@ -13,6 +13,8 @@ from deepmds_keras import weights
 from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.networks import (
     build_autoencoder,
     build_dissimilarity_net,
@@ -24,9 +26,6 @@ from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
 
-# 0-based number of the tip of the nose, for weights that come without the shapes they were
-# trained on.
-_NOSE_TIP = {72: 28, 51: 13}
 _FACES_PER_CHUNK = 64
 _FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
 
@@ -188,7 +187,11 @@ class DeepMDS(BaseEstimator):
         return self._matrices(self.frontalise(views))
 
     def save(self, path: str | Path) -> None:
-        """Write parameters and both networks into one `.npz` file, complete or not at all."""
+        """Write parameters and both networks into one `.npz` file, complete or not at all.
+
+        Raises:
+            InputError: The path is that of a folder.
+        """
         arrays = {
             f"{name}/{key}": array
             for name in ("autoencoder", "dissimilarity_net")
@@ -239,14 +242,16 @@ class DeepMDS(BaseEstimator):
         """The `"released"` variant with the authors' Keras 2 weight files.
 
         Raises:
-            InputError: Missing or truncated file, or weights of another network.
+            InputError: Missing or truncated file, weights of another network or not finite, or
+                a number of landmarks that no scheme has.
         """
+        # These weights come without the shapes that they were trained on.
+        tip = load_scheme(scheme_of(n_landmarks)).names.index("nose_tip")
         model = cls(n_landmarks, "released")
         model._build()
         weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
         weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
-        model.front_landmark_ = _NOSE_TIP[n_landmarks]
-        model.history_ = {}
+        model.front_landmark_, model.history_ = tip, {}
         return model
 
     @classmethod

@@ -42,9 +42,12 @@ def write_arrays(
     """Write arrays and a JSON description into one npz, under a temporary name until complete.
 
     Raises:
+        InputError: The path is that of a folder.
         OSError: It cannot be written; `filename` is the path.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} must be a file to write. Received a folder.")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
@@ -102,7 +105,8 @@ def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], sour
     """Put arrays of `network_arrays` back.
 
     Raises:
-        InputError: A weight is missing, no number or of another shape; the message names `source`.
+        InputError: A weight is missing, no number, NaN, infinite or of another shape; the message
+            names `source`.
     """
     for layer in network.layers:
         for weight in layer.weights:
@@ -114,6 +118,7 @@ def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], sour
                     f"{source}: {key} of {network.name} must have shape {tuple(weight.shape)}. "
                     f"Received {found}."
                 )
+            _check_finite(array, f"{source}: {key} of {network.name}")
             weight.assign(array)
 
 
@@ -123,7 +128,8 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
     Layers correspond by order, since their names differ.
 
     Raises:
-        InputError: Missing or truncated file, or one whose layers have other shapes.
+        InputError: Missing or truncated file, or one whose layers have other shapes or hold NaN
+            or infinity.
     """
     try:
         with h5py.File(path, "r") as file:
@@ -145,6 +151,8 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
         )  # fmt: skip
         raise InputError(f"{path} does not fit the network {network.name}: {differing}.")
     for layer, group in zip(layers, groups, strict=True):
+        for array in group:
+            _check_finite(array, f"{path}: layer {layer.name} of {network.name}")
         layer.set_weights(group)
 
 
@@ -183,6 +191,11 @@ def pretrained_path(name: str) -> Path:
         names = sorted(p.stem for p in PRETRAINED.glob("*.npz"))
         raise InputError(f"name must be one of {', '.join(names) or 'none'}. Received {name!r}.")
     return path
+
+
+def _check_finite(array: np.ndarray, name: str) -> None:
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite. Received NaN or infinity.")
 
 
 def _check_number(file: BinaryIO, n: int) -> None:

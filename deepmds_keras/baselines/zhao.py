@@ -10,7 +10,7 @@ import numpy as np
 import tensorflow as tf
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.checks import check_faces, check_fitted
+from deepmds_keras.checks import check_faces, check_fitted, check_n_landmarks
 from deepmds_keras.networks import forward
 from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
 
@@ -24,7 +24,11 @@ def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
 
     Returns:
         Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, L)` depths.
+
+    Raises:
+        InputError: No whole number of landmarks, or fewer than 3.
     """
+    check_n_landmarks(n_landmarks)
     seeds = iter(range(1000 * seed, 1000 * seed + 1000))
 
     def dense_tanh(x, units, name):

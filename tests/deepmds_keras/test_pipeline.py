@@ -9,7 +9,10 @@ from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
 from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
 from deepmds_keras.alignment import is_mirrored
+from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.orientation import face_front, front_landmark
+from deepmds_keras.weights import read_arrays, write_arrays
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +160,64 @@ def test_foreign_keras_files_are_refused(tmp_path):
         group["kernel"] = np.zeros((4, 4))
     with pytest.raises(InputError, match="foreign.h5 does not fit the network autoencoder_72"):
         DeepMDS.from_released(foreign, foreign)
+
+
+def write_keras2(path, network):
+    """Weights as Keras 2 wrote them."""
+    with h5py.File(path, "w") as file:
+        layers = [layer for layer in network.layers if layer.weights]
+        file.attrs["layer_names"] = [layer.name for layer in layers]
+        for layer in layers:
+            group = file.create_group(layer.name)
+            group.attrs["weight_names"] = [weight.name for weight in layer.weights]
+            for weight in layer.weights:
+                group[weight.name] = weight.numpy()
+    return path
+
+
+@pytest.mark.parametrize(("n_landmarks", "nose_tip"), [(72, 28), (68, 30), (51, 13)])
+def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
+    networks = build_autoencoder(n_landmarks), build_dissimilarity_net("released")
+    files = [write_keras2(tmp_path / f"{network.name}.h5", network) for network in networks]
+    model = DeepMDS.from_released(*files, n_landmarks=n_landmarks)
+    assert model.front_landmark_ == nose_tip
+    assert np.array_equal(model.autoencoder_.get_weights()[0], networks[0].get_weights()[0])
+    with h5py.File(files[0], "r+") as file:
+        file["decode_1"]["bias"][3] = np.nan
+    with pytest.raises(InputError, match="autoencoder_.*.h5: layer decode_1 .* must be finite"):
+        DeepMDS.from_released(*files, n_landmarks=n_landmarks)
+
+
+@pytest.mark.parametrize("n_landmarks", [0, -1, 2, 51.0, "51", None])
+def test_impossible_numbers_of_landmarks_are_refused(n_landmarks):
+    message = f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}"
+    for build in (build_autoencoder, build_zhao_net):
+        with pytest.raises(InputError, match=message):
+            build(n_landmarks)
+    shapes = np.random.default_rng(0).random((2, 3, 3))
+    for fit, data in ((DeepMDS(n_landmarks).fit, (shapes[..., :2], shapes)),
+                      (Zhao(n_landmarks).fit, (shapes,))):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            fit(*data)
+    with pytest.raises(InputError):
+        DeepMDS.from_released("a.h5", "b.h5", n_landmarks=n_landmarks)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_weights_that_are_not_finite_are_refused_with_their_name(small, tmp_path, bad):
+    path = tmp_path / "model.npz"
+    small[0].save(path)
+    arrays, described = read_arrays(path)
+    arrays["dissimilarity_net/hidden_2/kernel"][3, 4] = bad
+    write_arrays(path, arrays, described)
+    with pytest.raises(InputError, match="model.npz: hidden_2/kernel of .* must be finite"):
+        DeepMDS.load(path)
+
+
+def test_a_folder_is_not_written_over(small, tmp_path):
+    with pytest.raises(InputError, match="must be a file to write. Received a folder"):
+        small[0].save(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_input_is_named(shipped, test_faces):
