@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from importlib import import_module
 
@@ -14,7 +16,12 @@ def main(arguments: list[str] | None = None) -> None:
     if name not in STAGES:
         print(f"error: STAGE must be one of {', '.join(STAGES)}. Received {name}.", file=sys.stderr)
         raise SystemExit(2)
-    import_module(f"experiments.{STAGES[name]}").main(arguments[1:])
+    try:
+        import_module(f"experiments.{STAGES[name]}").main(arguments[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # who read the output, such as `head`, is gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(128 + signal.SIGPIPE) from None
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from deepmds_keras.io.errors import InputError
 
@@ -22,14 +23,17 @@ def locked(folder: Path, *, wait: bool = False) -> Iterator[None]:
         InputError: Another process holds it, and `wait` is false.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if not wait:
-                raise InputError(
-                    f"{folder} is in use by another run; wait for it or choose another --build."
-                ) from None
-            print(f"  another run writes to {folder}; waiting for it", flush=True)
-            fcntl.flock(file, fcntl.LOCK_EX)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        if not wait:
+            raise InputError(
+                f"{folder} is in use by another run; wait for it or choose another --build."
+            ) from None
+        print(f"  another run writes to {folder}; waiting for it", flush=True)
+        lock.acquire()
+    try:
         yield
+    finally:
+        lock.release()

@@ -10,7 +10,6 @@ import os
 import resource
 import shlex
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -18,7 +17,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from data_gen.models.registry import MODELS
 from data_gen.views.projections import PROTOCOLS
@@ -46,8 +44,6 @@ _DATASETS = {
 }
 # Sums of gradients are split between the threads: a network depends on their number.
 _TENSORFLOW_THREADS = "2"
-# tqdm's own lock is a semaphore, of which Python complains where a process with a bar is killed.
-tqdm.set_lock(threading.RLock())
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from data_gen.models.model_files import sha256_of
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
@@ -19,6 +18,7 @@ from experiments.face_models import TITLES
 from experiments.figures import audit_curves as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.progress import Bar
 from experiments.run import parse_run, stage, write_json, write_text
 from experiments.scoring.tables import to_csv
 from experiments.verdicts import counted, phrase
@@ -49,7 +49,7 @@ def measured(inputs: Inputs, topic: str) -> dict:
 def check(inputs: Inputs) -> tuple[pd.DataFrame, dict[str, dict]]:
     """Every claim's verdict, as `tables.table_of`, and what was measured, by topic."""
     claims, numbers = load_claims(), {}
-    with tqdm(TOPICS, desc="audit", unit="topic") as bar:
+    with Bar(TOPICS, desc="audit", unit="topic") as bar:
         for topic in bar:
             bar.set_postfix_str(topic)
             numbers[topic] = measured(inputs, topic)

@@ -10,13 +10,13 @@ import os
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from experiments.bench.measurements import measure, table_of
 from experiments.bench.step_times import in_own_process
 from experiments.figures import bench_times as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.progress import Bar
 from experiments.run import Run, one_core, parse_run, stage, write_text
 from experiments.scoring.numbers import factor
 from experiments.scoring.tables import to_csv
@@ -48,7 +48,7 @@ def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
         "faces": growth.with_faces,
     }
     rows: list[dict] = []
-    with tqdm(desc="bench", unit="row") as bar:
+    with Bar(desc="bench", unit="row") as bar:
         for comparison, ways_of in pieces.items():
             bar.set_postfix_str(comparison)
             for ways in ways_of(material):

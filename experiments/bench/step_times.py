@@ -5,9 +5,8 @@ from __future__ import annotations
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 
-from tqdm import tqdm
-
 from experiments.bench.measurements import measure
+from experiments.progress import Bar
 from experiments.run import Run, quiet_tensorflow
 
 
@@ -24,7 +23,7 @@ def training_steps(run: Run) -> list[dict]:
 
     quiet_tensorflow()
     passes, rows = run.preset.bench_passes, []
-    with tqdm(desc="bench, training", unit="row") as bar:
+    with Bar(desc="bench, training", unit="row") as bar:
         for ways in steps.comparisons(make_material(run)):
             rows += measure("training", ways, passes)
             bar.update(len(ways))

@@ -25,9 +25,9 @@ from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.progress import EpochBar
 from experiments.run import SCHEMES, Run, parse_run, stage, write_text
 from experiments.streams import Stream
-from experiments.tracks.recipes import EpochBar
 
 # Standard deviation of the errors in the views, mm. No detector finds the 72: they come from fits
 # of face models to photos.

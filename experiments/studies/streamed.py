@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from data_gen.datasets.dataset import load_dataset, make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.inputs import as_seen
+from experiments.progress import Bar
 from experiments.run import Run, one_core, peak_memory_mb
 from experiments.scoring.scores import score
 from experiments.streams import Stream
@@ -115,7 +115,7 @@ def make_files(run: Run, files: Files, beside: Mapping) -> list[int]:
     done = files.n - sum(files.size(file) for file in todo)
     tasks = (delayed(make_file)(run, files, file, beside) for file in todo)
     memory: dict[tuple, int] = {}
-    with tqdm(total=files.n, initial=done, desc="faces", unit="face") as bar:
+    with Bar(total=files.n, initial=done, desc="faces", unit="face") as bar:
         for n, process, megabytes in Parallel(run.jobs, return_as="generator_unordered")(tasks):
             memory[process] = max(megabytes, memory.get(process, 0))
             bar.update(n)

@@ -10,10 +10,11 @@ from deepmds_keras.orientation import front_landmark
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
 from experiments.inputs import Faces, load_faces
+from experiments.progress import EpochBar
 from experiments.run import Run, quiet_tensorflow, write_json
 from experiments.scoring.scores import score, subsets
 from experiments.studies.variants import Variant
-from experiments.tracks.recipes import EpochBar, autoencoder
+from experiments.tracks.recipes import autoencoder
 
 _AUTOENCODER_BATCH = 16
 _METHODS = {"constant": "ours", "cosine": "ours_stable"}

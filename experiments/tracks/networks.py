@@ -38,7 +38,8 @@ def train_chain(run: Run, methods: tuple[str, ...], parent: int) -> tuple[dict, 
         Root of the last losses by method, network and mode, and the process's peak memory in MB.
     """
     # Only the processes that train load TensorFlow.
-    from experiments.tracks.recipes import EpochBar, deep_mds, zhao
+    from experiments.progress import EpochBar
+    from experiments.tracks.recipes import deep_mds, zhao
 
     quiet_tensorflow()
     EpochBar.parent = parent

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
@@ -19,6 +18,7 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
 from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
+from experiments.progress import Bar
 from experiments.run import AUTHORS_FILES, Run, on_one_core, one_core, parse_run, stage
 from experiments.tracks.recipes import deep_mds, zhao
 
@@ -77,7 +77,7 @@ def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
 
 def write_prediction(run: Run, method: str, model, inputs) -> None:
     """Write what a trained method makes of its inputs, views or images: one of each test face."""
-    with tqdm(total=len(inputs), desc=method, unit="face") as bar:
+    with Bar(total=len(inputs), desc=method, unit="face") as bar:
         if isinstance(model, DeepMDS):
             arrays = {
                 "shapes": model.predict(inputs, progress=bar.update),

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-
 import keras
-from tqdm import tqdm
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.models.flame import read_flame
@@ -23,6 +20,7 @@ from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarit
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import Faces, load_images, load_landmark_model, load_rings, load_shape_gram
 from experiments.methods import DEEP_MDS, network_names
+from experiments.progress import EpochBar
 from experiments.run import Run
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
@@ -150,29 +148,3 @@ def released_ringnet(run: Run) -> ReleasedRingNet:
     embedding = embedding_near(run.data)
     corners = read_flame(run.data).triangles[embedding.triangles]
     return ReleasedRingNet(run.ringnet, corners, embedding.weights)
-
-
-class EpochBar(tqdm):
-    """A progress bar over epochs that shows the losses.
-
-    Attributes:
-        parent: Process on whose behalf this one trains; training stops after an epoch when it is
-            gone.
-    """
-
-    parent = os.getpid()
-
-    def __init__(self, name: str, epochs: int):
-        # What a file already holds is read in less than the delay and needs no bar.
-        super().__init__(total=epochs, desc=name, unit="epoch", delay=2)
-
-    def losses(self, losses: dict[str, float]) -> None:
-        """Show mean squares as their roots."""
-        self.sums({f"{name} r.m.s.": value**0.5 for name, value in losses.items()})
-
-    def sums(self, losses: dict[str, float]) -> None:
-        """Show losses as they are."""
-        if self.parent not in (os.getpid(), os.getppid()):
-            raise SystemExit("The run that this process trained for is gone.")
-        self.set_postfix({k: f"{v:.4f}" for k, v in losses.items()}, refresh=False)
-        self.update()

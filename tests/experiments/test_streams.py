@@ -1,6 +1,7 @@
 """Random numbers of a run come from the streams that are declared in one place."""
 
 import ast
+import re
 from pathlib import Path
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -14,7 +15,7 @@ def seeds():
             sequence = isinstance(node, ast.List | ast.Tuple) and node.elts
             if sequence and ast.unparse(node.elts[0]).endswith("run.seed"):
                 yield code
-            if isinstance(node, ast.Call) and code.endswith("default_rng(run.seed)"):
+            if re.fullmatch(r".*default_rng\([a-z.]*run\.seed\)", code):
                 yield code
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from tqdm import tqdm
 
 from data_gen.datasets.dataset import make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.weights import write_arrays
+from experiments.progress import Bar
 from experiments.run import Run, parse_run, stage
 from experiments.streams import Stream
 
@@ -31,7 +31,7 @@ def make_faces(run: Run) -> dict:
     streams = {"train": Stream.TRAIN_FACES, "test": Stream.TEST_FACES}
     for part, n in sizes.items():
         rng = np.random.default_rng([run.seed, streams[part]])
-        with tqdm(total=n, desc=f"{part} faces", unit="face") as bar:
+        with Bar(total=n, desc=f"{part} faces", unit="face") as bar:
             dataset = make_dataset(
                 model, n, rng, scheme=run.scheme, protocol=run.protocol, progress=bar.update
             )

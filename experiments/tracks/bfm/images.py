@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
@@ -14,6 +13,7 @@ from data_gen.datasets.images import Scene, make_scene, render
 from data_gen.models.registry import load_model
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import image_files
+from experiments.progress import Bar
 from experiments.run import Run, one_core, parse_run, stage
 from experiments.streams import Stream
 
@@ -67,7 +67,7 @@ def make_images(
         )
         total = sum(len(files) for files in parts.values())
         done = total - sum(len(parts[part].ranges()[file]) for part, file in wanted)
-        with tqdm(total=total, initial=done, desc="images", unit="image") as bar:
+        with Bar(total=total, initial=done, desc="images", unit="image") as bar:
             for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
                 bar.update(n)
     return {part: files.checksums() for part, files in parts.items()}

@@ -10,7 +10,6 @@ import shutil
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from data_gen.datasets.dataset import Dataset
 from data_gen.fitting.edge_fitting import EdgeFitter
@@ -18,6 +17,7 @@ from data_gen.models.registry import load_model
 from data_gen.views.projections import Cameras, camera_angles
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import USED
+from experiments.progress import Bar
 from experiments.run import Run, parse_run, stage
 from experiments.tracks.celeba.photo_fits import files_of, fit_photos, numbers_of, photos_file
 from experiments.tracks.celeba.photo_sources import photo_source
@@ -61,9 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
         missing = [file for file in files_of(source) if not photos_file(run, file).exists()]
         tasks = (delayed(fit_photos)(run, source, model, fitter, file) for file in missing)
         left = sum(len(numbers_of(file, len(source))) for file in missing)
-        with tqdm(
-            total=len(source), initial=len(source) - left, desc="photos", unit="photo"
-        ) as bar:
+        with Bar(total=len(source), initial=len(source) - left, desc="photos", unit="photo") as bar:
             for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
                 bar.update(n)
         record |= collect(run, source)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from data_gen.datasets.coma import find_meshes, load_coma
 from data_gen.datasets.dataset import Dataset, dataset_of, save_dataset
@@ -15,6 +14,7 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from data_gen.views.projections import draw_cameras
 from experiments.inputs import in_photos
+from experiments.progress import Bar
 from experiments.run import Run, parse_run, stage, write_text
 from experiments.streams import Stream
 
@@ -22,7 +22,7 @@ from experiments.streams import Stream
 def coma_frames(run: Run, folder: Path, record: dict) -> tuple[np.ndarray, dict]:
     """Landmarks `(n, 51, 3)` of all meshes of CoMA, millimetres; what cannot be read is listed."""
     embedding = embedding_near(run.data or folder)
-    with tqdm(total=len(find_meshes(folder)), desc="meshes", unit="mesh") as bar:
+    with Bar(total=len(find_meshes(folder)), desc="meshes", unit="mesh") as bar:
         coma = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
     record["skipped"] = len(coma.skipped)
     if coma.skipped:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from tqdm import tqdm
 
 from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
 from experiments.inputs import load_crops
+from experiments.progress import Bar
 from experiments.run import parse_run, stage
 from experiments.tracks.predictions import write_shapes
 
@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> None:
         files = load_crops(run)
         paths = [files.paths(file)[0] for file in range(len(files.ranges()))]
         start = time.perf_counter()
-        with tqdm(total=len(files), desc="mediapipe", unit="image") as bar:
+        with Bar(total=len(files), desc="mediapipe", unit="image") as bar:
             points = detect(paths, run.mediapipe or MEDIAPIPE_PYTHON, progress=bar.update)
         milliseconds = 1000 * (time.perf_counter() - start) / len(files)
         found = np.isfinite(points).all((1, 2))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from data_gen.datasets.casia import write_index
 from data_gen.datasets.dataset import Dataset
@@ -18,6 +17,7 @@ from data_gen.models.registry import load_model
 from data_gen.views.projections import Cameras, camera_angles
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import in_photos
+from experiments.progress import Bar
 from experiments.run import Run, parse_run, stage, write_bytes
 from experiments.streams import Stream
 from experiments.tracks.flame.examination import CasiaScans, examine, images_file, subject_file
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
         missing = [k for k in subjects if not subject_file(run, k).exists()]
         tasks = (delayed(examine)(run, source, finder, subject) for subject in missing)
         done = source.n_scans - sum(source.scans_of(subject) for subject in missing)
-        with tqdm(total=source.n_scans, initial=done, desc="scans", unit="scan") as bar:
+        with Bar(total=source.n_scans, initial=done, desc="scans", unit="scan") as bar:
             for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
                 bar.update(n)
         record |= collect(run, source.n_subjects)

@@ -1,0 +1,45 @@
+"""What stages print besides their results: bars on a terminal, nothing of them in a log."""
+
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+
+import faults
+
+_BARS = """
+from experiments.progress import Bar, EpochBar
+with Bar(total=3, desc="faces", unit="face", mininterval=0) as bar:
+    bar.update(3)
+with EpochBar("ours", 2) as bar:
+    bar.delay = 0
+    bar.losses({"train": 0.04})
+"""
+
+
+def test_a_log_gets_no_bar():
+    done = subprocess.run([sys.executable, "-c", _BARS], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_terminal_gets_one():
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    subprocess.run([sys.executable, "-c", _BARS], stderr=theirs, check=True)
+    os.close(theirs)
+    assert b"faces: 100%" in os.read(ours, 10_000)
+    os.close(ours)
+
+
+def test_a_reader_that_leaves_ends_a_stage_without_a_traceback(tmp_path):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        faults.command("faces", tmp_path),
+        cwd=faults.ROOT, env=faults.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
