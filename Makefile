@@ -24,7 +24,7 @@ RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
 FACES ?=
-# Of a cluster that does the work on faces and images, see experiments/cluster.py.
+# Of a cluster that does the work on faces and images, see experiments/tasks.py.
 JOBLIB_BACKEND ?=
 DASK_ADDRESS ?=
 RAY_ADDRESS ?=

@@ -22,7 +22,6 @@ from data_gen.models.registry import MODELS
 from data_gen.views.projections import PROTOCOLS
 from deepmds_keras.io.atomic import whole_file
 from deepmds_keras.io.errors import InputError
-from experiments.cluster import cluster
 from experiments.locks import locked
 from experiments.presets import PRESETS, Preset
 from experiments.records import read_record, with_checksum
@@ -68,8 +67,7 @@ class Run:
         mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
             `make setup-mediapipe` makes.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
-        jobs: Processes for the embedding and for rendering; on a cluster, which
-            `experiments.cluster` describes, any number but 1 stands for all its workers.
+        jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
         build: Folder of arrays and weights; results: folder of tables and figures.
     """
 
@@ -241,7 +239,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     os.environ["TF_NUM_INTRAOP_THREADS"] = _TENSORFLOW_THREADS
     print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
     turn = locked(run.model_results, wait=True) if name == run.evaluation else nullcontext()
-    with refusals_on_one_line(), cluster(), locked(run.work), turn:
+    with refusals_on_one_line(), locked(run.work), turn:
         for left_behind in run.work.rglob(".*.partial"):
             left_behind.unlink(missing_ok=True)
         yield record

@@ -19,17 +19,12 @@ from pathlib import Path
 import faults
 import psutil
 
-# A stage with so few faces a task that there are some for each worker.
-_SMALL_TASKS = """
-import sys
-from deepmds_keras import embedding
-from experiments import {stage} as stage
-embedding._FACES_PER_TASK["sklearn"] = 2
-stage._FACES_PER_CHUNK = 2
-stage.main(sys.argv[1:])
-"""
+from deepmds_keras.io.errors import InputError
+
 _NAMES = ("JOBLIB_BACKEND", "DASK_ADDRESS", "RAY_ADDRESS")
-ALONE = {name: value for name, value in faults.ENVIRONMENT.items() if name not in _NAMES}
+ALONE = {name: value for name, value in faults.ENVIRONMENT.items() if name not in _NAMES} | {
+    "PYTHONPATH": f"{faults.ROOT}{os.pathsep}{faults.ROOT / 'tests'}"
+}
 
 
 @dataclass
@@ -49,8 +44,8 @@ class Cluster:
     def start(self, stage: str, folder: Path) -> subprocess.Popen:
         """A stage of the experiment, whose folders are named as relative paths."""
         process = subprocess.Popen(
-            [sys.executable, "-c", _SMALL_TASKS.format(stage=stage), "--preset", "smoke"],
-            cwd=folder, env=ALONE | {"PYTHONPATH": str(faults.ROOT)} | self.environment,
+            [sys.executable, "-m", "experiments", stage, "--preset", "smoke"],
+            cwd=folder, env=ALONE | self.environment,
             start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
@@ -64,7 +59,7 @@ class Cluster:
         return self.run("dask", "worker", "--host", "127.0.0.1", "--no-dashboard", *options, *file)
 
     def run(self, module: str, *arguments: str) -> subprocess.Popen:
-        """A process of the cluster, which does not know where the repository is."""
+        """A process of the cluster."""
         with open(self.folder / "log", "a") as log:
             self.processes.append(
                 subprocess.Popen(
@@ -165,3 +160,15 @@ def _session(pid: int) -> int | None:
         return os.getsid(pid)
     except ProcessLookupError:
         return None
+
+
+def told(k: int) -> tuple[int, int, str, str]:
+    """Task that tells which process it was, its argument, where it was and by which setting."""
+    time.sleep(0.05)
+    return os.getpid(), k, os.getcwd(), os.environ["TF_ENABLE_ONEDNN_OPTS"]
+
+
+def refused(k: int) -> None:
+    """Task that refuses an argument."""
+    if k == 3:
+        raise InputError("k must be below 3. Received 3.")

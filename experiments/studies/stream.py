@@ -13,7 +13,7 @@ from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
 from experiments.run import one_core, parse_run, stage, write_text
 from experiments.scoring.tables import to_csv
-from experiments.studies.streamed import BESIDE, OURS, Files, make_files, networks_file, read_scores
+from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
 from experiments.tracks.predictions import fitted
 
 _QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
@@ -45,9 +45,9 @@ def main(arguments: list[str] | None = None) -> None:
             beside = {method: fitted(run, train, method) for method in BESIDE}
         del train
         sizes = run.preset.streamed_faces, run.preset.faces_per_file
-        files = Files(stream, *sizes, sha256_of([networks]))
-        record["processes_mb"] = make_files(run, files, beside)
-        values = read_scores(files)
+        shards = Shards(stream, *sizes, sha256_of([networks]))
+        record["processes_mb"] = make_shards(run, shards, beside)
+        values = read_scores(shards)
         clear_results(folder)
         table = pd.DataFrame(
             [
@@ -60,6 +60,6 @@ def main(arguments: list[str] | None = None) -> None:
         save(error_distribution(errors), folder / "figures", "errors")
     records = records_of(run, ("faces", "networks", "stream"))
     write_manifest(run, "stream", records, folder)
-    print(f"\n{run.model}, {files.n:,} faces\n")
+    print(f"\n{run.model}, {shards.n:,} faces\n")
     print(table.assign(method=table["method"].map(title)).to_string(index=False))
     print(f"\nTable, figure and manifest: {folder}/")

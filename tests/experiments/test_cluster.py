@@ -1,6 +1,6 @@
 """Tasks on a cluster whose workers come and go: the same files, and refusals of what is no cluster.
 
-Every scheduler and worker is a process of its own that does not know where the repository is.
+Every scheduler and worker is a process of its own.
 """
 
 import os
@@ -9,26 +9,23 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 
 import clusters
 import distributed
 import faults
-import numpy as np
 import pytest
-from joblib import Parallel, delayed, effective_n_jobs
 
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.weights import read_arrays
-from experiments.cluster import cluster
+from experiments.tasks import unordered
 
 _COMMAND = """
 import sys
-from experiments.cluster import cluster
 from experiments.refusals import refusals_on_one_line
+from experiments.tasks import unordered
 sys.modules |= dict.fromkeys(sys.argv[1:])
-with refusals_on_one_line(), cluster():
-    print("within")
+with refusals_on_one_line():
+    print(*unordered(-1, abs, [(-1,)]))
 """
 
 
@@ -53,18 +50,13 @@ def client(dask):
 
 @pytest.fixture
 def copy_of_whole(whole_bfm, tmp_path):
-    """A copy of the undisturbed run, with its networks but without images, tables and records.
-
-    Of the predictions, those are left out that take no other network to be loaded.
-    """
+    """A copy of the undisturbed run, without images, tables and their records."""
     folder = tmp_path / "run"
     shutil.copytree(whole_bfm.folder / "build", folder / "build")
     (work,) = folder.glob("build/*/*")
     shutil.rmtree(work / "images")
-    for name in ("images", "predictions", "mobileface", "bfm"):
+    for name in ("images", "mobileface", "bfm"):
         (work / f"{name}.json").unlink()
-    for name in ("mean_shape", "linear", "aldrian", "ours"):
-        (work / "predictions" / f"{name}.npz").unlink()
     return folder
 
 
@@ -100,45 +92,32 @@ def assert_as_undisturbed(folder, whole):
     assert sum(path.suffix == ".npy" for path in arrays) == 4
 
 
-def test_tables_are_the_same_though_dask_loses_workers(dask, client, copy_of_whole, whole_bfm):
-    processes = client.run(os.getpid)
-
-    def both_have_done_some():
-        return len({task["worker"] for task in client.get_task_stream()}) == 2
-
+def test_images_are_the_same_though_dask_loses_a_worker(dask, client, copy_of_whole, whole_bfm):
     def at_work():
         return [address for address, tasks in client.processing().items() if tasks]
 
-    command = dask.start("predictions", copy_of_whole)
-    busy, *_ = clusters.wait_until(lambda: both_have_done_some() and at_work(), command)
-    os.kill(processes[busy], signal.SIGKILL)
-    assert command.poll() is None
-    finish(command)
-    # One that joins late does its part, too, and then all that is left.
     dask.add_worker()
-    client.wait_for_workers(2, timeout=60)
+    client.wait_for_workers(3, timeout=60)
     processes = client.run(os.getpid)
     command = dask.start("images", copy_of_whole)
-    busy = clusters.wait_until(
-        lambda: images_of_test_faces(copy_of_whole) and alone(at_work()), command
-    )
+    clusters.wait_until(lambda: images_of_test_faces(copy_of_whole), command)
+    busy = clusters.wait_until(lambda: at_work(), command)[0]
     os.kill(processes[busy], signal.SIGKILL)
     assert command.poll() is None
     finish(command)
-    assert len(client.scheduler_info()["workers"]) == 1
+    assert len(client.scheduler_info()["workers"]) == 2
     assert_as_undisturbed(copy_of_whole, whole_bfm.folder)
 
 
-def test_tables_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, whole_bfm):
+def test_images_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, whole_bfm):
     folder = tmp_path / "ray"
     folder.mkdir()
 
     def at_work(ray):
         own = clusters.family(ray.processes[0])
-        return [process for process in own if process.name().startswith("ray::do")]
+        return [process for process in own if process.name().startswith("ray::PoolActor.run")]
 
     with clusters.ray_cluster(folder) as ray:
-        finish(ray.start("predictions", copy_of_whole))
         command = ray.start("images", copy_of_whole)
         clusters.wait_until(
             lambda: images_of_test_faces(copy_of_whole) and alone(at_work(ray)), command
@@ -167,55 +146,29 @@ def test_a_stream_is_the_same_though_dask_loses_a_worker(dask, client, copy_of_w
         assert path.read_bytes() == other.read_bytes(), path
 
 
-def test_a_task_is_done_again_with_its_large_arguments(dask, client, monkeypatch):
-    """Wherever its worker was lost, as in the place and by the settings of the command."""
+def test_a_task_is_done_again_where_its_worker_was_lost(dask, client, monkeypatch):
+    """In the place and by the settings of the command."""
     monkeypatch.setenv("TF_ENABLE_ONEDNN_OPTS", "0")
-    large = np.ones(500_000)
-
-    def work(large, k, *, factor):
-        time.sleep(0.05)
-        place = os.getcwd(), os.environ["TF_ENABLE_ONEDNN_OPTS"]
-        return os.getpid(), place, factor * k * large.sum()
-
-    tasks = (delayed(work)(large, k, factor=2) for k in range(30))
     before, lost, results = set(), None, []
-    with cluster():
-        for own, *result in Parallel(-1, return_as="generator_unordered")(tasks):
-            results.append(tuple(result))
-            before.add(own)
-            if len(before) == 2 and lost is None:
-                lost = own
-                os.kill(lost, signal.SIGKILL)
-    place = os.getcwd(), "0"
-    assert sorted(results) == [(place, 1e6 * k) for k in range(30)]
+    for own, *result in unordered(-1, clusters.told, ((k,) for k in range(30))):
+        results.append(tuple(result))
+        before.add(own)
+        if len(before) == 2 and lost is None:
+            lost = own
+            os.kill(lost, signal.SIGKILL)
+    assert sorted(results) == [(k, os.getcwd(), "0") for k in range(30)]
     assert before >= {lost} and len(client.scheduler_info()["workers"]) == 1
 
 
-def test_any_number_of_jobs_but_one_is_for_the_whole_cluster(dask, client):
-    with cluster():
-        assert [effective_n_jobs(n) for n in (-1, 8, 1, None)] == [2, 2, 1, 1]
-        here = Parallel(1)(delayed(lambda: os.getpid())() for _ in range(3))
-        there = Parallel(-1)(delayed(lambda: os.getpid())() for _ in range(3))
-    assert {*here} == {os.getpid()}
-    assert {*there} <= {*client.run(os.getpid).values()}
-
-
 def test_what_a_task_refuses_is_refused_here(dask, client):
-    def work(k):
-        if k == 3:
-            raise InputError("k must be below 3. Received 3.")
-
-    with pytest.raises(InputError, match=r"^k must be below 3\. Received 3\.$"), cluster():
-        Parallel(-1)(delayed(work)(k) for k in range(8))
+    with pytest.raises(InputError, match=r"^k must be below 3\. Received 3\.$"):
+        list(unordered(-1, clusters.refused, ((k,) for k in range(8))))
 
 
 def test_a_cluster_that_goes_away_is_refused(dask, client):
-    def work():
-        time.sleep(0.2)
-
     client.close()
-    with pytest.raises(InputError, match="DASK_ADDRESS=.* must stay in reach"), cluster():
-        for _ in Parallel(-1, return_as="generator")(delayed(work)() for _ in range(20)):
+    with pytest.raises(InputError, match="DASK_ADDRESS=.* must stay in reach"):
+        for _ in unordered(-1, clusters.told, ((k,) for k in range(100))):
             dask.end()
 
 
@@ -249,8 +202,7 @@ def test_what_is_no_cluster_is_refused_on_one_line(environment, missing, words):
     assert words in done.stderr
 
 
-def test_without_a_name_the_tasks_stay_on_this_machine(monkeypatch):
-    for name in ("", "loky"):
-        monkeypatch.setenv("JOBLIB_BACKEND", name)
-        with cluster():
-            assert effective_n_jobs(3) == 3
+@pytest.mark.parametrize("name", ["", "loky"])
+def test_without_a_name_the_tasks_stay_on_this_machine(name, monkeypatch):
+    monkeypatch.setenv("JOBLIB_BACKEND", name)
+    assert sorted(unordered(2, abs, ((-k,) for k in range(4)))) == [0, 1, 2, 3]

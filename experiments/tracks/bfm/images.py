@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
@@ -14,14 +15,20 @@ from data_gen.models.registry import load_model
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import image_files
 from experiments.progress import Bar
-from experiments.run import Run, one_core, parse_run, stage
+from experiments.run import Run, parse_run, stage
 from experiments.streams import Stream
+from experiments.tasks import unordered
 
 PARTS = ("train", "test")
 
 
 def make_file(
-    files: ImageFiles, file: int, scene: Scene, dataset: Dataset, seed: tuple[int, ...]
+    run: Run,
+    part: str,
+    files: ImageFiles,
+    file: int,
+    scene: Callable[[Run], Scene],
+    seed: tuple[int, ...],
 ) -> int:
     """Write one file of images, the same whichever process does it and when.
 
@@ -30,8 +37,9 @@ def make_file(
     """
     faces = files.ranges()[file]
     rng = np.random.default_rng([*seed, file])
-    with one_core():
-        files.save(file, *render(scene, dataset, faces, rng))
+    path = run.work / f"{part}.npz"
+    dataset = _dataset(path, path.stat().st_mtime_ns)
+    files.save(file, *render(_scene(run, scene), dataset, faces, rng))
     return len(faces)
 
 
@@ -39,7 +47,7 @@ def make_images(
     run: Run,
     parts: dict[str, ImageFiles],
     seed_of: Callable[[str], tuple[int, ...]],
-    make: Callable[[], Scene],
+    scene: Callable[[Run], Scene],
 ) -> dict[str, dict[str, str]]:
     """Write the images of data sets of the run that are not there yet.
 
@@ -47,7 +55,7 @@ def make_images(
         run: The run.
         parts: Name of a data set, which lies in `<name>.npz`, to its files of images.
         seed_of: From that name to the seed of its images.
-        make: Makes the scene.
+        scene: Makes the scene, in every process that draws.
 
     Returns:
         Checksums of all files, by data set.
@@ -59,30 +67,38 @@ def make_images(
         if not files.paths(file)[0].exists()
     ]
     if wanted:
-        scene = make()
-        datasets = {part: load_dataset(run.work / f"{part}.npz") for part in parts}
-        tasks = (
-            delayed(make_file)(parts[part], file, scene, datasets[part], seed_of(part))
-            for part, file in wanted
-        )
+        scene(run)  # what cannot be drawn is refused here, once
         total = sum(len(files) for files in parts.values())
         done = total - sum(len(parts[part].ranges()[file]) for part, file in wanted)
+        tasks = ((run, part, parts[part], file, scene, seed_of(part)) for part, file in wanted)
         with Bar(total=total, initial=done, desc="images", unit="image") as bar:
-            for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
+            for n in unordered(run.jobs, make_file, tasks):
                 bar.update(n)
     return {part: files.checksums() for part, files in parts.items()}
 
 
+def scene_of(run: Run) -> Scene:
+    """Scene in which the run's face model is drawn for MobileFace."""
+    return make_scene(load_model(run.model, run.data), run.scheme, IMAGE_SIZE, run.protocol)
+
+
+@functools.cache
+def _scene(run: Run, scene: Callable[[Run], Scene]) -> Scene:
+    return scene(run)
+
+
+@functools.cache
+def _dataset(path: Path, modified: int) -> Dataset:
+    """A file as it was at that time: workers of a cluster may live longer than it."""
+    return load_dataset(path)
+
+
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-
-    def scene() -> Scene:
-        return make_scene(load_model(run.model, run.data), run.scheme, IMAGE_SIZE, run.protocol)
-
     with stage(run, "images") as record:
         record["checksums"] = make_images(
             run,
             {part: image_files(run, part) for part in PARTS},
             lambda part: (run.seed, Stream.IMAGES, PARTS.index(part)),
-            scene,
+            scene_of,
         )

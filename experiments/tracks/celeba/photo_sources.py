@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from experiments.streams import Stream
 
 
 @dataclass(frozen=True, eq=False)
-class TestPhoto:
+class PhotoSample:
     """One photo.
 
     Attributes:
@@ -44,13 +45,13 @@ class Celeba:
     def __len__(self) -> int:
         return len(self._images)
 
-    def photos(self, numbers: range) -> Iterator[TestPhoto]:
+    def photos(self, numbers: range) -> Iterator[PhotoSample]:
         for number in numbers:
             record = self._images[number]
             try:
-                yield TestPhoto(record.name, celeba.load_image(record))
+                yield PhotoSample(record.name, celeba.load_image(record))
             except InputError as error:
-                yield TestPhoto(record.name, error)
+                yield PhotoSample(record.name, error)
 
 
 class Standin:
@@ -65,14 +66,15 @@ class Standin:
     def __len__(self) -> int:
         return len(self._photos)
 
-    def photos(self, numbers: range) -> Iterator[TestPhoto]:
+    def photos(self, numbers: range) -> Iterator[PhotoSample]:
         for photo in self._photos.photos(numbers):
             truth, pixels = photo.landmarks[self._scheme], photo.pixels[self._scheme]
-            yield TestPhoto(photo.name, photo.image, truth, pixels)
+            yield PhotoSample(photo.name, photo.image, truth, pixels)
 
 
+@functools.cache
 def photo_source(run: Run) -> Celeba | Standin:
-    """What a run tests on.
+    """Photos that a run tests on.
 
     Raises:
         InputError: The data set is not where it should be, or the model cannot be drawn.

@@ -49,19 +49,21 @@ def make_people(run: Run, model: MorphableModel) -> None:
     save_dataset(run.work / "rings.npz", dataset)
 
 
+def scene_of(run: Run) -> Scene:
+    """Scene in which people are drawn for RingNet."""
+    return make_scene(_model(run), run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressive=True)
+
+
+@cache  # a run that goes on may need it neither for people nor for images
+def _model(run: Run) -> MorphableModel:
+    return load_model(run.model, run.data, run.scheme)
+
+
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-
-    @cache  # a run that goes on may need it neither for people nor for images
-    def model() -> MorphableModel:
-        return load_model(run.model, run.data, run.scheme)
-
-    def scene() -> Scene:
-        return make_scene(model(), run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressive=True)
-
     with stage(run, "rings") as record:
         if not (run.work / "rings.npz").exists():
-            make_people(run, model())
+            make_people(run, _model(run))
         record["checksums"] = make_images(
-            run, {"rings": ring_files(run)}, lambda part: (run.seed, Stream.RING_IMAGES), scene
+            run, {"rings": ring_files(run)}, lambda part: (run.seed, Stream.RING_IMAGES), scene_of
         )

@@ -2,26 +2,157 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
-from data_gen.datasets.casia import write_index
+from data_gen.datasets import casia
 from data_gen.datasets.dataset import Dataset
+from data_gen.datasets.scans import Scan
 from data_gen.datasets.scans_standin import ScansStandin
-from data_gen.fitting.ground_truth import GroundTruth
+from data_gen.fitting.ground_truth import GroundTruth, Registration
+from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
+from data_gen.rendering.crops import crop
 from data_gen.views.projections import Cameras, camera_angles
-from deepmds_keras.weights import read_arrays
-from experiments.inputs import in_photos
+from deepmds_keras.detection.dlib_landmarks import shared_detector
+from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.weights import read_arrays, write_arrays
+from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED, in_photos
 from experiments.progress import Bar
 from experiments.run import Run, parse_run, stage, write_bytes
 from experiments.streams import Stream
-from experiments.tracks.flame.examination import CasiaScans, examine, images_file, subject_file
+from experiments.tasks import unordered
 from experiments.tracks.found_faces import save_test_set
+
+_JAW = 17  # leading landmarks of the detector that the paper leaves out
+_EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
+
+
+class CasiaScans:
+    """The scans of CASIA-3D, or those that an index names, by subject.
+
+    Args:
+        folder: Of the data set.
+        index: CSV that says which scans are used, or None for all.
+    """
+
+    def __init__(self, folder: Path, index: Path | None):
+        self.found = casia.find_scans(folder)
+        self._scans = self.found if index is None else casia.read_index(index, self.found)
+        self._subjects = sorted({scan.subject for scan in self._scans})
+        self.n_subjects, self.n_scans = len(self._subjects), len(self._scans)
+
+    def scans_of(self, subject: int) -> int:
+        return sum(scan.subject == self._subjects[subject] for scan in self._scans)
+
+    def subject(self, subject: int) -> Iterator[Scan | tuple[str, str]]:
+        """Scans of one subject; for one that cannot be read its name and the reason."""
+        for scan in self._scans:
+            if scan.subject != self._subjects[subject]:
+                continue
+            name = f"{scan.subject}-{scan.scan:03}"
+            try:
+                image, points = casia.load_scan(scan)
+            except InputError as error:
+                yield name, f"unreadable: {error}"
+            else:
+                yield Scan(name, scan.condition, image, points)
+
+
+def register_scans(run: Run, subject: int) -> int:
+    """Write what is found in each scan of one subject.
+
+    Returns:
+        Number of scans.
+    """
+    rows, example = [], {}
+    for scan in scan_source(run).subject(subject):
+        if isinstance(scan, tuple):
+            rows.append(_refused(*scan))
+            continue
+        row, found = _registered(scan, _finder(run))
+        if found is not None and subject < _EXAMPLES and not example:
+            points = _some_points(scan, found)
+            example = {"example": np.array([len(rows)]), "example_points": points[None]}
+        rows.append(row)
+    used = np.array([row["status"] == USED for row in rows])
+    images = [row.pop("image") for row in rows]
+    arrays = {key: np.stack([row[key] for row in rows]) for key in rows[0]} | example
+    with whole_file(images_file(run, subject)) as file:
+        np.save(file, np.array(images)[used])
+    write_arrays(subject_file(run, subject), arrays, {})  # last: it stands for both
+    return len(rows)
+
+
+def _registered(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | None]:
+    """What is written of a scan, and how its truth was found, if it was."""
+    row = _refused(scan.name, "no face found")
+    row["condition"] = np.array(scan.condition)
+    detected = shared_detector().detect(scan.image)
+    if detected is None:
+        return row, None
+    pixels = detected[_JAW:]
+    row["image"], row["crop_landmarks"] = crop(scan.image, pixels, CROP_SIZE, CROP_MARGIN)
+    row["detected"] = pixels
+    if scan.truth is not None:
+        row["truth"], row["true_pixels"] = scan.truth, scan.pixels
+    try:
+        found = finder.register(pixels, scan.points)
+    except InputError as error:
+        return row | {"status": np.array(str(error))}, None
+    row |= {
+        "status": np.array(USED),
+        "landmarks": found.landmarks,
+        "fitted": found.fitted,
+        "gaps": found.gaps,
+        "rotation": found.fit.rotation,
+        "fit_rms": np.array(found.fit.rms),
+        "icp_rms": np.array(found.icp.rms),
+    }
+    return row, found
+
+
+def _some_points(scan: Scan, found: Registration) -> np.ndarray:
+    """Points of a scan for a picture, in the frame of the face model: `(8000, 3)` millimetres."""
+    rotation, translation = found.model_to_scan
+    rng = np.random.default_rng(len(scan.points))
+    chosen = rng.choice(len(scan.points), _EXAMPLE_POINTS, replace=True)
+    return (scan.points[chosen] - translation) @ rotation
+
+
+def _refused(name: str, status: str) -> dict:
+    """A row of a scan that gives no test face."""
+    unknown = np.full((51, 3), np.nan)
+    return {
+        "name": np.array(name),
+        "condition": np.array(""),
+        "status": np.array(status),
+        "image": np.zeros((CROP_SIZE, CROP_SIZE, 3), np.uint8),
+        "crop_landmarks": unknown[:, :2],
+        "detected": unknown[:, :2],
+        "true_pixels": unknown[:, :2],
+        "truth": unknown,
+        "landmarks": unknown,
+        "fitted": unknown,
+        "gaps": unknown[:, 0],
+        "rotation": np.full((3, 3), np.nan),
+        "fit_rms": np.array(np.nan),
+        "icp_rms": np.array(np.nan),
+    }
+
+
+def subject_file(run: Run, subject: int) -> Path:
+    return run.work / "scans" / f"{subject:03}.npz"
+
+
+def images_file(run: Run, subject: int) -> Path:
+    return subject_file(run, subject).with_suffix(".npy")
 
 
 def collect(run: Run, n_subjects: int) -> dict:
@@ -56,12 +187,11 @@ def _test_set(run: Run, table: dict[str, np.ndarray], used: np.ndarray) -> Datas
     return in_photos(run, Dataset(none, none, landmarks, np.float32(views), cameras, description))
 
 
-def casia_scans(run: Run, folder: Path) -> CasiaScans:
-    """The scans that the index names; without one, all, and an index for the user to edit."""
-    source = CasiaScans(folder, run.casia_index)
+def check_index(run: Run, source: CasiaScans) -> None:
+    """Write an index for the user to edit, if none was named, and forget what another one chose."""
     template = run.work / "casia-index.csv"
     if run.casia_index is None and not template.exists():
-        write_index(template, source.found)
+        casia.write_index(template, source.found)
         print(f"  all scans are used; to choose, edit {template} and name it by CASIA_INDEX=")
     # Subjects that a stopped run has done with another choice of scans are of no use.
     chosen, scans = run.work / "scans" / "index.csv", run.work / "scans"
@@ -69,28 +199,41 @@ def casia_scans(run: Run, folder: Path) -> CasiaScans:
     if scans.exists() and not (chosen.exists() and chosen.read_bytes() == content):
         shutil.rmtree(scans)
     write_bytes(chosen, content)
-    return source
+
+
+@functools.cache
+def scan_source(run: Run) -> CasiaScans | ScansStandin:
+    """Scans of a run: of CASIA-3D those that the index names, or the stand-in's."""
+    folder, preset = run.folder_of("casia"), run.preset
+    if folder is not None:
+        return CasiaScans(folder, run.casia_index)
+    seed = [run.seed, Stream.SCANS]
+    return ScansStandin(_model(run), preset.scan_subjects, preset.scans, seed)
+
+
+@functools.cache
+def _finder(run: Run) -> GroundTruth:
+    return GroundTruth(_model(run))
+
+
+@functools.cache
+def _model(run: Run) -> MorphableModel:
+    return load_model(run.model, run.data, run.scheme)
 
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
+    scan_source.cache_clear()  # the index may have been edited since
     with stage(run, "scans") as record:
-        model = load_model(run.model, run.data, run.scheme)
-        folder, preset = run.folder_of("casia"), run.preset
-        if folder is None:
-            record["source"] = f"stand-in, {model.name}"
-            seed = [run.seed, Stream.SCANS]
-            source = ScansStandin(model, preset.scan_subjects, preset.scans, seed)
-        else:
+        source = scan_source(run)
+        record["source"] = f"stand-in, {_model(run).name}"
+        if isinstance(source, CasiaScans):
             record["source"] = "CASIA-3D"
-            source = casia_scans(run, folder)
-        finder = GroundTruth(model)
-        subjects = range(source.n_subjects)
-        missing = [k for k in subjects if not subject_file(run, k).exists()]
-        tasks = (delayed(examine)(run, source, finder, subject) for subject in missing)
+            check_index(run, source)
+        missing = [k for k in range(source.n_subjects) if not subject_file(run, k).exists()]
         done = source.n_scans - sum(source.scans_of(subject) for subject in missing)
         with Bar(total=source.n_scans, initial=done, desc="scans", unit="scan") as bar:
-            for n in Parallel(run.jobs, return_as="generator_unordered")(tasks):
+            for n in unordered(run.jobs, register_scans, ((run, k) for k in missing)):
                 bar.update(n)
         record |= collect(run, source.n_subjects)
         shutil.rmtree(run.work / "scans")

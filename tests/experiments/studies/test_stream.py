@@ -14,7 +14,7 @@ from experiments.manifest import files_of, read_manifest
 from experiments.presets import SMOKE
 from experiments.run import Run
 from experiments.scoring.scores import score
-from experiments.studies.streamed import Files
+from experiments.studies.shards import Shards
 from experiments.tracks.predictions import fitted
 
 
@@ -95,7 +95,7 @@ def test_it_goes_on_where_it_was_and_by_other_processes_alike(folder):
 
 
 def test_what_another_network_made_is_not_taken_for_its_own(tmp_path):
-    old, new = (Files(tmp_path, 10, 5, digest * 64) for digest in "ab")
+    old, new = (Shards(tmp_path, 10, 5, digest * 64) for digest in "ab")
     assert old.faces(1) == new.faces(1)
     assert old.shapes(1) != new.shapes(1)
 

@@ -167,14 +167,9 @@ def test_a_stopped_search_of_scans_goes_on(whole, work, tmp_path):
     folder.mkdir(parents=True)
     command = (
         "from experiments.run import Run; from experiments.presets import SMOKE;"
-        "from experiments.tracks.flame.examination import examine;"
-        "from data_gen.models.registry import load_model;"
-        "from data_gen.datasets.scans_standin import ScansStandin;"
-        "from data_gen.fitting.ground_truth import GroundTruth; from pathlib import Path;"
+        "from experiments.tracks.flame.scans import register_scans; from pathlib import Path;"
         f"run = Run('openhead', SMOKE, 'flame', build=Path({str(tmp_path / 'build')!r}));"
-        "model = load_model('openhead', scheme='ibug51');"
-        "source = ScansStandin(model, SMOKE.scan_subjects, SMOKE.scans, [0, 5]);"
-        "examine(run, source, GroundTruth(model), 2)"
+        "register_scans(run, 2)"
     )
     subprocess.run([sys.executable, "-c", command], cwd=ROOT, check=True)
     (folder / "scans" / "002.npz").stat()
