@@ -15,7 +15,8 @@ from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays
 from experiments.methods import DEEP_MDS, network_names
-from experiments.run import Run, load_record
+from experiments.records import load_record
+from experiments.run import Run
 
 USED = "used"  # status of a scan, or photo, that gave a test face
 _CENTRED = "centred"

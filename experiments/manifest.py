@@ -14,7 +14,8 @@ from pathlib import Path
 from data_gen.models.model_files import sha256_of
 from deepmds_keras.io.errors import InputError
 from experiments.published import PUBLISHED
-from experiments.run import Run, load_record, write_json
+from experiments.records import load_record, write_json
+from experiments.run import Run
 
 MANIFEST = "manifest.json"
 
@@ -39,7 +40,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
     Args:
         run: The run.
         target: Of the Makefile.
-        stages: Records of the stages, in order, as `run.stage` wrote them.
+        stages: Records of the stages, in order, as `running.stage` wrote them.
         folder: Of the results.
     """
     variables = {

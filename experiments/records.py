@@ -1,4 +1,4 @@
-"""Records of what is done, with a checksum by which damage is noticed."""
+"""Files that stages write: records of what is done, with a checksum, and text."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import hashlib
 import json
 from pathlib import Path
 
+from deepmds_keras.io.atomic import whole_file
 from deepmds_keras.io.errors import InputError
+from experiments.run import Run
 
 _CHECKSUM = "sha256"
 
@@ -35,6 +37,29 @@ def read_record(path: Path) -> dict:
             "it again."
         )
     return record
+
+
+def load_record(run: Run, name: str) -> dict:
+    """What the stage of that name recorded when it was done.
+
+    Raises:
+        InputError: It was not done, or its record is damaged.
+    """
+    return read_record(run.work / f"{name}.json")
+
+
+def write_json(path: Path, value: dict) -> None:
+    write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, under a temporary name until it is complete."""
+    with whole_file(path) as file:
+        file.write(content)
 
 
 def _checksum(record: dict) -> str:

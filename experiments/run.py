@@ -1,31 +1,12 @@
-"""One run of an experiment: what it was asked for, its folders, its lock and its records."""
+"""One run of an experiment: what it was asked for, and where its files lie."""
 
 from __future__ import annotations
 
-import argparse
-import datetime
-import json
-import logging
-import os
-import resource
-import shlex
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
-from data_gen.models.registry import MODELS
-from data_gen.views.projections import PROTOCOLS
-from deepmds_keras.io.atomic import whole_file
 from deepmds_keras.io.errors import InputError
-from experiments.locks import locked
-from experiments.presets import PRESETS, Preset
-from experiments.records import read_record, with_checksum
-from experiments.refusals import refusals_on_one_line
+from experiments.presets import Preset
 
 EVALUATORS = ("paper", "released")
 # The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
@@ -41,8 +22,6 @@ _DATASETS = {
     "coma": "CoMA's registered meshes (https://coma.is.tue.mpg.de, after registration)",
     "casia": "CASIA-3D FaceV1 (http://biometrics.idealtest.org, after registration)",
 }
-# Sums of gradients are split between the threads: a network depends on their number.
-_TENSORFLOW_THREADS = "2"
 
 
 @dataclass(frozen=True)
@@ -164,140 +143,3 @@ class Run:
         """Which data sets were named, for folders: others hold what stands in for them."""
         suffixes = {"coma": "-coma", "casia": "-casia", "celeba": "-real"}
         return "".join(suffix for name, suffix in suffixes.items() if getattr(self, name))
-
-
-def parse_run(description: str, arguments: list[str] | None = None) -> Run:
-    """The command line that every stage shares."""
-    parser = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    add = parser.add_argument
-    add("--track", choices=tuple(SCHEMES), default="bfm", help="which experiment")
-    add("--model", choices=MODELS, default="openhead", help="morphable model of the faces")
-    add("--data", metavar="PATH", help="file or folder of a model that is not embedded")
-    add("--preset", choices=tuple(PRESETS), default="paper", help="sizes of the experiment")
-    add("--seed", type=int, default=0, help="of everything random")
-    add("--protocol", choices=PROTOCOLS, default="paper", help="how faces are projected")
-    add("--authors", metavar="DIR", help="folder of the authors' released weights (*.h5)")
-    add("--coma", metavar="DIR", help="folder of the data set CoMA, instead of its stand-in")
-    add("--casia", metavar="DIR", help="folder of the data set CASIA-3D, instead of its stand-in")
-    add("--celeba", metavar="DIR", help="folder of the data set CelebA, instead of its stand-in")
-    add("--tf-flame", metavar="DIR", help="folder of photos with 51 landmarks, for a figure")
-    add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
-    add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
-    add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
-    add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
-    add("--faces", type=int, help="of make stream, instead of the preset's")
-    add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
-    add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
-    add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
-    values = vars(parser.parse_args(arguments))
-    if values["seed"] < 0:
-        parser.error(f"--seed must not be negative. Received {values['seed']}.")
-    values["preset"] = PRESETS[values["preset"]]
-    faces = values.pop("faces")
-    if faces is not None:
-        if faces < 2:
-            parser.error(f"--faces must be at least 2. Received {faces}.")
-        values["preset"] = replace(values["preset"], streamed_faces=faces)
-    for name in ("data", "authors", "coma", "casia", "celeba", "tf_flame", "mediapipe", "ringnet"):
-        values[name] = values[name] or None
-    values["casia_index"] = Path(values["casia_index"]) if values["casia_index"] else None
-    if values["track"] != "bfm" and values["evaluator"] != "paper":
-        parser.error("--evaluator must be paper but for the BFM track: no script of the authors "
-                     f"scores another. Received {values['evaluator']}.")  # fmt: skip
-    embedded = values["track"] == "celeba" and values["model"] == "openhead"
-    if embedded and values["data"] and values["celeba"] is None:
-        parser.error("--data must be a folder that holds CelebA's img_align_celeba, with "
-                     f"--model openhead. Received {values['data']}.")  # fmt: skip
-    for name in AUTHORS_FILES[values["track"]] if values["authors"] else ():
-        if not Path(values["authors"], name).is_file():
-            parser.error(f"--authors must be a folder with {name}. Received {values['authors']}.")
-    return Run(**values)
-
-
-@contextmanager
-def stage(run: Run, name: str) -> Iterator[dict]:
-    """Run one stage under the lock of the run's folder and record it in `<name>.json`.
-
-    The record is written last, so that it stands for a stage that is complete. A file or argument
-    that cannot be used, or a disk that is full, ends the process with one line and status 2. What a
-    stage that was killed had half written is deleted. A stage that scores waits for others that
-    write results of the same model, since some files are of them all.
-
-    Args:
-        run: The run.
-        name: Of the stage.
-
-    Yields:
-        A dict for what else the record is to say; `processes_mb`, the peak memory of each process
-        that the stage started, is added to its own.
-    """
-    record: dict = {}
-    started, clock = datetime.datetime.now(datetime.timezone.utc), time.perf_counter()
-    quiet_tensorflow()
-    os.environ["TF_NUM_INTRAOP_THREADS"] = _TENSORFLOW_THREADS
-    print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
-    turn = locked(run.model_results, wait=True) if name == run.evaluation else nullcontext()
-    with refusals_on_one_line(), locked(run.work), turn:
-        for left_behind in run.work.rglob(".*.partial"):
-            left_behind.unlink(missing_ok=True)
-        yield record
-        record |= {
-            "stage": name,
-            "command": "python -m experiments " + shlex.join(sys.argv[1:]),
-            "started": started.isoformat(timespec="seconds"),
-            "seconds": round(time.perf_counter() - clock, 1),
-            "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
-        }
-        write_json(run.work / f"{name}.json", with_checksum(record))
-    print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
-
-
-@contextmanager
-def one_core() -> Iterator[None]:
-    """Compute and draw with one thread: a process a core, and sums in one order on any machine."""
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # of Mesa's software renderer
-    with threadpool_limits(1):
-        yield
-
-
-def on_one_core(function: Callable, *arguments):
-    """Call a function in `one_core`: as a task, for a process that needs no TensorFlow for it."""
-    with one_core():
-        return function(*arguments)
-
-
-def load_record(run: Run, name: str) -> dict:
-    """What the stage of that name recorded when it was done.
-
-    Raises:
-        InputError: It was not done, or its record is damaged.
-    """
-    return read_record(run.work / f"{name}.json")
-
-
-def quiet_tensorflow() -> None:
-    """Each network of a stage is traced once, which TensorFlow takes for one traced too often."""
-    logging.getLogger("tensorflow").setLevel(logging.ERROR)
-
-
-def write_json(path: Path, value: dict) -> None:
-    write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    write_bytes(path, text.encode("utf-8"))
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, under a temporary name until it is complete."""
-    with whole_file(path) as file:
-        file.write(content)
-
-
-def peak_memory_mb() -> int:
-    """Largest resident set of this process, or of a child that has ended."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return round(max(u.ru_maxrss for u in usage) * unit / 1e6)

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from joblib import Parallel, delayed, parallel_config
 
 from deepmds_keras.io.errors import InputError
-from experiments.run import one_core
+from experiments.running import one_core
 
 # What may change a task's results, in their last digits.
 _DECISIVE = ("TF_ENABLE_ONEDNN_OPTS", "TF_NUM_INTRAOP_THREADS", "TF_CPP_MIN_LOG_LEVEL")

@@ -10,6 +10,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from data_gen.models.model_files import sha256_of
+from experiments.arguments import parse_run
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
 from experiments.audit.claim_tables import combine, table_of
 from experiments.audit.claims import judge, load_claims
@@ -19,7 +20,8 @@ from experiments.figures import audit_curves as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
-from experiments.run import parse_run, stage, write_json, write_text
+from experiments.records import write_json, write_text
+from experiments.running import stage
 from experiments.scoring.tables import to_csv
 from experiments.verdicts import counted, phrase
 

@@ -12,7 +12,7 @@ from experiments.audit.claims import Claim, described
 from experiments.audit.findings import Finding
 from experiments.markup.claim_blocks import claims_page
 from experiments.markup.markdown import markdown
-from experiments.run import write_text
+from experiments.records import write_text
 from experiments.scoring.tables import to_csv
 from experiments.scoring.typesetting import NOTHING, tex
 from experiments.verdicts import VERDICTS, phrase, read_claims

@@ -11,7 +11,7 @@ from deepmds_keras.embedding import classical_scaling, embed
 from deepmds_keras.proximities import pair_features
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds
-from experiments.run import one_core
+from experiments.running import one_core
 from experiments.scoring.numbers import factor
 from experiments.streams import Stream
 

@@ -11,13 +11,16 @@ from pathlib import Path
 
 import pandas as pd
 
+from experiments.arguments import parse_run
 from experiments.bench.measurements import measure, table_of
 from experiments.bench.step_times import in_own_process
 from experiments.figures import bench_times as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
-from experiments.run import Run, one_core, parse_run, stage, write_text
+from experiments.records import write_text
+from experiments.run import Run
+from experiments.running import one_core, stage
 from experiments.scoring.numbers import factor
 from experiments.scoring.tables import to_csv
 

@@ -7,7 +7,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 from experiments.bench.measurements import measure
 from experiments.progress import Bar
-from experiments.run import Run, quiet_tensorflow
+from experiments.run import Run
+from experiments.running import quiet_tensorflow
 
 
 def in_own_process(run: Run) -> list[dict]:

@@ -19,7 +19,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from experiments.figures.schemes import DPI, numbered
-from experiments.run import write_bytes
+from experiments.records import write_bytes
 
 PICTURES = Path("docs/pictures")
 _SIZE = 1000  # pixels of a side

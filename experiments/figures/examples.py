@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmds_keras.landmarks import LandmarkScheme
 from experiments.inputs import Faces
-from experiments.run import write_text
+from experiments.records import write_text
 from experiments.scoring.scores import Scores
 
 EXAMPLES = "examples.json"

@@ -9,12 +9,12 @@ from pathlib import Path
 from data_gen.models.registry import MODELS
 from experiments.markup.markdown import markdown
 from experiments.presets import PRESETS
+from experiments.records import write_text
 from experiments.report.experiment import REPORT, load_experiments, result_folders
 from experiments.report.html import page
 from experiments.report.overview import reports_elsewhere
 from experiments.report.sections import report
 from experiments.report.staleness import stale
-from experiments.run import write_text
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -75,7 +75,7 @@ def size(value: int | str | list[int]) -> str:
 
 
 def moment(iso: str) -> str:
-    """Date and time of day in UTC, of one that `run.stage` records."""
+    """Date and time of day in UTC, of one that `running.stage` records."""
     then = datetime.datetime.fromisoformat(iso).astimezone(datetime.timezone.utc)
     return f"{then:%Y-%m-%d %H:%M}"
 

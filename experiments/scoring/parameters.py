@@ -11,7 +11,8 @@ from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, c
 from experiments.inputs import load_landmark_model
 from experiments.methods import BY_ID, METHODS
 from experiments.published import printed
-from experiments.run import Run, write_text
+from experiments.records import write_text
+from experiments.run import Run
 from experiments.scoring.tables import to_csv
 from experiments.scoring.typesetting import NOTHING, tex
 

@@ -12,7 +12,8 @@ from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import Faces
-from experiments.run import Run, load_record
+from experiments.records import load_record
+from experiments.run import Run
 from experiments.streams import Stream
 
 

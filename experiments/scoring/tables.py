@@ -13,7 +13,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.metrics import wilcoxon_table
 from experiments.methods import METHODS, title
 from experiments.published import published
-from experiments.run import write_text
+from experiments.records import write_text
 from experiments.scoring.typesetting import latex
 
 METRICS = (

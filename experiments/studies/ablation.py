@@ -15,11 +15,14 @@ from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
+from experiments.arguments import parse_run
 from experiments.figures.audit_curves import error_curves, mini_batches
 from experiments.figures.style import save
 from experiments.inputs import load_faces
 from experiments.manifest import MANIFEST, clear_results, records_of, write_manifest
-from experiments.run import Run, parse_run, peak_memory_mb, stage, write_text
+from experiments.records import write_text
+from experiments.run import Run
+from experiments.running import peak_memory_mb, stage
 from experiments.scoring.scores import score, subsets
 from experiments.scoring.tables import to_csv
 from experiments.scoring.typesetting import tex

@@ -24,9 +24,12 @@ from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
+from experiments.arguments import parse_run
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import EpochBar
-from experiments.run import SCHEMES, Run, parse_run, stage, write_text
+from experiments.records import write_text
+from experiments.run import SCHEMES, Run
+from experiments.running import stage
 from experiments.streams import Stream
 
 # Standard deviation of the errors in the views, mm. No detector finds the 72: they come from fits

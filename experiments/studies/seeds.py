@@ -14,13 +14,16 @@ import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.weights import read_arrays
+from experiments.arguments import parse_run
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
 from experiments.manifest import clear_results, write_manifest
 from experiments.methods import DEEP_MDS, network_names, title
-from experiments.run import Run, load_record, parse_run, stage, write_text
+from experiments.records import load_record, write_text
+from experiments.run import Run
+from experiments.running import stage
 from experiments.scoring.scores import load_prediction, score
 from experiments.scoring.tables import to_csv
 from experiments.tracks.bfm.faces import make_faces

@@ -21,7 +21,8 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.inputs import as_seen
 from experiments.progress import Bar
-from experiments.run import Run, peak_memory_mb
+from experiments.run import Run
+from experiments.running import peak_memory_mb
 from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.tasks import unordered

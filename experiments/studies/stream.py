@@ -6,12 +6,14 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.model_files import sha256_of
+from experiments.arguments import parse_run
 from experiments.figures.errors import error_distribution
 from experiments.figures.style import save
 from experiments.inputs import load_faces
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
-from experiments.run import one_core, parse_run, stage, write_text
+from experiments.records import write_text
+from experiments.running import one_core, stage
 from experiments.scoring.tables import to_csv
 from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
 from experiments.tracks.predictions import fitted

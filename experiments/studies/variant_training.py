@@ -11,7 +11,9 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
 from experiments.inputs import Faces, load_faces
 from experiments.progress import EpochBar
-from experiments.run import Run, quiet_tensorflow, write_json
+from experiments.records import write_json
+from experiments.run import Run
+from experiments.running import quiet_tensorflow
 from experiments.scoring.scores import score, subsets
 from experiments.studies.variants import Variant
 from experiments.tracks.recipes import autoencoder

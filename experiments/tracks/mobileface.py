@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import tensorflow as tf
 
+from experiments.arguments import parse_run
 from experiments.inputs import load_crops, load_images
-from experiments.run import parse_run, stage
+from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
 from experiments.tracks.recipes import mobileface
 

@@ -7,9 +7,11 @@ import os
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
+from experiments.arguments import parse_run
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, parse_run, peak_memory_mb, quiet_tensorflow, stage
+from experiments.run import Run
+from experiments.running import peak_memory_mb, quiet_tensorflow, stage
 
 # What is trained one after the other in one process: a step keeps about one core busy. `ours` and
 # `ours_released` share the autoencoder, which is the same in both variants.

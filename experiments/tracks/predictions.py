@@ -16,10 +16,12 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import write_arrays
+from experiments.arguments import parse_run
 from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS
 from experiments.progress import Bar
-from experiments.run import AUTHORS_FILES, Run, on_one_core, one_core, parse_run, stage
+from experiments.run import AUTHORS_FILES, Run
+from experiments.running import on_one_core, one_core, stage
 from experiments.tracks.recipes import deep_mds, zhao
 
 # Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.

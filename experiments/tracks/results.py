@@ -11,7 +11,8 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.figures.style import save
 from experiments.figures.summary import summary
 from experiments.manifest import clear_results
-from experiments.run import Run, write_text
+from experiments.records import write_text
+from experiments.run import Run
 from experiments.scoring.scores import Scores, per_face
 from experiments.scoring.tables import to_csv, write_tables
 

@@ -6,7 +6,7 @@ import sys
 
 import pandas as pd
 
-from experiments.run import parse_run
+from experiments.arguments import parse_run
 from experiments.scoring.typesetting import text
 
 # By the truth that a table is against, where there are two.

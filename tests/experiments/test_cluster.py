@@ -21,10 +21,10 @@ from experiments.tasks import unordered
 
 _COMMAND = """
 import sys
-from experiments.refusals import refusals_on_one_line
+from experiments.running import exit_on_user_error
 from experiments.tasks import unordered
 sys.modules |= dict.fromkeys(sys.argv[1:])
-with refusals_on_one_line():
+with exit_on_user_error():
     print(*unordered(-1, abs, [(-1,)]))
 """
 

@@ -17,11 +17,11 @@ from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.weights import read_arrays
 from experiments.inputs import image_files
-from experiments.locks import locked
 from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.presets import SMOKE
-from experiments.records import read_record, with_checksum
-from experiments.run import Run, load_record, write_json
+from experiments.records import load_record, read_record, with_checksum, write_json
+from experiments.run import Run
+from experiments.running import locked
 
 KILLS = int(os.environ.get("KILLS", 5))
 NIGHTLY = KILLS >= 50

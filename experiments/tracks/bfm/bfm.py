@@ -11,6 +11,7 @@ import pandas as pd
 from data_gen.views.projections import PROJECTIONS
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
+from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors
@@ -25,7 +26,8 @@ from experiments.inputs import (
 )
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.scoring.parameters import write_parameter_table
 from experiments.scoring.scores import Scores, evaluate, load_predictions
 from experiments.tracks.bfm.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released

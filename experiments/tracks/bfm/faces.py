@@ -7,8 +7,10 @@ import numpy as np
 from data_gen.datasets.dataset import make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.weights import write_arrays
+from experiments.arguments import parse_run
 from experiments.progress import Bar
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.streams import Stream
 
 

@@ -13,9 +13,11 @@ from data_gen.datasets.image_files import ImageFiles
 from data_gen.datasets.images import Scene, make_scene, render
 from data_gen.models.registry import load_model
 from deepmds_keras.photos import IMAGE_SIZE
+from experiments.arguments import parse_run
 from experiments.inputs import image_files
 from experiments.progress import Bar
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.streams import Stream
 from experiments.tasks import unordered
 

@@ -13,6 +13,7 @@ from deepmds_keras.alignment import align
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
+from experiments.arguments import parse_run
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors
 from experiments.figures.fits import FittedPhoto, fits
 from experiments.figures.qualitative import Photos
@@ -21,7 +22,9 @@ from experiments.figures.style import save
 from experiments.inputs import USED, Faces, crop_files, load_faces, of_used
 from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, load_record, parse_run, stage
+from experiments.records import load_record
+from experiments.run import Run
+from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
 from experiments.scoring.truths import against
 from experiments.tracks.celeba.photo_sources import photo_source

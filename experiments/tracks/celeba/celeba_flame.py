@@ -16,11 +16,14 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.photos import IMAGE_SIZE, open_photo
+from experiments.arguments import parse_run
 from experiments.figures.gallery import gallery
 from experiments.figures.style import save
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, load_faces
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.run import Run, load_record, parse_run, stage
+from experiments.records import load_record
+from experiments.run import Run
+from experiments.running import stage
 from experiments.tracks.predictions import fitted
 from experiments.tracks.recipes import released_ringnet, ringnet
 

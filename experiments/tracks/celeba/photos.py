@@ -23,9 +23,11 @@ from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import read_arrays, write_arrays
+from experiments.arguments import parse_run
 from experiments.inputs import USED
 from experiments.progress import Bar
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.tasks import unordered
 from experiments.tracks.celeba.photo_sources import PhotoSample, photo_source
 from experiments.tracks.found_faces import save_test_set

@@ -11,6 +11,7 @@ from PIL import Image
 from data_gen.datasets.image_files import ImageFiles
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import read_arrays
+from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_condition
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors
@@ -28,7 +29,8 @@ from experiments.inputs import (
 )
 from experiments.manifest import records_of, write_manifest
 from experiments.methods import DEEP_MDS
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
 from experiments.scoring.truths import against
 from experiments.tracks.results import write_results

@@ -13,9 +13,12 @@ from data_gen.models.flame_embedding import embedding_near
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from data_gen.views.projections import draw_cameras
+from experiments.arguments import parse_run
 from experiments.inputs import in_photos
 from experiments.progress import Bar
-from experiments.run import Run, parse_run, stage, write_text
+from experiments.records import write_text
+from experiments.run import Run
+from experiments.running import stage
 from experiments.streams import Stream
 
 

@@ -7,9 +7,10 @@ import time
 import numpy as np
 
 from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
+from experiments.arguments import parse_run
 from experiments.inputs import load_crops
 from experiments.progress import Bar
-from experiments.run import parse_run, stage
+from experiments.running import stage
 from experiments.tracks.predictions import write_shapes
 
 # By whose list of points: the authors', or the one in which the left brow is where it should be.

@@ -8,8 +8,9 @@ from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
 from deepmds_keras.photos import IMAGE_SIZE
+from experiments.arguments import parse_run
 from experiments.inputs import load_crops
-from experiments.run import parse_run, stage
+from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
 from experiments.tracks.recipes import released_ringnet, ringnet
 

@@ -14,8 +14,10 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.weights import write_arrays
+from experiments.arguments import parse_run
 from experiments.inputs import CROP_MARGIN, ring_files
-from experiments.run import Run, parse_run, stage
+from experiments.run import Run
+from experiments.running import stage
 from experiments.streams import Stream
 from experiments.tracks.bfm.images import make_images
 

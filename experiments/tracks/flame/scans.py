@@ -23,9 +23,12 @@ from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.io.atomic import whole_file
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.weights import read_arrays, write_arrays
+from experiments.arguments import parse_run
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED, in_photos
 from experiments.progress import Bar
-from experiments.run import Run, parse_run, stage, write_bytes
+from experiments.records import write_bytes
+from experiments.run import Run
+from experiments.running import stage
 from experiments.streams import Stream
 from experiments.tasks import unordered
 from experiments.tracks.found_faces import save_test_set

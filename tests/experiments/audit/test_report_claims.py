@@ -12,9 +12,10 @@ from experiments.audit.claims import load_claims
 from experiments.audit.findings import does_not_hold, holds, holds_if
 from experiments.manifest import write_manifest
 from experiments.presets import SMOKE
+from experiments.records import write_text
 from experiments.report.report import main
 from experiments.report.staleness import stale
-from experiments.run import Run, write_text
+from experiments.run import Run
 from experiments.scoring.tables import to_csv
 from experiments.studies.ablation import HEADS
 

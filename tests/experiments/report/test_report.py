@@ -20,13 +20,14 @@ from experiments.inputs import Faces
 from experiments.manifest import clear_results, files_of, read_manifest, write_manifest
 from experiments.markup.markdown import markdown
 from experiments.presets import SMOKE
+from experiments.records import write_text
 from experiments.report.experiment import load_experiments
 from experiments.report.html import page as html_page
 from experiments.report.overview import reports_elsewhere
 from experiments.report.report import main
 from experiments.report.sections import report
 from experiments.report.staleness import stale
-from experiments.run import Run, write_text
+from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.scoring.scores import Scores
 from experiments.scoring.tables import to_csv, write_tables
