@@ -10,12 +10,11 @@ import pandas as pd
 from experiments.audit.checks import CHECKS
 from experiments.audit.claims import Claim, described
 from experiments.audit.findings import Finding
-from experiments.markup.claim_blocks import claims_page
 from experiments.markup.markdown import markdown
 from experiments.records import write_text
 from experiments.scoring.tables import to_csv
 from experiments.scoring.typesetting import NOTHING, tex
-from experiments.verdicts import VERDICTS, phrase, read_claims
+from experiments.verdicts import VERDICTS, listed, read_claims, side_by_side
 
 COLUMNS = ("id", "where", "claim", "check", "model", "verdict", "condition", "evidence")
 
@@ -54,29 +53,28 @@ def combine(root: Path, names: Mapping[str, str]) -> Path:
     table = _sorted(pd.concat([read_claims(path) for path in files if path.exists()]))
     folder = root / "audit"
     write_text(folder / "claims.csv", to_csv(table))
-    write_text(folder / "claims.md", markdown(claims_page(table, dict(names)), folder))
+    page = markdown("markup/claims_page.md.j2", of=listed(table, names))
+    write_text(folder / "claims.md", page)
     write_text(folder / "claims.tex", latex(table, names))
     return folder
 
 
 def latex(table: pd.DataFrame, names: Mapping[str, str]) -> str:
     r"""Claims and verdicts by face model, as a booktabs `longtable` to `\input`."""
-    models = [model for model in names if model in {*table["model"]}]
-    heads = ["Claim", "Where", *(names[model] for model in models)]
-    width = f"{0.5 / max(len(models), 1):.3f}"
-    columns = rf"p{{0.3\linewidth}}p{{0.14\linewidth}}*{{{len(models)}}}{{p{{{width}\linewidth}}}}"
+    rows = side_by_side(table, names).fillna(NOTHING)
+    models = len(rows.columns) - 2
+    columns = (
+        rf"p{{0.3\linewidth}}p{{0.14\linewidth}}*{{{models}}}{{p{{{0.5 / models:.3f}\linewidth}}}}"
+    )
     lines = [
         r"{\footnotesize\setlength{\tabcolsep}{3pt}\raggedright",
         rf"\begin{{longtable}}{{@{{}}{columns}@{{}}}}",
         r"\toprule",
-        " & ".join(map(tex, heads)) + r" \\",
+        " & ".join(map(tex, rows)) + r" \\",
         r"\midrule\endhead",
         r"\bottomrule\endfoot",
+        *(" & ".join(map(tex, row)) + r" \\" for row in rows.values),
     ]
-    for _, own in table.groupby("id", sort=False):
-        said = {row.model: phrase(row.verdict, row.condition) for row in own.itertuples()}
-        row = [*own.iloc[0][["claim", "where"]], *(said.get(m, NOTHING) for m in models)]
-        lines.append(" & ".join(map(tex, row)) + r" \\")
     return "\n".join([*lines, r"\end{longtable}}", ""])
 
 

@@ -1,1 +1,1 @@
-"""Markdown: tables, pages and the claims of the paper with their verdicts."""
+"""Markdown by templates: tables, and the paper's claims with their verdicts."""

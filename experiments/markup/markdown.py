@@ -1,78 +1,83 @@
-"""A report as Markdown, as GitHub shows it."""
+"""Markdown, as GitHub shows it, and pages of HTML, by templates."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.markup.blocks import (
-    Block,
-    Cell,
-    Faces,
-    Fold,
-    Heading,
-    Listing,
-    Paragraph,
-    Picture,
-    Table,
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+
+# `code`, **strong** words, links and marks of notes; or a character that would mean something.
+_MARKS = re.compile(r"`[^`]+`|\*\*|\]\([^)]+\)|<sup>[\d, ]+</sup>|([\\`*_{}<>|#~]|&(?=#?\w+;))")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts, the first of each the row's name.
+
+    Attributes:
+        caption: Stands above it.
+        rows: The cells, by the columns' heads.
+        words: Heads of the columns that hold words; numbers stand on the right.
+        notes: Counted from 1, as `Notes` marks them in the cells.
+    """
+
+    caption: str
+    rows: pd.DataFrame
+    words: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rules(self) -> list[str]:
+        """How each column is aligned."""
+        words = {self.rows.columns[0], *self.words}
+        return [":--" if head in words else "--:" for head in self.rows]
+
+
+class Notes(list):
+    """Notes of a table, each written once."""
+
+    def mark(self, notes: list[str]) -> str:
+        """Return the numbers of notes, to be put behind the text of a cell."""
+        self += [note for note in dict.fromkeys(notes) if note not in self]
+        numbers = sorted({self.index(note) + 1 for note in notes})
+        return f"<sup>{', '.join(map(str, numbers))}</sup>" if numbers else ""
+
+
+def escaped(text: object) -> str:
+    """Return a text that shows as it is, but for what `_MARKS` lets it hold."""
+    return _MARKS.sub(lambda mark: f"\\{mark[1]}" if mark[1] else mark[0], str(text))
+
+
+def row(cells: Iterable[object]) -> str:
+    """Return a row of a table. A bar would end a cell, even in code."""
+    texts = (re.sub(r"(?<!\\)\|", r"\|", escaped(text)) for text in cells)
+    return f"| {' | '.join(texts)} |"
+
+
+_ENVIRONMENT = Environment(
+    loader=FileSystemLoader(Path(__file__).parents[1]),
+    autoescape=select_autoescape(("html.j2",)),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
 )
-from experiments.markup.inline import spans
-
-_SPECIAL = re.compile(r"([\\`*_{}<>|#~])")
+_ENVIRONMENT.filters |= {"md": escaped, "row": row}
 
 
-def markdown(blocks: Iterable[Block], folder: Path) -> str:
-    """The text of a file in `folder`; pictures are named relative to it."""
-    return "\n\n".join(_block(block, folder) for block in blocks) + "\n"
+def render(template: str, **values: object) -> str:
+    """Return the text that a template makes of values.
+
+    Args:
+        template: File below `experiments/`. One of HTML escapes what it is given.
+        values: By their names in the template.
+    """
+    return _ENVIRONMENT.get_template(template).render(values)
 
 
-def _block(block: Block, folder: Path) -> str:
-    match block:
-        case Heading(level, text, anchor):
-            return f'<a id="{anchor}"></a>\n\n{"#" * level} {_inline(text)}'
-        case Paragraph(text):
-            return _inline(text)
-        case Listing(items):
-            return "\n".join(f"- {_inline(item)}" for item in items)
-        case Table():
-            return _table(block)
-        case Picture(path, caption):
-            address = os.path.relpath(path, folder).replace(os.sep, "/")
-            return f"![{_inline(caption)}]({address})\n\n{_inline(caption)}"
-        case Faces(_, _, examples):
-            count = len(examples["faces"])
-            return f"{count} faces can be turned about in `index.html`, which `make report` writes."
-        case Fold(title, inner):
-            body = markdown(inner, folder)
-            return f"<details><summary>{_inline(title)}</summary>\n\n{body}\n</details>"
-    raise TypeError(f"block must be one of those of blocks.py. Received {type(block).__name__}.")
-
-
-def _table(table: Table) -> str:
-    heads = [_inline(column.title) for column in table.columns]
-    rules = ["--:" if column.numeric else ":--" for column in table.columns]
-    lines = [heads, rules, *([_cell(cell) for cell in row] for row in table.rows)]
-    rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    notes = "\n".join(f"{k}. {_inline(note)}" for k, note in enumerate(table.notes, 1))
-    return "\n\n".join(part for part in (_inline(table.caption), rows, notes) if part)
-
-
-def _cell(cell: Cell) -> str:
-    marks = f"<sup>{', '.join(map(str, cell.notes))}</sup>" if cell.notes else ""
-    return f"{_inline(cell.text)}{marks}"
-
-
-def _inline(text: str) -> str:
-    pieces = []
-    for span in spans(text):
-        if span.kind == "code":
-            pieces.append(f"`{span.text.replace('|', '&#124;')}`")
-        elif span.kind == "strong":
-            pieces.append(f"**{_inline(span.text)}**")
-        elif span.kind == "link":
-            pieces.append(f"[{_inline(span.text)}]({span.to})")
-        else:
-            pieces.append(_SPECIAL.sub(r"\\\1", span.text))
-    return "".join(pieces)
+def markdown(template: str, **values: object) -> str:
+    """Return the same with one blank line between blocks."""
+    return re.sub(r"\n{3,}", "\n\n", render(template, **values)).strip() + "\n"

@@ -1,29 +1,31 @@
 /* Tables that sort by the column whose heading is pressed, and faces that turn. */
 "use strict";
 
-/* Place of a heading among the cells of a row; headings of one row may span two. */
-function columnOf(heading, table) {
-  const [top, bottom] = table.tHead.rows;
-  if (!bottom) return heading.cellIndex;
-  let column = 0, below = 0;
-  for (const cell of top.cells) {
-    if (cell === heading) return column;
-    if (cell.scope === "colgroup") {
-      for (let k = 0; k < cell.colSpan; k += 1, below += 1, column += 1) {
-        if (bottom.cells[below] === heading) return column;
-      }
-    } else column += 1;
-  }
-  return -1;
+const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹", SECONDS = { h: 3600, min: 60, s: 1 };
+
+/* The first number of a text: with its power of ten, of a time in seconds; null if there is none. */
+function numberIn(text) {
+  const plain = text.replace(/,/g, "").replace(/−/g, "-");
+  if (/^\d{4}-\d\d-\d\d /.test(plain)) return Date.parse(plain.replace(" ", "T"));
+  const times = [...plain.matchAll(/([\d.]+) (h|min|s)\b/g)];
+  if (times.length) return times.reduce((sum, [, n, unit]) => sum + n * SECONDS[unit], 0);
+  const number = plain.match(/[-+]?\d[\d.]*(e[-+]?\d+)?/);
+  if (!number) return null;
+  const [, sign, digits] = plain.match(/10(⁻?)([⁰¹²³⁴⁵⁶⁷⁸⁹]+)/) ?? ["", "", "⁰"];
+  const power = [...digits].map((digit) => SUPERSCRIPTS.indexOf(digit)).join("");
+  return Number(number[0]) * 10 ** (sign ? -power : +power);
 }
 
-function sortBy(heading, table) {
+/* Text of a cell without the marks of its notes. */
+const textOf = (cell) => [...cell.childNodes].filter((node) => node.nodeName !== "SUP")
+  .map((node) => node.textContent).join("").trim();
+
+function sortBy(heading, column, table) {
   const falling = heading.getAttribute("aria-sort") === "ascending";
-  const column = columnOf(heading, table), numeric = heading.classList.contains("number");
+  const numeric = heading.classList.contains("number");
   const key = (row) => {
-    const cell = row.cells[column];
-    if (numeric) return cell.dataset.value === undefined ? null : Number(cell.dataset.value);
-    return cell.textContent.trim();
+    const text = textOf(row.cells[column]);
+    return numeric ? numberIn(text) : text;
   };
   const compare = (a, b) => (numeric ? a - b : a.localeCompare(b, "en"));
   const body = table.tBodies[0];
@@ -38,11 +40,28 @@ function sortBy(heading, table) {
   heading.setAttribute("aria-sort", falling ? "descending" : "ascending");
 }
 
-for (const table of document.querySelectorAll("table.sortable")) {
-  for (const button of table.tHead.querySelectorAll("button")) {
-    button.addEventListener("click", () => sortBy(button.closest("th"), table));
+/* Headings that sort; "MSE: here" and "MSE: paper" stand below what they have in common. */
+function dressHead(table) {
+  const [row] = table.tHead.rows, top = element("tr");
+  [...row.cells].forEach((heading, column) => {
+    const title = heading.textContent, [name, group] = title.split(": ").reverse();
+    const button = element("button", { type: "button", "aria-label": `${title}: sort` }, name);
+    button.addEventListener("click", () => sortBy(heading, column, table));
+    heading.setAttribute("aria-sort", "none");
+    heading.replaceChildren(button);
+    const last = top.lastElementChild;
+    if (group && last?.textContent === group) last.colSpan += 1;
+    else if (group) top.append(element("th", { scope: "colgroup" }, group));
+    else top.append(heading);
+  });
+  if (!row.cells.length) row.replaceWith(top);
+  else if (top.cells.length) {
+    row.before(top);
+    for (const heading of top.querySelectorAll("[aria-sort]")) heading.rowSpan = 2;
   }
 }
+
+document.querySelectorAll("table").forEach(dressHead);
 
 /* The landmarks that went in, to fill a square: x to the right, y up. */
 function viewOf(face, lines) {
@@ -61,8 +80,10 @@ function viewOf(face, lines) {
   return drawing;
 }
 
-function showFaces(box) {
-  const data = JSON.parse(box.querySelector("script").textContent);
+/* In the place of the words that stand for the faces, under their heading. */
+function showFaces([anchor, data]) {
+  const box = element("div", { class: "faces" });
+  document.getElementById(anchor).nextElementSibling.replaceWith(box);
   const { faces, methods, polylines, names, numbers } = data;
   const shapeOf = (face, points, name, colour) => ({
     name, colour, points: points.map((point) => point.map((value) => value * face.unit_mm)),
@@ -113,7 +134,7 @@ function showFaces(box) {
   show();
 }
 
-document.querySelectorAll(".faces").forEach(showFaces);
+Object.entries(JSON.parse(document.getElementById("faces").textContent)).forEach(showFaces);
 
 /* Paper has no folds. */
 window.addEventListener("beforeprint", () => {

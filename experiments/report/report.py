@@ -7,13 +7,12 @@ import sys
 from pathlib import Path
 
 from data_gen.models.registry import MODELS
-from experiments.markup.markdown import markdown
 from experiments.presets import PRESETS
 from experiments.records import write_text
 from experiments.report.experiment import REPORT, load_experiments, result_folders
-from experiments.report.html import page
 from experiments.report.overview import reports_elsewhere
-from experiments.report.sections import report
+from experiments.report.page import page
+from experiments.report.sections import colour_of, faces, report
 from experiments.report.staleness import stale
 
 
@@ -38,7 +37,8 @@ def main(arguments: list[str] | None = None) -> None:
         for problem in problems:
             print(f"error: {problem}", file=sys.stderr)
         raise SystemExit(2)
-    blocks = report(asked.model, load_experiments(folder), reports_elsewhere(root))
-    write_text(folder / REPORT / "report.md", markdown(blocks, folder / REPORT))
-    write_text(folder / REPORT / "index.html", page(blocks))
-    print(f"Report: {folder / REPORT / 'index.html'}")
+    experiments, folder = load_experiments(folder), folder / REPORT
+    text = report(asked.model, experiments, reports_elsewhere(root))
+    write_text(folder / "report.md", text)
+    write_text(folder / "index.html", page(text, folder, faces(experiments), colour_of))
+    print(f"Report: {folder / 'index.html'}")

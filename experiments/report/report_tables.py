@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import datetime
-import math
-
 import pandas as pd
 
-from experiments.figures.style import colour
-from experiments.markup.blocks import Cell, Column, Table
+from experiments.markup.markdown import Notes, Table
 from experiments.methods import BY_ID, title
+from experiments.report import wording
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
     NOTHING,
     as_quoted,
     difference,
+    duration,
     minus,
     moment,
     plus_minus,
@@ -25,6 +23,7 @@ from experiments.studies.ablation import HEADS, rows_of
 
 _CRITERIA = {"mse": "MSE", "depth_corr": "Depth correlation"}
 _OF_PAPER = "in the paper, "
+_OF_CELL = ["mean", "std", "paper_mean", "paper_std"]
 _OTHERS = {
     "mse_mm2": "MSE (mm²)",
     "rmse_mm": "RMSE (mm)",
@@ -43,28 +42,10 @@ _PARAMETERS = {
     "complexity": "Complexity",
     "ms_per_face": "ms a face",
 }
+# Of a stage's record: what tables have of their own, or nobody asks for.
+_NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",
+              "methods", "processes_mb", "rows", "tables"}  # fmt: skip
 _HEADS = {"std": "s.d.", "mse": "MSE", "n_faces": "faces"}
-
-
-class _Notes:
-    """Notes of a table, each written once and numbered from 1."""
-
-    def __init__(self):
-        self.texts: list[str] = []
-
-    def numbers(self, notes: list[str]) -> tuple[int, ...]:
-        self.texts += [note for note in dict.fromkeys(notes) if note not in self.texts]
-        return tuple(sorted(self.texts.index(note) + 1 for note in notes))
-
-
-def method_cell(method: str, notes: tuple[int, ...] = ()) -> Cell:
-    """First cell of a row: the method's title, in the colour that figures have it in."""
-    return Cell(title(method), notes=notes, colour=colour(method))
-
-
-def time_cell(iso: str) -> Cell:
-    """Date and time of day, by which a table is sorted."""
-    return Cell(moment(iso), datetime.datetime.fromisoformat(iso).timestamp())
 
 
 def metric_head(metric: str) -> str:
@@ -75,28 +56,18 @@ def metric_head(metric: str) -> str:
 def criteria_table(experiment: Experiment) -> Table:
     """The paper's criteria: ours, the paper's and how they differ, of every method."""
     units = {"mse": experiment.mse_unit, "depth_corr": 1.0}
-    groups = {
-        metric: f"{head} ({power(units[metric])})" if units[metric] != 1 else head
-        for metric, head in _CRITERIA.items()
-    }
-    columns = [Column("Method", numeric=False)]
-    columns += [
-        Column(head, group) for group in groups.values() for head in ("here", "paper", "difference")
-    ]
-    notes, rows = _Notes(), []
+    notes, rows = Notes(), []
     for method, cells in _by_method(experiment):
         common, own = _notes_of(cells.loc[[*_CRITERIA]])
-        row = [method_cell(method, notes.numbers(common))]
+        row = {"Method": title(method) + notes.mark(common)}
         for metric, unit in units.items():
-            cell = cells.loc[metric]
-            mean, std, paper, paper_std = cell[["mean", "std", "paper_mean", "paper_std"]]
+            head = _CRITERIA[metric] + (f" ({power(unit)})" if unit != 1 else "")
+            mean, std, paper, paper_std = cells.loc[metric, _OF_CELL]
             here, there = own[metric]
-            row += [
-                Cell(plus_minus(mean, std, unit), mean, notes.numbers(here)),
-                Cell(as_quoted(paper, paper_std, unit), paper, notes.numbers(there)),
-                Cell(difference(mean, paper, unit), mean - paper),
-            ]
-        rows.append(tuple(row))
+            row[f"{head}: here"] = plus_minus(mean, std, unit) + notes.mark(here)
+            row[f"{head}: paper"] = as_quoted(paper, paper_std, unit) + notes.mark(there)
+            row[f"{head}: difference"] = difference(mean, paper, unit)
+        rows.append(row)
     subsets = experiment.table()[["n_subsets", "subset_size"]].dropna().astype(int)
     over = "".join(
         f", over {n} random subsets of {size:,} test faces"
@@ -106,118 +77,136 @@ def criteria_table(experiment: Experiment) -> Table:
         f"The paper's criteria: mean ± s.d. here{over}; as the paper prints them; and how much "
         "more ours is, with how many times the paper's."
     )
-    return Table(caption, tuple(columns), tuple(rows), tuple(notes.texts))
+    return Table(caption, pd.DataFrame(rows), notes=tuple(notes))
 
 
 def other_criteria_table(experiment: Experiment) -> Table:
     """What else is measured of every method."""
     known = [m for m in dict.fromkeys(experiment.table()["metric"]) if m not in _CRITERIA]
-    columns = [Column("Method", numeric=False)]
-    columns += [Column(metric_head(metric)) for metric in known]
-    notes, rows = _Notes(), []
+    notes, rows = Notes(), []
     for method, cells in _by_method(experiment):
         common, own = _notes_of(cells.loc[known])
-        row = [method_cell(method, notes.numbers(common))]
+        row = {"Method": title(method) + notes.mark(common)}
         for metric in known:
-            mean, std = cells.loc[metric, ["mean", "std"]]
-            numbers = notes.numbers(own[metric][0])
-            row.append(Cell(plus_minus(mean, std), mean, numbers))
-        rows.append(tuple(row))
+            shown = plus_minus(*cells.loc[metric, ["mean", "std"]])
+            row[metric_head(metric)] = shown + notes.mark(own[metric][0])
+        rows.append(row)
     caption = "What the paper does not measure: mean ± s.d. here."
-    return Table(caption, tuple(columns), tuple(rows), tuple(notes.texts))
+    return Table(caption, pd.DataFrame(rows), notes=tuple(notes))
 
 
 def wilcoxon_table(experiment: Experiment, method: str = "ours") -> Table | None:
     """Wilcoxon's signed-rank tests of one method's MSE against every other's."""
     tests = experiment.table("wilcoxon.csv")
-    tests = tests[(tests["metric"] == "mse")]
-    tests = tests[(tests["method_a"] == method) | (tests["method_b"] == method)]
+    tests = tests[
+        (tests["metric"] == "mse") & (tests[["method_a", "method_b"]] == method).any(axis=1)
+    ]
     if tests.empty:
         return None
-    second = tests["method_a"] == method
-    tests = tests.assign(
-        other=tests["method_b"].where(second, tests["method_a"]),
+    unit, rows = experiment.mse_unit, {}
+    for test in tests.itertuples():
+        second = test.method_a == method
+        other = test.method_b if second else test.method_a
+        row = rows.setdefault(other, {"Against": title(other)})
         # Of the method minus the other.
-        median=tests["median_difference"].where(second, -tests["median_difference"]),
-    )
-    unit = experiment.mse_unit
-    columns = [Column("Against", numeric=False)]
-    rows = []
-    for over in ("faces", "subsets"):
-        columns += [Column(head, f"Over {over}") for head in (f"median ({power(unit)})", "p", "n")]
-    for other, pairs in tests.groupby("other", sort=False):
-        row = [method_cell(other)]
-        for over in ("faces", "subsets"):
-            pair = pairs[pairs["over"] == over]
-            for value, text in (
-                ("median", lambda x: minus(f"{x / unit:+.3g}")),
-                ("p_value", lambda x: minus(f"{x:.2g}") if x > 0 else "< 10⁻³⁰⁰"),
-                ("n", lambda x: f"{x:,.0f}"),
-            ):
-                number = pair[value].iloc[0] if len(pair) else float("nan")
-                row.append(Cell(NOTHING if pd.isna(number) else text(number), number))
-        rows.append(tuple(row))
+        median = test.median_difference / unit * (1 if second else -1)
+        p = f"{test.p_value:.2g}" if test.p_value > 0 else "< 10⁻³⁰⁰"
+        row[f"Over {test.over}: median ({power(unit)})"] = minus(f"{median:+.3g}")
+        row[f"Over {test.over}: p"] = minus(p)
+        row[f"Over {test.over}: n"] = f"{test.n:,.0f}"
     caption = (
         f"Wilcoxon's signed-rank test of {title(method)}'s MSE against each other row's: median of "
         "the differences and two-sided p-value, over faces that all methods found and over the "
         "random subsets. Subsets of one test set differ by resampling only."
     )
-    return Table(caption, tuple(columns), tuple(rows))
+    table = pd.DataFrame([*rows.values()]).fillna(NOTHING)
+    heads = sorted(table.columns[1:], key=lambda head: head.partition(":")[0])
+    return Table(caption, table[["Against", *heads]])
 
 
 def parameters_table(experiment: Experiment) -> Table:
     """The paper's table of parameters and complexity, ours beside it."""
-    table = experiment.table().astype({"trainable": float, "total": float})
-    columns = [Column("Method", numeric=False)]
-    columns += [
-        Column(head, numeric=not name.startswith("complexity"))
-        for name, head in _PARAMETERS.items()
-    ]
-    rows = []
-    for record in table.to_dict("records"):
-        row = [method_cell(record["method"])]
-        for name in _PARAMETERS:
-            value = record[name]
-            if isinstance(value, str):
-                number = value.replace(",", "").strip("> ")
-                row.append(Cell(value, float(number) if number.isdigit() else math.nan))
-            else:
-                text = f"{value:,.0f}" if name in ("trainable", "total") else f"{value:.3g}"
-                row.append(Cell(NOTHING if pd.isna(value) else text, value))
-        rows.append(tuple(row))
+    table = experiment.table()
+    rows = pd.DataFrame({"Method": table["method"].map(title)})
+    for name, head in _PARAMETERS.items():
+        shown = "{:,.0f}" if name in ("trainable", "total") else "{:.3g}"
+        rows[head] = [
+            value if isinstance(value, str) else NOTHING if pd.isna(value) else shown.format(value)
+            for value in table[name]
+        ]
     caption = (
         "Trainable parameters here and as the paper prints them; in total, with the moving "
         "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
         "model."
     )
-    return Table(caption, tuple(columns), tuple(rows))
+    return Table(caption, rows, tuple(head for head in rows if head.startswith("Complexity")))
 
 
 def ablation_table(experiment: Experiment) -> Table:
     """Losses and errors of every variant: mean and s.d. over its seeds."""
-    columns = [Column(head, numeric=name != "variant") for name, head in HEADS.items()]
-    rows = tuple(tuple(map(Cell, row)) for row in rows_of(experiment.table()))
-    return Table("Mean ± s.d. over the seeds.", tuple(columns), rows)
+    rows = pd.DataFrame(rows_of(experiment.table()), columns=[*HEADS.values()])
+    return Table("Mean ± s.d. over the seeds.", rows)
 
 
-def plain_table(experiment: Experiment, caption: str) -> Table:
+def faces_table(experiment: Experiment, examples: dict) -> Table:
+    """The error of every method on the faces that can be turned about."""
+    unit, faces = experiment.mse_unit, examples["faces"]
+    rows = pd.DataFrame({"Method": [*map(title, faces[0]["mse"])]})
+    for face in faces:
+        rows[face["title"]] = [
+            "N/A" if error is None else f"{error / unit:#.3g}".rstrip(".")
+            for error in face["mse"].values()
+        ]
+    return Table(f"MSE ({power(unit)}) of these faces. N/A: not found.", rows)
+
+
+def plain_table(experiment: Experiment) -> Table:
     """A table as its CSV file has it."""
     table = experiment.table()
-    columns = [
-        Column(_HEADS.get(name, name.replace("_", " ")), numeric=table[name].dtype.kind in "if")
-        for name in table
+    words = [name for name in table if table[name].dtype.kind not in "if"]
+    heads = {name: _HEADS.get(name, name.replace("_", " ")) for name in table}
+    caption = wording.TABLES.get(experiment.base, "As in `table.csv`.")
+    rows = table.map(_plain).rename(columns=heads)
+    return Table(caption, rows, tuple(heads[name] for name in words))
+
+
+def stages_table(experiment: Experiment) -> Table:
+    """The stages of an experiment, and what they recorded."""
+    rows = [
+        {
+            "Stage": record["stage"],
+            "Begun (UTC)": moment(record["started"]),
+            "Took": duration(record["seconds"]),
+            "Memory (MB)": f"{record['peak_memory_mb']:,}",
+            "Recorded": "; ".join(_recorded(record)),
+            "Command": f"`{record['command']}`",
+        }
+        for record in experiment.manifest["stages"]
     ]
-    rows = []
-    for record in table.to_dict("records"):
-        cells = []
-        for value in record.values():
-            if isinstance(value, str):
-                cells.append(method_cell(value) if value in BY_ID else Cell(metric_head(value)))
-            else:
-                shown = f"{value:,}" if isinstance(value, int) else scientific(value)
-                cells.append(Cell(shown, value))
-        rows.append(tuple(cells))
-    return Table(caption, tuple(columns), tuple(rows))
+    return Table("Stages, in order.", pd.DataFrame(rows), ("Recorded", "Command"))
+
+
+def _recorded(record: dict, prefix: str = "") -> list[str]:
+    """What else a stage recorded, nested records flattened."""
+    found = []
+    for key, value in record.items():
+        if not prefix and key in _NOT_SHOWN:
+            continue
+        name = f"{prefix}{key}".replace("_", " ")
+        if isinstance(value, dict):
+            found += _recorded(value, f"{name}, ")
+        elif isinstance(value, list):
+            found.append(f"{name}: {', '.join(map(str, value))}")
+        else:
+            found.append(f"{name}: {value:,}" if isinstance(value, int) else f"{name}: {value}")
+    return found
+
+
+def _plain(value: str | float) -> str:
+    """A cell of a CSV file: the name of a method or metric, or a number."""
+    if isinstance(value, str):
+        return title(value) if value in BY_ID else metric_head(value)
+    return f"{value:,}" if isinstance(value, int) else scientific(value)
 
 
 def _by_method(experiment: Experiment):

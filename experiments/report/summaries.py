@@ -6,7 +6,14 @@ import pandas as pd
 
 from experiments.methods import BY_ID, DEEP_MDS, title
 from experiments.report.experiment import Experiment
-from experiments.scoring.numbers import as_quoted, enumeration, factor, plus_minus, power
+from experiments.scoring.numbers import (
+    NOTHING,
+    as_quoted,
+    enumeration,
+    factor,
+    plus_minus,
+    power,
+)
 
 _OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
 _SAME_METHOD = (*DEEP_MDS, "authors_weights")
@@ -158,9 +165,14 @@ def _of_parameters(experiment: Experiment) -> str:
     )
 
 
+def with_unit(number: str, unit: float) -> str:
+    """A number as `numbers.plus_minus` has it, in a power of ten."""
+    return number if number == NOTHING else f"({number}) × {power(unit)}"
+
+
 def _error(row: pd.Series, unit: float) -> str:
-    return f"({plus_minus(row['mean'], row['std'], unit)}) × {power(unit)}"
+    return with_unit(plus_minus(row["mean"], row["std"], unit), unit)
 
 
 def _printed(row: pd.Series, unit: float) -> str:
-    return f"({as_quoted(row['paper_mean'], row['paper_std'], unit)}) × {power(unit)}"
+    return with_unit(as_quoted(row["paper_mean"], row["paper_std"], unit), unit)

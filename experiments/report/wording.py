@@ -2,22 +2,6 @@
 
 from __future__ import annotations
 
-ABOUT = (
-    "DeepMDS-Keras reproduces “Deep-MDS Framework for Recovering the 3D Shape of 2D Landmarks from "
-    "a Single Image” (Kamyab and Azimifar): an autoencoder turns the landmarks of any view into "
-    "those seen from the front, a small network estimates the 3D distance of every pair of them, "
-    "and non-metric multidimensional scaling turns the distances into a shape."
-)
-HOW_TO_READ = (
-    "**MSE** is the mean square over all coordinates after a Procrustes alignment with scale and "
-    "reflection, in squares of the min-max unit of a face; lower is better.",
-    "**Depth correlation** is the trace of the correlation of the landmarks, at most their number; "
-    "higher is better. **Across faces** is the sum over landmarks of the correlation of depth "
-    "across faces, likewise.",
-    "**Mirrored** is the share of faces that the alignment had to reflect, **found** the share "
-    "in which a method found the face.",
-    "**Difference** is ours minus the paper's, and in brackets ours over the paper's.",
-)
 # Title and introduction by the folder's name.
 EXPERIMENTS = {
     "bfm": (

@@ -17,9 +17,8 @@ from experiments.audit.findings import (
     unknown,
 )
 from experiments.face_models import TITLES
-from experiments.markup.claim_blocks import claims_page
 from experiments.markup.markdown import markdown
-from experiments.verdicts import VERDICTS, counted, phrase
+from experiments.verdicts import VERDICTS, counted, listed, phrase
 
 RESULTS = Path(__file__).parents[3] / "results"
 NAMES = {"openhead": "the open head", "ict": "ICT faces"}
@@ -120,7 +119,7 @@ def test_face_models_are_put_side_by_side(table, tmp_path):
 
 def test_a_model_that_was_not_run_is_said_to_be(table):
     more = pd.concat([table, table.iloc[:1].assign(model="openhead")])
-    assert "not run" in markdown(claims_page(more, NAMES), None)
+    assert "| not run |" in markdown("markup/claims_page.md.j2", of=listed(more, NAMES))
     assert "--" in latex(more, NAMES)
 
 

@@ -18,14 +18,13 @@ from experiments.figures.examples import write_examples
 from experiments.figures.style import save
 from experiments.inputs import Faces
 from experiments.manifest import clear_results, files_of, read_manifest, write_manifest
-from experiments.markup.markdown import markdown
 from experiments.presets import SMOKE
 from experiments.records import write_text
 from experiments.report.experiment import load_experiments
-from experiments.report.html import page as html_page
 from experiments.report.overview import reports_elsewhere
+from experiments.report.page import page as html_page
 from experiments.report.report import main
-from experiments.report.sections import report
+from experiments.report.sections import colour_of, faces, report
 from experiments.report.staleness import stale
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, difference, duration, factor, plus_minus
@@ -263,11 +262,12 @@ def test_the_same_results_give_the_same_report(written, results):
 def test_the_committed_report_is_that_of_the_committed_results():
     folder = ROOT / "results" / "openhead"
     assert stale(folder) == []
-    blocks = report("openhead", load_experiments(folder), reports_elsewhere(ROOT / "results"))
-    made = markdown(blocks, folder / "report")
+    experiments = load_experiments(folder)
+    made = report("openhead", experiments, reports_elsewhere(ROOT / "results"))
     committed = (folder / "report" / "report.md").read_text(encoding="utf-8")
     assert committed == made
-    assert len(html_page(blocks).encode()) < 2e6
+    whole = html_page(made, folder / "report", faces(experiments), colour_of)
+    assert len(whole.encode()) < 2e6
 
 
 @pytest.mark.parametrize(
@@ -524,6 +524,50 @@ def test_tables_sort_by_click_both_ways_and_keep_empty_cells_last(page):
     falling = column(page, table, 1)
     assert falling[:5] == rising[4::-1]
     assert {*falling[5:]} == {"–"}
+
+
+def test_tables_sort_by_the_number_that_a_cell_shows(page):
+    numbers = {
+        "(6.34 ± 0.11) × 10⁻⁵": 6.34e-5,
+        "−2.37 (×0.18)": -2.37,
+        "×45.27": 45.27,
+        "> 23,000,000": 23e6,
+        "5 of 6": 5,
+        "8e−185": 8e-185,
+        "1 h 28 min": 5280,
+        "27 min 18 s": 1638,
+        "0.7 s": 0.7,
+    }
+    found = page.evaluate("(texts) => texts.map(numberIn)", [*numbers, "< 10⁻³⁰⁰", "–", "N/A"])
+    assert found[:-3] == [pytest.approx(number, rel=1e-9) for number in numbers.values()]
+    assert found[-3] < 8e-185 and found[-2:] == [None, None]
+
+
+def test_tables_sort_by_time_of_day(page):
+    first, later = (page.evaluate("numberIn", f"2026-01-0{d} 03:04") for d in (2, 3))
+    assert later - first == 24 * 3600 * 1000
+
+
+def test_colours_of_methods_are_those_of_the_figures(page):
+    row = page.locator("table").nth(criteria(page)).locator("tbody tr", has_text="Deep-MDS").first
+    colour = row.locator(".patch").evaluate("(patch) => getComputedStyle(patch).backgroundColor")
+    assert colour == "rgb(213, 94, 0)"
+
+
+def test_no_comma_strays_from_the_name_before_it(page):
+    names = page.locator("td", has=page.locator("code + code")).first
+    widths = names.evaluate(
+        """(cell) => [...cell.childNodes].slice(0, 2).map((node) => {
+          const range = document.createRange();
+          range.selectNodeContents(node);
+          const text = range.getBoundingClientRect();
+          return [text.left, text.right, node.textContent];
+        })"""
+    )
+    (_, end, name), (start, _, comma) = widths
+    assert name.startswith("flame") or name.startswith("bfm")
+    assert comma.startswith(",")
+    assert start == pytest.approx(end, abs=2)
 
 
 def test_tables_sort_by_keyboard(page):
