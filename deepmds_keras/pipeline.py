@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
+from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
@@ -202,7 +203,7 @@ class DeepMDS(BaseEstimator):
             "front_landmark": int(self.front_landmark_),
             "history": self.history_,
         }
-        weights.write_arrays(path, arrays, described)
+        write_arrays(path, arrays, described)
 
     @classmethod
     def load(cls, path: str | Path) -> DeepMDS:
@@ -211,7 +212,7 @@ class DeepMDS(BaseEstimator):
         Raises:
             InputError: Missing or damaged file, or weights of another shape.
         """
-        arrays, described = weights.read_arrays(path)
+        arrays, described = read_arrays(path)
         try:
             model = cls(**described["parameters"])
             model.front_landmark_ = range(model.n_landmarks)[described["front_landmark"]]

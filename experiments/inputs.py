@@ -10,10 +10,10 @@ import numpy as np
 from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
 from data_gen.views.projections import Cameras, in_camera_frame
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.weights import read_arrays
 from experiments.methods import DEEP_MDS, network_names
 from experiments.records import load_record
 from experiments.run import Run

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
-from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 from experiments.published import PUBLISHED
 from experiments.records import load_record, write_json

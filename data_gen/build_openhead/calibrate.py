@@ -7,7 +7,6 @@ landmark varies among real faces. In use only with `--calibrate`; the result is
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,9 @@ from scipy.optimize import lsq_linear
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
-from data_gen.formats.npz import read_npz
 from data_gen.models.landmark_transfer import similarity
+from deepmds_keras.io.archives import read_npz
+from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
 
@@ -72,13 +72,12 @@ def fit_sds(prior: IdentityPrior, head: Head, average: np.ndarray, ict: Path) ->
 
 def write_sds(sd: np.ndarray, path: Path = IDENTITY_PRIOR) -> None:
     """Puts new s.d.s into the table of the prior, all else unchanged."""
-    comments, rows = read_table(path)
-    lines = [*comments, ",".join(rows[0])]
+    rows = read_table(path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = [*(line for line in lines if line.startswith("#")), ",".join(rows[0])]
     values = [str(value) for value in np.round(sd, 3)]
     lines += [",".join({**row, "sd": x}.values()) for row, x in zip(rows, values, strict=True)]
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def _bounds(prior: IdentityPrior) -> tuple[np.ndarray, np.ndarray]:
@@ -108,11 +107,11 @@ def _directions(prior: IdentityPrior, average: np.ndarray, goal: np.ndarray) -> 
 
 
 def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    model = read_npz(path, "ICT-FaceKit Light (npz)")
     try:
-        model = read_npz(path)
         landmarks = model["landmarks72"]
         mean, basis = model["mean"][landmarks], model["identity"][:, landmarks]
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except (KeyError, IndexError) as error:
         raise InputError(
             f"{path} must be ICT-FaceKit Light as npz, with mean, identity and landmarks72. "
             f"Received: {error}."

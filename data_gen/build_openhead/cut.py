@@ -84,7 +84,7 @@ def average_adult(assets: MakeHumanAssets) -> np.ndarray:
 def cut_head(assets: MakeHumanAssets) -> Head:
     """The head of the base mesh, its pupils added and its quads split."""
     mesh = assets.mesh
-    runs = [(int(row["first"]), int(row["last"])) for row in read_table(KEPT_FACES)[1]]
+    runs = [(int(row["first"]), int(row["last"])) for row in read_table(KEPT_FACES)]
     kept = np.concatenate([np.arange(first, last + 1) for first, last in runs])
     quads, groups = mesh.faces[kept], mesh.groups[kept]
     base_vertex = np.unique(quads)
@@ -149,6 +149,6 @@ def pupil_fan(ring: np.ndarray, centre: int, positions: np.ndarray) -> np.ndarra
 def _landmarks(number: np.ndarray) -> dict[str, np.ndarray]:
     """Scheme name to head vertices; `number` ends with the left and the right pupil."""
     landmarks: dict[str, list[int]] = {}
-    for row in read_table(LANDMARKS)[1]:
+    for row in read_table(LANDMARKS):
         landmarks.setdefault(row["scheme"], []).append(number[int(row["base_vertex"])])
     return {scheme: np.array(vertices) for scheme, vertices in landmarks.items()}

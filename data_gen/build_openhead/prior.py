@@ -124,7 +124,7 @@ def load_prior(assets: MakeHumanAssets, head: Head, progress=iter) -> IdentityPr
         head: The cut to restrict them to.
         progress: Wraps the list of names that is gone through, as `tqdm.tqdm` does.
     """
-    rows = read_table(IDENTITY_PRIOR)[1]
+    rows = read_table(IDENTITY_PRIOR)
     sliders: dict[tuple[str, str], int] = {}
     moves = []  # (parameter, slider, direction)
     for parameter, row in enumerate(rows):

@@ -17,7 +17,7 @@ import numpy as np
 
 from data_gen.datasets.photo_files import read_image
 from data_gen.formats.vrml import read_asc_points, read_vrml_points
-from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.io.errors import InputError, brief
 from deepmds_keras.io.tables import read_table
 
@@ -121,8 +121,7 @@ def write_index(path: str | Path, scans: Iterable[CasiaScan]) -> None:
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(COLUMNS)
     writer.writerows((scan.subject, scan.scan, "yes", scan.condition) for scan in scans)
-    with whole_file(path) as file:
-        file.write(table.getvalue().encode())
+    write_bytes(path, table.getvalue().encode())
 
 
 def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
@@ -141,12 +140,9 @@ def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
             not found, has a `use` that is not yes, no, 1 or 0, or chooses none.
     """
     path, scans = Path(path), list(scans)
-    try:
-        _, rows = read_table(path)
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: must be a table of scans. Received {brief(error)}.") from error
     found = {(scan.subject, scan.scan) for scan in scans}
     conditions: dict[tuple[str, int], str | None] = {}  # None is not to be used
+    rows = read_table(path)
     for row in rows:
         if {*row} != {*COLUMNS} or None in row.values():
             raise InputError(

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.formats.npz import read_npz
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import PROJECTIONS, Cameras, draw_cameras, project
-from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.archives import read_npz
+from deepmds_keras.io.atomic import atomic_write
 from deepmds_keras.io.errors import InputError, brief
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
@@ -126,7 +126,7 @@ def dataset_of(
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
     """Write an npz, under a temporary name until it is complete."""
     cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         np.savez(
             file,
             identity=dataset.identity,
@@ -144,12 +144,7 @@ def load_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
     """
-    try:
-        arrays = read_npz(path)
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; make the data set first.") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} must be a data set (npz). Received {error}.") from None
+    arrays = read_npz(path, "a data set (npz)")
     n, n_landmarks = (*arrays.get("landmarks", np.empty(0)).shape, 0, 0)[:2]
     needed = {
         "identity": (n, *arrays.get("identity", np.empty(0)).shape[-1:]),

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.formats.npz import map_npy
-from data_gen.models.model_files import sha256_of
-from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.archives import map_npy
+from deepmds_keras.io.atomic import atomic_write
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 
 FACES_PER_FILE = 500
@@ -56,7 +56,7 @@ class ImageFiles:
         """Write one file of images, after their landmarks, each whole or not at all."""
         images_path, landmarks_path = self.paths(file)
         for path, array in ((landmarks_path, landmarks), (images_path, images)):
-            with whole_file(path) as opened:
+            with atomic_write(path) as opened:
                 np.save(opened, array)
 
     def landmarks(self, faces: range) -> np.ndarray:
@@ -65,7 +65,7 @@ class ImageFiles:
         rows = []
         for file in range(first, last + 1):
             path = self.paths(file)[1]
-            rows.append(_read(path))
+            rows.append(map_npy(path, "a file of images or their landmarks"))
             needed = (len(self.ranges()[file]), *rows[0].shape[1:2], 2)
             if rows[-1].shape != needed or rows[-1].dtype.kind != "f":
                 raise InputError(
@@ -108,7 +108,7 @@ class ImageFiles:
         if file not in self._arrays:
             path = self.paths(file)[0]
             needed = (len(self.ranges()[file]), self.size, self.size, 3)
-            array = _read(path)
+            array = map_npy(path, "a file of images or their landmarks")
             if array.shape != needed or array.dtype != np.uint8:
                 raise InputError(
                     f"{path} must hold images, uint8 {needed}. "
@@ -116,10 +116,3 @@ class ImageFiles:
                 )
             self._arrays[file] = array
         return self._arrays[file]
-
-
-def _read(path: Path) -> np.ndarray:
-    try:
-        return map_npy(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} must hold images or their landmarks. Received {error}.") from None

@@ -73,4 +73,4 @@ def load_basel_anchors() -> dict[str, dict[str, int]]:
 
 
 def _rows(filename: str) -> list[dict[str, str]]:
-    return read_table(_FOLDER / filename)[1]
+    return read_table(_FOLDER / filename)

@@ -17,9 +17,9 @@ from data_gen.models.model_files import (
     find_path,
     known_landmarks,
     model_of,
-    sha256_of,
 )
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 
 FILENAME = "01_MorphableModel.mat"

@@ -18,9 +18,10 @@ from scipy.spatial import KDTree
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.landmark_transfer import MIN_ANCHORS, transfer_landmarks
 from data_gen.models.mesh import orient_outwards
-from data_gen.models.model_files import as_basis, expect_format, find_path, model_of, sha256_of
+from data_gen.models.model_files import as_basis, expect_format, find_path, model_of
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError, brief
 
 CANDIDATES = {

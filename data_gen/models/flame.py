@@ -14,12 +14,13 @@ import numpy as np
 from scipy.sparse import issparse
 from scipy.spatial.transform import Rotation
 
-from data_gen.formats.npz import read_npz
 from data_gen.formats.plain_pickle import load_plain_pickle
 from data_gen.models.flame_embedding import find_embedding, load_embedding
 from data_gen.models.mesh import orient_outwards
-from data_gen.models.model_files import find_path, model_of, sha256_of
+from data_gen.models.model_files import find_path, model_of
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.io.archives import read_npz
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 
 CANDIDATES = (
@@ -215,7 +216,7 @@ def _jaw(flame: Flame) -> np.ndarray:
 
 def _read(file: Path) -> dict[str, np.ndarray]:
     """The arrays of the model by their present names, of the right shapes and finite."""
-    arrays = _read_npz(file) if zipfile.is_zipfile(file) else load_plain_pickle(file)
+    arrays = read_npz(file) if zipfile.is_zipfile(file) else load_plain_pickle(file)
     arrays = arrays if isinstance(arrays, dict) else {}
     arrays = {new: arrays[old] for old, new in _OLDER_KEYS.items() if old in arrays} | arrays
     n_vertices, n_triangles = (len(_or_empty(arrays.get(key))) or 1 for key in ("v_template", "f"))
@@ -244,15 +245,6 @@ def _read(file: Path) -> dict[str, np.ndarray]:
 
 def _or_empty(array) -> np.ndarray:
     return array if isinstance(array, np.ndarray) and array.ndim else np.empty(0)
-
-
-def _read_npz(file: Path) -> dict[str, np.ndarray]:
-    try:
-        return read_npz(file)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{file}: must be an npz file of plain arrays. Received {error}."
-        ) from None
 
 
 def _basis(directions: np.ndarray) -> np.ndarray:

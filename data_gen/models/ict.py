@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.formats.npz import read_npz
 from data_gen.models.mesh import orient_outwards
 from data_gen.models.model_files import (
     expect_format,
     find_path,
     known_landmarks,
     model_of,
-    sha256_of,
 )
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.io.archives import read_npz
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError, brief
 
 CANDIDATES = (
@@ -87,16 +87,11 @@ def _load_folder(folder: Path) -> MorphableModel:
 
 def _load_npz(file: Path) -> MorphableModel:
     expect_format(file, b"PK", "an npz file")
-    try:
-        arrays = read_npz(file)
-        for key, kinds in _KINDS.items():
-            if arrays[key].dtype.kind not in kinds:
-                raise ValueError(f"{key} of type {arrays[key].dtype}")
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            f"{file}: must be an npz file with plain arrays {', '.join(_KINDS)}. "
-            f"Received {brief(error)}."
-        ) from None
+    arrays = read_npz(file)
+    for key, kinds in _KINDS.items():
+        if key not in arrays or arrays[key].dtype.kind not in kinds:
+            found = f"{key} of type {arrays[key].dtype}" if key in arrays else f"no {key}"
+            raise InputError(f"{file}: must hold arrays {', '.join(_KINDS)}. Received {found}.")
     mean = arrays["mean"].astype(np.float64)
     identity, expression = (arrays[key].astype(np.float32) for key in ("identity", "expression"))
     names = tuple(map(str, arrays["expression_names"].ravel()))

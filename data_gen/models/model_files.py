@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.io.errors import InputError
 
 _PICKLE_OPCODES = b"(]}c)lN"  # what a text pickle (protocol 0 or 1) of a container begins with
-_CHUNK = 1 << 22
 
 
 def find_path(path: str | Path, candidates: Iterable[str], *, what: str) -> Path:
@@ -78,16 +76,6 @@ def model_of(file: Path, **fields) -> MorphableModel:
         return MorphableModel(**fields)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-
-
-def sha256_of(paths: Iterable[Path]) -> str:
-    """Hash of the files' bytes, one after the other."""
-    digest = hashlib.sha256()
-    for path in paths:
-        with path.open("rb") as file:
-            while chunk := file.read(_CHUNK):
-                digest.update(chunk)
-    return digest.hexdigest()
 
 
 def as_basis(columns: np.ndarray, sd: np.ndarray) -> np.ndarray:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.formats.npz import read_npz
-from data_gen.models.model_files import model_of, sha256_of
+from data_gen.models.model_files import model_of
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.io.archives import read_npz
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 
 OPENHEAD = Path(__file__).parents[1] / "assets" / "openhead.npz"
@@ -77,19 +78,10 @@ def read_openhead(path: str | Path | None = None) -> dict[str, np.ndarray]:
         InputError: As `load_openhead`.
     """
     path = OPENHEAD if path is None else Path(path)
-    try:
-        arrays = read_npz(path)
-        arrays = {key: arrays[key] for key in LAYOUT}
-    except OSError as error:
-        raise InputError(
-            f"{path} must be an open head model (python -m data_gen.build_openhead makes one). "
-            f"Received: {error.strerror}."
-        ) from None
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"{path} must be an open head model, an npz of plain arrays. "
-            f"Received: {type(error).__name__}: {error}"
-        ) from None
+    kind = "an open head model (python -m data_gen.build_openhead makes one)"
+    arrays = read_npz(path, kind)
+    if missing := [key for key in LAYOUT if key not in arrays]:
+        raise InputError(f"{path} must be {kind}. Received one without {', '.join(missing)}.")
     _check(path, arrays)
     return arrays
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from deepmds_keras.detection.mediapipe_worker import N_POINTS, UNREADABLE_INPUT
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.landmarks import FOLDER, read_table
+from deepmds_keras.io.tables import read_table
+from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.photos import check_photo
 
 MEDIAPIPE_PYTHON = Path(".venv-mediapipe/bin/python")  # `make setup-mediapipe` puts it there

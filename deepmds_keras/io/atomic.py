@@ -10,17 +10,27 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from deepmds_keras.io.errors import InputError
+
+_LONGEST = (
+    32  # of a file's name in that of its temporary one, lest this is longer than names may be
+)
+
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to write to, under a temporary name until it is complete; its folder is made.
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file to write to, under a temporary name until it is complete; its folder is made.
 
     Raises:
+        InputError: The path is that of a folder.
         OSError: It cannot be written; `filename` is the path.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} must be a file to write. Received a folder.")
+    partial = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(4)}.partial")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with open(partial, "wb") as file:
             yield file
             file.flush()
@@ -32,3 +42,9 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):  # there is none when all went well
             partial.unlink()
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file as `atomic_write` does, and raise as it does."""
+    with atomic_write(path) as file:
+        file.write(content)

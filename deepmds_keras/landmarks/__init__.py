@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.tables import read_table
 
 SCHEMES = ("bfm72", "ibug68", "ibug51")
 FOLDER = Path(__file__).parent
@@ -76,16 +76,3 @@ def load_scheme(name: str) -> LandmarkScheme:
             if position.keys() >= set(line)
         ),
     )
-
-
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Rows, by column name, of a CSV table whose comments are lines that begin with `#`.
-
-    Raises:
-        InputError: The file cannot be read or is no such table.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        return list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path} must be a table of landmarks. Received {error}.") from None

@@ -8,7 +8,8 @@ from itertools import groupby
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.landmarks import FOLDER, load_scheme, read_table
+from deepmds_keras.io.tables import read_table
+from deepmds_keras.landmarks import FOLDER, load_scheme
 
 SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}
 SCHEMES = tuple(SIZES)

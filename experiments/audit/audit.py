@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.checksums import sha256_of
 from experiments.arguments import parse_run
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
 from experiments.audit.claim_tables import combine, table_of

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from data_gen.datasets.dataset import Dataset, load_dataset
-from data_gen.models.model_files import sha256_of
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from experiments.inputs import Faces, load_faces
 from experiments.run import Run

@@ -15,11 +15,11 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.models.openhead import load_openhead
 from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import Lights, Renderer, square_frames
+from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from experiments.figures.schemes import DPI, numbered
-from experiments.records import write_bytes
 
 PICTURES = Path("docs/pictures")
 _SIZE = 1000  # pixels of a side

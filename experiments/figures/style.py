@@ -11,7 +11,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.records import write_bytes
+from deepmds_keras.io.atomic import write_bytes
 
 RC = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine

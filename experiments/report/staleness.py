@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
-from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.published import PUBLISHED

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
-from deepmds_keras.weights import read_arrays
+from deepmds_keras.io.archives import read_arrays
 from experiments.arguments import parse_run
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save

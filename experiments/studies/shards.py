@@ -17,8 +17,8 @@ import numpy as np
 
 from data_gen.datasets.dataset import load_dataset, make_dataset, save_dataset
 from data_gen.models.registry import load_model
+from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.pipeline import DeepMDS
-from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.inputs import as_seen
 from experiments.progress import Bar
 from experiments.run import Run

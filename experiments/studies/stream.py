@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.checksums import sha256_of
 from experiments.arguments import parse_run
 from experiments.figures.errors import error_distribution
 from experiments.figures.style import save

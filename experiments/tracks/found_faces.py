@@ -10,8 +10,8 @@ from itertools import islice
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, save_dataset
+from deepmds_keras.io.archives import write_arrays
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.weights import write_arrays
 from experiments.inputs import USED, crop_files
 from experiments.run import Run
 

@@ -12,10 +12,10 @@ from joblib import Parallel, delayed
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
+from deepmds_keras.io.archives import write_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
-from deepmds_keras.weights import write_arrays
 from experiments.arguments import parse_run
 from experiments.inputs import Faces, load_faces, load_landmark_model
 from experiments.methods import DEEP_MDS

@@ -11,13 +11,13 @@ from deepmds_keras.baselines.mobileface import MobileFace
 from deepmds_keras.baselines.ringnet import RingNet
 from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 from deepmds_keras.baselines.zhao import Zhao
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import forward
 from deepmds_keras.orientation import front_landmark
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
-from deepmds_keras.weights import read_arrays
 from experiments.inputs import Faces, load_images, load_landmark_model, load_rings, load_shape_gram
 from experiments.methods import DEEP_MDS, network_names
 from experiments.progress import EpochBar

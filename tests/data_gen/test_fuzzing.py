@@ -59,11 +59,12 @@ from data_gen.models.flame_embedding import LandmarkEmbedding, load_embedding
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import LAYOUT, load_openhead, read_openhead
 from data_gen.views.projections import draw_cameras
+from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.landmarks import read_table
+from deepmds_keras.io.tables import read_table
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.weights import read_arrays, read_keras2_weights, write_arrays
+from deepmds_keras.weights import read_keras2_weights
 
 resource = pytest.importorskip("resource", reason="memory is limited as on Linux")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as on Linux")

@@ -15,8 +15,8 @@ import distributed
 import faults
 import pytest
 
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.weights import read_arrays
 from experiments.tasks import unordered
 
 _COMMAND = """

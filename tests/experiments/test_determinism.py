@@ -6,7 +6,7 @@ import faults
 import numpy as np
 import pytest
 
-from deepmds_keras.weights import read_arrays, write_arrays
+from deepmds_keras.io.archives import read_arrays, write_arrays
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
 from experiments.presets import SMOKE

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from data_gen.datasets.dataset import load_dataset
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.weights import read_arrays
 from experiments.inputs import image_files
 from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.presets import SMOKE

@@ -36,7 +36,7 @@ _REST, _HOLD, _JITTER = 0.4, 0.7, 0.4
 def _read(filename: str) -> dict[str, list[dict[str, float]]]:
     """Names to key poses, each the weights of named expressions."""
     poses: dict[str, dict[str, dict[str, float]]] = {}
-    for row in read_table(Path(__file__).parent / filename)[1]:
+    for row in read_table(Path(__file__).parent / filename):
         pose = poses.setdefault(row["name"], {}).setdefault(row["pose"], {})
         for side in _SIDES[row["side"]]:
             pose[row["expression"] + side] = float(row["weight"])

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from data_gen.views.projections import PROJECTIONS
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.weights import read_arrays
 from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose

@@ -11,8 +11,8 @@ from data_gen.rendering.crops import crop
 from data_gen.rendering.renderer import MARGIN
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.mean_shape import MeanShape
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.weights import read_arrays
 from experiments.arguments import parse_run
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors
 from experiments.figures.fits import FittedPhoto, fits

@@ -20,9 +20,9 @@ from data_gen.rendering.crops import crop
 from data_gen.rendering.renderer import MARGIN
 from data_gen.views.projections import Cameras, camera_angles
 from deepmds_keras.detection.dlib_landmarks import shared_detector
+from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.arguments import parse_run
 from experiments.inputs import USED
 from experiments.progress import Bar

@@ -9,8 +9,8 @@ import pandas as pd
 from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.weights import read_arrays
 from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_condition

@@ -12,8 +12,8 @@ from data_gen.datasets.rings import make_rings
 from data_gen.models.expressions import draw_expressions
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
+from deepmds_keras.io.archives import write_arrays
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.weights import write_arrays
 from experiments.arguments import parse_run
 from experiments.inputs import CROP_MARGIN, ring_files
 from experiments.run import Run

@@ -20,13 +20,12 @@ from data_gen.models.registry import load_model
 from data_gen.rendering.crops import crop
 from data_gen.views.projections import Cameras, camera_angles
 from deepmds_keras.detection.dlib_landmarks import shared_detector
-from deepmds_keras.io.atomic import whole_file
+from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.io.atomic import atomic_write, write_bytes
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.weights import read_arrays, write_arrays
 from experiments.arguments import parse_run
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED, in_photos
 from experiments.progress import Bar
-from experiments.records import write_bytes
 from experiments.run import Run
 from experiments.running import stage
 from experiments.streams import Stream
@@ -87,7 +86,7 @@ def register_scans(run: Run, subject: int) -> int:
     used = np.array([row["status"] == USED for row in rows])
     images = [row.pop("image") for row in rows]
     arrays = {key: np.stack([row[key] for row in rows]) for key in rows[0]} | example
-    with whole_file(images_file(run, subject)) as file:
+    with atomic_write(images_file(run, subject)) as file:
         np.save(file, np.array(images)[used])
     write_arrays(subject_file(run, subject), arrays, {})  # last: it stands for both
     return len(rows)

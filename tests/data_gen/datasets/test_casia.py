@@ -252,7 +252,7 @@ class TestIndex:
     def test_what_is_no_text_is_refused(self, tmp_path, scans):
         (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
         for path in (tmp_path / "binary.csv", tmp_path / "absent.csv", tmp_path):
-            with pytest.raises(InputError, match=f"{path}: must be a table of scans"):
+            with pytest.raises(InputError, match=f"{path} must be a table"):
                 read_index(path, scans)
 
 

@@ -60,7 +60,7 @@ def test_a_changed_or_missing_file_is_named(files, tmp_path):
 @pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04N."])
 def test_a_file_of_another_kind_is_refused(files, tmp_path, content):
     (tmp_path / "0000.npy").write_bytes(content)
-    with pytest.raises(InputError, match="0000.npy must hold images"):
+    with pytest.raises(InputError, match="0000.npy must be a file of images"):
         files[:2]
 
 

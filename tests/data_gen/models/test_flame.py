@@ -302,7 +302,7 @@ class TestBadFiles:
         file = tmp_path / "flame.npz"
         arrays["J_regressor"] = np.array(arrays["J_regressor"], object)
         np.savez(file, **arrays)
-        with pytest.raises(InputError, match="flame.npz: must be an npz file of plain arrays"):
+        with pytest.raises(InputError, match="flame.npz must be an npz file of plain arrays"):
             load_flame(file)
         os.truncate(file, file.stat().st_size // 2)
         with pytest.raises(InputError, match="flame.npz: must be"):

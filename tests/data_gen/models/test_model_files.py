@@ -414,12 +414,13 @@ class TestIct:
             ({"triangles": np.array([[0, 1, 10]])}, "must number 10 vertices from 0"),
             ({"identity": np.zeros((3, 9, 3))}, r"must hold \(10, 3\) numbers a component"),
             ({"expression_names": np.array(["a"])}, "must name 2 expressions. Received 1"),
-            ({"mean": np.array([[None]], object)}, "plain arrays"),
+            ({"mean": np.full((10, 3), "a")}, "mean of type <U1"),
+            ({"mean": np.array([[None]], object)}, "an array of objects"),
         ],
     )
     def test_a_malformed_npz_is_refused(self, tmp_path, ict_arrays, changes, message):
         file = write_ict_npz(tmp_path, ict_arrays, **changes)
-        with pytest.raises(InputError, match=f"ict_light.npz: .*{message}"):
+        with pytest.raises(InputError, match=f"ict_light.npz.* {message}"):
             load_ict(file)
 
     def test_a_truncated_npz_is_refused(self, tmp_path, ict_arrays):
@@ -458,7 +459,7 @@ def test_a_pickle_is_refused_and_never_run(tmp_path, name, protocol):
 def test_objects_inside_an_npz_are_refused_and_never_run(tmp_path, ict_arrays):
     harm = tmp_path / "harm"
     file = write_ict_npz(tmp_path, ict_arrays, mean=np.array([Hostile(harm)], object))
-    with pytest.raises(InputError, match="allow_pickle=False"):
+    with pytest.raises(InputError, match="an array of objects"):
         load_ict(file)
     assert not harm.exists()
 

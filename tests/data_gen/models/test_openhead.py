@@ -121,14 +121,14 @@ def test_landmark_tables_and_asset_agree(model, scheme):
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68"])
 def test_asset_has_the_landmarks_of_the_build_table(model, arrays, scheme):
-    rows = [row for row in read_table(LANDMARKS)[1] if row["scheme"] == scheme]
+    rows = [row for row in read_table(LANDMARKS) if row["scheme"] == scheme]
     assert [int(row["landmark"]) for row in rows] == list(range(1, len(rows) + 1))
     expected = [int(row["base_vertex"]) for row in rows]
     np.testing.assert_array_equal(arrays["base_vertex"][model.landmarks[scheme]], expected)
 
 
 def test_prior_table_is_complete():
-    rows = read_table(IDENTITY_PRIOR)[1]
+    rows = read_table(IDENTITY_PRIOR)
     sd = np.array([float(row["sd"]) for row in rows])
     assert len({row["parameter"] for row in rows}) == len(rows) == 174
     assert (sd > 0).all() and (sd <= 0.45).all()
@@ -189,7 +189,7 @@ def test_build_repeats_the_first_trial(model):
 
 
 def test_missing_file_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"no\.npz must be an open head model .*No such file"):
+    with pytest.raises(InputError, match=r"no\.npz does not exist; it must be an open head model"):
         load_openhead(tmp_path / "no.npz")
 
 
@@ -224,8 +224,8 @@ class Bomb:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("mean", None, "KeyError"),
-        ("mean", np.array([Bomb()], object), "Object arrays cannot be loaded"),
+        ("mean", None, "Received one without mean"),
+        ("mean", np.array([Bomb()], object), "an array of objects"),
         ("mean", np.zeros((4, 2)), r"mean must have the shape \(V, 3\) and hold floats"),
         ("mean", np.zeros((4, 3)), r"identity_basis_times_sd must have the shape \(K, V, 3\)"),
         ("mean", np.full((3765, 3), np.nan), "mean must be finite"),

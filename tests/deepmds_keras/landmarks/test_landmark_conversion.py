@@ -11,7 +11,8 @@ from data_gen.landmarks import load_vertices
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.landmarks import FOLDER, load_scheme, read_table
+from deepmds_keras.io.tables import read_table
+from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.landmarks.conversion import SCHEMES, SIZES, convert, scheme_of
 from experiments.figures.schemes import numbered, place_numbers
 

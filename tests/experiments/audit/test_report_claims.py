@@ -5,7 +5,7 @@ import shutil
 import pandas as pd
 import pytest
 
-from data_gen.models.model_files import sha256_of
+from deepmds_keras.io.checksums import sha256_of
 from experiments.audit.checks import CHECKS
 from experiments.audit.claim_tables import table_of
 from experiments.audit.claims import load_claims

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.weights import read_arrays
+from deepmds_keras.io.archives import read_arrays
 from experiments.inputs import as_seen, load_faces
 from experiments.manifest import files_of, read_manifest
 from experiments.presets import SMOKE

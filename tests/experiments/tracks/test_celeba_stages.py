@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.weights import read_arrays
+from deepmds_keras.io.archives import read_arrays
 
 ROOT = Path(__file__).parents[3]
 TF_FLAME = ROOT.parent / "shared" / "tf_flame"
