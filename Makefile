@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained openhead test nightly lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained pictures openhead test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -191,6 +191,9 @@ seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min
 
 pretrained: | $(READY) ## train the weights that ship with the package, and measure them
 	@$(STAGE) pretrained $(RUN)
+
+pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
+	@$(STAGE) pictures
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead

@@ -27,4 +27,5 @@ STAGES = {
     "audit": "audit.audit",
     "bench": "bench.bench",
     "report": "report.report",
+    "pictures": "figures.doc_pictures",
 }

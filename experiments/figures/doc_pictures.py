@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,10 @@ from data_gen.models.openhead import load_openhead
 from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import Lights, Renderer, square_frames
 from deepmds_keras.io.atomic import write_bytes
-from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from experiments.figures.schemes import DPI, numbered
+from experiments.running import exit_on_user_error
 
 PICTURES = Path("docs/pictures")
 _SIZE = 1000  # pixels of a side
@@ -76,16 +75,9 @@ def png(figure: Figure) -> bytes:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=PICTURES, help="folder of the pictures")
-    folder = parser.parse_args(arguments).out
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        for name, figure in pictures().items():
-            write_bytes(folder / f"{name}.png", png(figure))
-            print(folder / f"{name}.png")
-        write_bytes(folder / "portraits.jpg", portraits())
-        print(folder / "portraits.jpg")
-    except InputError as error:  # nothing to draw with
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
+    with exit_on_user_error():
+        contents = {f"{name}.png": png(figure) for name, figure in pictures().items()}
+        for name, content in (contents | {"portraits.jpg": portraits()}).items():
+            write_bytes(PICTURES / name, content)
+            print(PICTURES / name)
