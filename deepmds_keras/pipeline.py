@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import keras
@@ -25,7 +26,12 @@ from deepmds_keras.networks import (
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import face_front, front_landmark
 from deepmds_keras.proximities import proximities
-from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
+from deepmds_keras.training import (
+    Recipe,
+    restore_network,
+    train_autoencoder,
+    train_dissimilarity_net,
+)
 
 _FACES_PER_CHUNK = 64
 _FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
@@ -47,7 +53,8 @@ class DeepMDS(BaseEstimator):
             leaves the moving statistics of batch normalisation behind the weights, and the
             error of the networks in use far above that in training.
         autoencoder_epochs: Passes over the faces, in mini-batches of 16.
-        dissimilarity_epochs: Thousands of steps of one face each.
+        dissimilarity_epochs: Epochs of `dissimilarity_steps` mini-batches, each of one face.
+        dissimilarity_steps: Mini-batches in an epoch.
         seed: Of the initial weights and the order of the faces.
         solver: Of the embedding, as for `embed`.
         n_jobs: Processes for the embedding; -1 uses every core.
@@ -69,6 +76,7 @@ class DeepMDS(BaseEstimator):
         schedule: str = "constant",
         autoencoder_epochs: int = 30,
         dissimilarity_epochs: int = 30,
+        dissimilarity_steps: int = 1000,
         seed: int = 0,
         solver: str = "sklearn",
         n_jobs: int | None = None,
@@ -79,6 +87,7 @@ class DeepMDS(BaseEstimator):
         self.schedule = schedule
         self.autoencoder_epochs = autoencoder_epochs
         self.dissimilarity_epochs = dissimilarity_epochs
+        self.dissimilarity_steps = dissimilarity_steps
         self.seed = seed
         self.solver = solver
         self.n_jobs = n_jobs
@@ -88,6 +97,7 @@ class DeepMDS(BaseEstimator):
         views: np.ndarray,
         shapes: np.ndarray,
         *,
+        checkpoint: str | Path | None = None,
         progress: Callable[[str, dict], object] | None = None,
     ) -> DeepMDS:
         """Train both networks, the second on what the first makes of the training views.
@@ -96,10 +106,14 @@ class DeepMDS(BaseEstimator):
             views: `(n, L, 2)` landmarks in the image, y up, any scale; for the origin see
                 `centre_views`.
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
+            checkpoint: Folder in which each network is written after every epoch, under a name
+                made of what it depends on, see `checkpoint_files`. A fit that was stopped goes on
+                from there, and a network that another fit has trained alike is only read.
             progress: Called after every epoch with the network's name and its losses.
 
         Raises:
-            InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity.
+            InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity, or a
+                checkpoint of another run.
         """
         views = self._normalised(views)
         shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
@@ -109,25 +123,42 @@ class DeepMDS(BaseEstimator):
                 f"{len(shapes)} shapes."
             )
 
-        def report(name):
-            return None if progress is None else lambda losses: progress(name, losses)
+        files = {} if checkpoint is None else self._files(checkpoint)
+        recipes = self._recipes()
+
+        def options(name):
+            own = None if progress is None else lambda losses: progress(name, losses)
+            return {"seed": self.seed, "checkpoint": files.get(name), "progress": own}
 
         self.autoencoder_, first = train_autoencoder(
-            views,
-            shapes[..., :2],
-            Recipe(self.autoencoder_epochs, schedule=self.schedule),
-            seed=self.seed,
-            progress=report("autoencoder"),
+            views, shapes[..., :2], recipes["autoencoder"], **options("autoencoder")
         )
         self.dissimilarity_net_, second = train_dissimilarity_net(
             self.frontalise(views),
             shapes,
-            Recipe(self.dissimilarity_epochs, 1000, self.schedule),
+            recipes["dissimilarity_net"],
             variant=self.variant,
-            seed=self.seed,
-            progress=report("dissimilarity_net"),
+            **options("dissimilarity_net"),
         )
         self.history_ = {"autoencoder": first, "dissimilarity_net": second}
+        self.front_landmark_ = front_landmark(shapes)
+        return self
+
+    def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
+        """Take the networks that `fit` trained to the end, and train nothing.
+
+        Args:
+            checkpoint: Folder, as for `fit`.
+            shapes: `(n, L, 3)` shapes that they were trained on.
+
+        Raises:
+            InputError: A network is missing, unfinished, damaged or of another run.
+        """
+        self._build()
+        self.history_ = {}
+        for name, file in self._files(checkpoint).items():
+            label = {"seed": self.seed, **asdict(self._recipes()[name])}
+            self.history_[name] = restore_network(getattr(self, f"{name}_"), file, label)
         self.front_landmark_ = front_landmark(shapes)
         return self
 
@@ -255,27 +286,6 @@ class DeepMDS(BaseEstimator):
         model.front_landmark_, model.history_ = tip, {}
         return model
 
-    @classmethod
-    def from_networks(
-        cls,
-        autoencoder: keras.Model,
-        dissimilarity_net: keras.Model,
-        front_landmark: int,
-        **parameters,
-    ) -> DeepMDS:
-        """Assemble networks that were trained one by one with `deepmds_keras.training`.
-
-        Args:
-            autoencoder: As `build_autoencoder` makes it.
-            dissimilarity_net: As `build_dissimilarity_net` makes it.
-            front_landmark: 0-based, see `front_landmark`.
-            **parameters: Of the constructor.
-        """
-        model = cls(**parameters)
-        model.autoencoder_, model.dissimilarity_net_ = autoencoder, dissimilarity_net
-        model.front_landmark_, model.history_ = front_landmark, {}
-        return model
-
     @property
     def n_parameters(self) -> int:
         return count_trainable(self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
@@ -298,9 +308,20 @@ class DeepMDS(BaseEstimator):
             matrices[start : start + len(chunk), second, first] = distances
         return matrices
 
+    def _recipes(self) -> dict[str, Recipe]:
+        return {
+            "autoencoder": Recipe(self.autoencoder_epochs, schedule=self.schedule),
+            "dissimilarity_net": Recipe(
+                self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule
+            ),
+        }
+
+    def _files(self, checkpoint: str | Path) -> dict[str, Path]:
+        return weights.checkpoint_files(checkpoint, self.variant, self.schedule)
+
     def _build(self) -> None:
         self.autoencoder_ = build_autoencoder(self.n_landmarks)
         self.dissimilarity_net_ = build_dissimilarity_net(self.variant)
 
     def _trained(self, name: str) -> keras.Model:
-        return check_fitted(self, name, "fit, load or pretrained")
+        return check_fitted(self, name, "fit, restore, load or pretrained")

@@ -12,11 +12,16 @@ import numpy as np
 import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
-from deepmds_keras.weights import read_checkpoint, write_checkpoint
+from deepmds_keras.weights import (
+    read_checkpoint,
+    set_network_arrays,
+    write_checkpoint,
+)
 
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
@@ -227,11 +232,7 @@ def train_by_epoch(
     history = {"train": [], "inference": []}
     if checkpoint is not None and os.path.exists(checkpoint):
         description = read_checkpoint(checkpoint, model)
-        if description["label"] != label:
-            raise InputError(
-                f"{checkpoint} is of another run; delete it to train anew. "
-                f"Received {description['label']}, needed {label}."
-            )
+        _check_run(checkpoint, description["label"], label)
         history = description["history"]
         for epoch in range(len(history["train"])):
             _report(progress, history, epoch)
@@ -243,6 +244,45 @@ def train_by_epoch(
             write_checkpoint(checkpoint, model, {"label": label, "history": history})
         _report(progress, history, epoch)
     return history
+
+
+def restore_network(
+    model: keras.Model, checkpoint: str | Path, label: dict
+) -> dict[str, list[float]]:
+    """Take the weights of a training that is done; nothing is trained.
+
+    Args:
+        model: Network of that kind.
+        checkpoint: File that the training wrote.
+        label: What is known of the run, its `"epochs"` among it; the data may be unknown.
+
+    Returns:
+        Losses by epoch, as from `train_by_epoch`.
+
+    Raises:
+        InputError: The file is missing, damaged, of another run, or of a training that was stopped.
+    """
+    if not os.path.exists(checkpoint):
+        raise InputError(f"{checkpoint} does not exist; {model.name} is not trained yet.")
+    arrays, description = read_arrays(checkpoint)
+    found, history = description.get("label", {}), description.get("history", {"train": []})
+    label = {"network": model.name, **label}
+    _check_run(checkpoint, {name: found.get(name) for name in label}, label)
+    done = len(history["train"])
+    if done < label["epochs"]:
+        raise InputError(
+            f"{checkpoint} is not trained to the end. Received {done} of {label['epochs']} epochs."
+        )
+    set_network_arrays(model, arrays, str(checkpoint))
+    return history
+
+
+def _check_run(checkpoint: str | Path, found: dict, needed: dict) -> None:
+    if found != needed:
+        raise InputError(
+            f"{checkpoint} is of another run; delete it to train anew. "
+            f"Received {found}, needed {needed}."
+        )
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:

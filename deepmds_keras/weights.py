@@ -112,6 +112,18 @@ def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
     return description
 
 
+def checkpoint_files(folder: str | Path, variant: str, schedule: str) -> dict[str, Path]:
+    """File of each network of `DeepMDS` in a folder of checkpoints, named by what it depends on.
+
+    The autoencoder is the same for every variant of the dissimilarity net.
+    """
+    names = {
+        "autoencoder": f"autoencoder-{schedule}",
+        "dissimilarity_net": f"dissimilarity-{variant}-{schedule}",
+    }
+    return {network: Path(folder, f"{name}.npz") for network, name in names.items()}
+
+
 def pretrained_path(name: str) -> Path:
     """Path of the weights that ship with the package.
 

@@ -14,7 +14,8 @@ from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
-from experiments.methods import DEEP_MDS, network_names
+from deepmds_keras.weights import checkpoint_files
+from experiments.methods import DEEP_MDS
 from experiments.records import load_record
 from experiments.run import Run
 
@@ -173,8 +174,8 @@ def load_histories(run: Run) -> dict[str, dict[str, dict]]:
     """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
     return {
         method: {
-            network: read_arrays(run.network_file(name))[1]["history"]
-            for network, name in network_names(method).items()
+            network: read_arrays(path)[1]["history"]
+            for network, path in checkpoint_files(run.networks, *DEEP_MDS[method]).items()
         }
         for method in DEEP_MDS
     }

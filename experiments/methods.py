@@ -132,12 +132,3 @@ def title(method_id: str) -> str:
     if method_id not in BY_ID:
         raise InputError(f"method must be one of {', '.join(BY_ID)}. Received {method_id!r}.")
     return BY_ID[method_id].title
-
-
-def network_names(method_id: str) -> dict[str, str]:
-    """Files of the two networks of one of `DEEP_MDS`; methods share a network that is the same."""
-    variant, schedule = DEEP_MDS[method_id]
-    return {
-        "autoencoder": f"autoencoder-{schedule}",
-        "dissimilarity_net": f"dissimilarity-{variant}-{schedule}",
-    }

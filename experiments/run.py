@@ -90,9 +90,14 @@ class Run:
         """The run of the FLAME track with the same model, sizes and seed."""
         return replace(self, track="flame", celeba=None)
 
+    @property
+    def networks(self) -> Path:
+        """Folder of checkpoints, which are also the trained networks once their epochs are done."""
+        return self.work / "networks"
+
     def network_file(self, name: str) -> Path:
-        """Checkpoint of a network, which is also the trained network once its epochs are done."""
-        return self.work / "networks" / f"{name}.npz"
+        """Checkpoint of a network."""
+        return self.networks / f"{name}.npz"
 
     def prediction_file(self, method: str) -> Path:
         """What a method made of the test views, or photos."""

@@ -15,7 +15,13 @@ from deepmds_keras.checks import check_fitted, check_images
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import count_trainable, draw_kernels, forward_images
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.training import face_order, image_batches, steps_per_call, train_by_epoch
+from deepmds_keras.training import (
+    face_order,
+    image_batches,
+    restore_network,
+    steps_per_call,
+    train_by_epoch,
+)
 from deepmds_keras.weights import read_keras2_weights
 
 STANDARDISED = ("face", "batch")
@@ -146,11 +152,19 @@ class MobileFace(BaseEstimator):
             raw = forward_images(network, images[check], _IMAGES_PER_CALL)
             return float(np.mean(loss(coefficients[check], raw)))
 
-        label = {"network": network.name, "faces": n, "standardise": self.standardise}
-        for name in ("learning_rate", "epochs", "steps_per_epoch", "batch_size", "seed"):
-            label[name] = getattr(self, name)
+        label = {"network": network.name, "faces": n, **self._label()}
         self.history_ = train_by_epoch(network, batches, label, inference, checkpoint, progress)
         self.network_ = network
+        return self
+
+    def restore(self, checkpoint: str | Path) -> MobileFace:
+        """Take the network that `fit` trained to the end, and train nothing.
+
+        Raises:
+            InputError: The file is missing, unfinished, damaged or of another run.
+        """
+        self.network_ = build_mobileface_net(len(self.landmark_basis_times_sd))
+        self.history_ = restore_network(self.network_, checkpoint, self._label())
         return self
 
     def load_released(self, path: str | Path) -> MobileFace:
@@ -176,7 +190,7 @@ class MobileFace(BaseEstimator):
         Raises:
             InputError: Not trained, or images of another kind or size.
         """
-        network = check_fitted(self, "network_", "fit or load_released")
+        network = check_fitted(self, "network_", "fit, restore or load_released")
         raw = forward_images(network, check_images(images, IMAGE_SIZE), _IMAGES_PER_CALL)
         return np.asarray(_standardised(raw, "face"))
 
@@ -198,8 +212,13 @@ class MobileFace(BaseEstimator):
     @property
     def n_parameters(self) -> int:
         """Trainable parameters."""
-        network = check_fitted(self, "network_", "fit or load_released")
+        network = check_fitted(self, "network_", "fit, restore or load_released")
         return count_trainable(network)
+
+    def _label(self) -> dict:
+        """What the network depends on beside the data, for its checkpoint."""
+        arrays = ("landmark_mean", "landmark_basis_times_sd", "shape_gram")
+        return {name: own for name, own in self.get_params().items() if name not in arrays}
 
     def _loss(self) -> Callable:
         """Mean squared error over all coordinates of the mesh, from coefficients."""

@@ -20,7 +20,13 @@ from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
 from deepmds_keras.checks import check_fitted, check_images, check_points
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import count_trainable, forward_images
-from deepmds_keras.training import face_order, image_batches, steps_per_call, train_by_epoch
+from deepmds_keras.training import (
+    face_order,
+    image_batches,
+    restore_network,
+    steps_per_call,
+    train_by_epoch,
+)
 
 _CHECK_IMAGES = 480
 _STREAM = 1  # of random numbers of an epoch, beside those that order the subjects
@@ -158,9 +164,20 @@ class RingNet(BaseEstimator):
             return float(landmark_loss(camera, points[check], found))
 
         label = {"network": network.name, "images": len(images), "subjects": len(members)}
-        label |= {name: value for name, value in self.get_params().items() if not np.ndim(value)}
+        label |= self._label()
         self.history_ = train_by_epoch(network, batches, label, inference, checkpoint, progress)
         self.network_ = network
+        return self
+
+    def restore(self, checkpoint: str | Path) -> RingNet:
+        """Take the network that `fit` trained to the end, and train nothing.
+
+        Raises:
+            InputError: The file is missing, unfinished, damaged or of another run.
+        """
+        bases = self.identity_basis_times_sd, self.expression_basis
+        self.network_ = build_ringnet(*map(len, bases), self.image_size)
+        self.history_ = restore_network(self.network_, checkpoint, self._label())
         return self
 
     def coefficients(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +192,7 @@ class RingNet(BaseEstimator):
         Raises:
             InputError: Not trained, or images of another kind or size.
         """
-        network = check_fitted(self, "network_")
+        network = check_fitted(self, "network_", "fit or restore")
         found = forward_images(network, check_images(images, self.image_size))
         n_expression = len(self.expression_basis)
         start = found.shape[1] - n_expression - len(self.identity_basis_times_sd)
@@ -200,7 +217,11 @@ class RingNet(BaseEstimator):
     @property
     def n_parameters(self) -> int:
         """Trainable parameters."""
-        return count_trainable(check_fitted(self, "network_"))
+        return count_trainable(check_fitted(self, "network_", "fit or restore"))
+
+    def _label(self) -> dict:
+        """What the network depends on beside the data, for its checkpoint."""
+        return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
 
     def _optimizer(self) -> keras.optimizers.Optimizer:
         """Adam, whose rate grows over a twentieth of the steps and then falls by a cosine."""

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_faces, check_fitted, check_n_landmarks
 from deepmds_keras.networks import forward
-from deepmds_keras.training import face_order, steps_per_call, train_by_epoch
+from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
 
 
 def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
@@ -127,6 +127,16 @@ class Zhao(BaseEstimator):
         self.network_ = network
         return self
 
+    def restore(self, checkpoint: str | Path) -> Zhao:
+        """Take the network that `fit` trained to the end, and train nothing.
+
+        Raises:
+            InputError: The file is missing, unfinished, damaged or of another run.
+        """
+        self.network_ = build_zhao_net(self.n_landmarks)
+        self.history_ = restore_network(self.network_, checkpoint, self.get_params())
+        return self
+
     def predict(self, views: np.ndarray) -> np.ndarray:
         """Shapes in the camera's frame.
 
@@ -139,7 +149,7 @@ class Zhao(BaseEstimator):
         Raises:
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.
         """
-        network = check_fitted(self, "network_")
+        network = check_fitted(self, "network_", "fit or restore")
         views, _ = normalise_view(check_faces(views, "views", 2, self.n_landmarks))
         flat = np.float32(views).reshape(len(views), -1)
         depths = forward(network, flat)
@@ -148,7 +158,7 @@ class Zhao(BaseEstimator):
     @property
     def n_parameters(self) -> int:
         """Trainable parameters; all of them are."""
-        return check_fitted(self, "network_").count_params()
+        return check_fitted(self, "network_", "fit or restore").count_params()
 
 
 def normalise_view(views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pandas as pd
 
@@ -178,12 +180,11 @@ def without_autoencoder(model):
     """The same `DeepMDS` with its dissimilarity net given the views as they are."""
     import keras  # Here, since who only judges what was measured need not load TensorFlow.
 
-    from deepmds_keras.pipeline import DeepMDS
-
     view = keras.Input((2 * model.n_landmarks,), name="view")
     same = keras.Model(view, keras.layers.Identity(name="same_view")(view))
-    net, front = model.dissimilarity_net_, model.front_landmark_
-    return DeepMDS.from_networks(same, net, front, **model.get_params())
+    changed = copy.copy(model)
+    changed.autoencoder_ = same
+    return changed
 
 
 def kinds(cameras: Cameras) -> dict[str, np.ndarray]:

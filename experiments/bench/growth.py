@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -12,7 +13,6 @@ from joblib import effective_n_jobs
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import build_autoencoder
 from deepmds_keras.normalisation import normalise
-from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.bench import parts
 from experiments.bench import released_code as released
@@ -93,10 +93,8 @@ def _of_landmarks(material, views):
     variant, net = material.networks.variant, material.networks.dissimilarity_net_
     networks, untrained = material.networks, ""
     if n_landmarks != material.n_landmarks:
-        networks = DeepMDS.from_networks(
-            build_autoencoder(n_landmarks), net, 0,
-            n_landmarks=n_landmarks, variant=variant, centre_views=True,
-        )  # fmt: skip
+        networks = copy.copy(networks).set_params(n_landmarks=n_landmarks)
+        networks.autoencoder_ = build_autoencoder(n_landmarks)
         untrained = _UNTRAINED
     matrices = dissimilarities(net, views, variant)
     # Loops over pairs and four random starts take as long for one face of many landmarks as for

@@ -26,11 +26,11 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
 from experiments.arguments import parse_run
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.progress import EpochBar
 from experiments.records import write_text
 from experiments.run import SCHEMES, Run
 from experiments.running import stage
 from experiments.streams import Stream
+from experiments.tracks.recipes import fit
 
 # Standard deviation of the errors in the views, mm. No detector finds the 72: they come from fits
 # of face models to photos.
@@ -46,23 +46,10 @@ def train(run: Run, views: np.ndarray, shapes: np.ndarray) -> DeepMDS:
         schedule="cosine",
         autoencoder_epochs=run.preset.autoencoder_epochs,
         dissimilarity_epochs=run.preset.dissimilarity_epochs,
+        dissimilarity_steps=run.preset.dissimilarity_steps,
         seed=run.seed,
     )
-    epochs = {
-        "autoencoder": model.autoencoder_epochs,
-        "dissimilarity_net": model.dissimilarity_epochs,
-    }
-    bars: dict[str, EpochBar] = {}
-
-    def progress(name: str, losses: dict[str, float]) -> None:
-        if name not in bars:
-            bars[name] = EpochBar(name, epochs[name])
-        bar = bars[name]
-        bar.losses(losses)
-        if bar.n == bar.total:
-            bar.close()
-
-    model.fit(views, shapes, progress=progress)
+    fit(model, views, shapes)
     model.history_ = {}  # the curves would be a third of the file
     return model
 

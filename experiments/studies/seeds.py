@@ -14,13 +14,14 @@ import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.weights import checkpoint_files
 from experiments.arguments import parse_run
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
 from experiments.manifest import clear_results, write_manifest
-from experiments.methods import DEEP_MDS, network_names, title
+from experiments.methods import DEEP_MDS, title
 from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import stage
@@ -63,9 +64,10 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
     """Mean squared errors of the autoencoder on the training faces, by statistics."""
     from deepmds_keras.networks import forward
     from experiments.studies.batchnorm import with_statistics_of
-    from experiments.tracks.recipes import autoencoder
+    from experiments.tracks.recipes import load_deep_mds
 
-    network, history = autoencoder(run, train, method)
+    model = load_deep_mds(run, train, method)
+    network, history = model.autoencoder_, model.history_["autoencoder"]
     flat = train.views.reshape(len(train.views), -1)
     anew = forward(with_statistics_of(network, flat), flat).reshape(train.views.shape)
     return {
@@ -86,11 +88,11 @@ def autoencoder_histories(run: Run, metrics: pd.DataFrame) -> dict[str, dict[int
     errors = metrics.set_index(["method", "metric", "seed"])["value"]
     found = {}
     for method in METHODS:
-        schedule = DEEP_MDS[method][1]
+        variant, schedule = DEEP_MDS[method]
         found[schedule] = {}
         for seed in metrics["seed"].unique():
-            file = replace(run, seed=int(seed)).network_file(network_names(method)["autoencoder"])
-            losses = read_arrays(file)[1]["history"]
+            files = checkpoint_files(replace(run, seed=int(seed)).networks, variant, schedule)
+            losses = read_arrays(files["autoencoder"])[1]["history"]
             anew = errors[method, "autoencoder_mse_reestimated", seed]
             found[schedule][int(seed)] = losses | {"reestimated": anew}
     return found

@@ -16,7 +16,7 @@ from experiments.run import Run
 from experiments.running import quiet_tensorflow
 from experiments.scoring.scores import score, subsets
 from experiments.studies.variants import Variant
-from experiments.tracks.recipes import autoencoder
+from experiments.tracks.recipes import load_deep_mds
 
 _AUTOENCODER_BATCH = 16
 _METHODS = {"constant": "ours", "cosine": "ours_stable"}
@@ -49,8 +49,9 @@ def train_and_score(run: Run, variant: Variant, seed: int, parent: int) -> None:
             checkpoint=variant.file(run, seed, "npz"),
             progress=bar.losses,
         )
-    front = front_landmark(train.shapes)
-    model = DeepMDS.from_networks(encoder, net, front, n_landmarks=train.views.shape[1])
+    model = DeepMDS(train.views.shape[1])
+    model.autoencoder_, model.dissimilarity_net_ = encoder, net
+    model.front_landmark_ = front_landmark(train.shapes)
     tested = test[subsets(run, len(test.views))[0]]
     scores = score(model.predict(tested.views), tested)
     facing = (tested.cameras.projection == PROJECTIONS.index("orthographic")) & (
@@ -74,7 +75,8 @@ def _encoder(run: Run, variant: Variant, train: Faces, seed: int) -> keras.Model
         view = keras.Input((2 * train.views.shape[1],), name="view")
         return keras.Model(view, keras.layers.Identity(name="same_view")(view))
     if variant.faces is None:
-        return autoencoder(run, load_faces(run, "train"), _METHODS[variant.schedule])[0]
+        method = _METHODS[variant.schedule]
+        return load_deep_mds(run, load_faces(run, "train"), method).autoencoder_
     epochs = run.preset.autoencoder_epochs
     # As many steps as on all faces, so that only the number of faces differs.
     steps = run.preset.train_faces // _AUTOENCODER_BATCH

@@ -11,7 +11,7 @@ from experiments.arguments import parse_run
 from experiments.inputs import load_crops, load_images
 from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
-from experiments.tracks.recipes import mobileface
+from experiments.tracks.recipes import mobileface, train_mobileface
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -21,8 +21,13 @@ def main(arguments: list[str] | None = None) -> None:
     tf.config.threading.set_inter_op_parallelism_threads(2)
     with stage(run, "mobileface") as record:
         # A damaged file is to be reported before the long work.
-        test = load_crops(run) if run.track == "celeba" else load_images(run, "test")
-        model = mobileface(run.trained)
+        if run.track == "celeba":
+            test = load_crops(run)
+            trained = run.trained
+            model = mobileface(trained).restore(trained.network_file("mobileface"))
+        else:
+            test = load_images(run, "test")
+            model = train_mobileface(run)
         record["final_rms_error_mm"] = {
             mode: round(losses[-1] ** 0.5, 6) for mode, losses in model.history_.items()
         }

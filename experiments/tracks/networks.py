@@ -41,7 +41,7 @@ def train_chain(run: Run, methods: tuple[str, ...], parent: int) -> tuple[dict, 
     """
     # Only the processes that train load TensorFlow.
     from experiments.progress import EpochBar
-    from experiments.tracks.recipes import deep_mds, zhao
+    from experiments.tracks.recipes import train_deep_mds, train_zhao
 
     quiet_tensorflow()
     EpochBar.parent = parent
@@ -49,9 +49,9 @@ def train_chain(run: Run, methods: tuple[str, ...], parent: int) -> tuple[dict, 
     errors = {}
     for method in methods:
         if method not in DEEP_MDS:
-            zhao(run, train, method)
+            train_zhao(run, train, method)
             continue
-        for network, losses in deep_mds(run, train, method)[1].items():
+        for network, losses in train_deep_mds(run, train, method).history_.items():
             errors[f"{method}/{network}"] = {
                 mode: round(float(np.sqrt(loss[-1])), 6) for mode, loss in losses.items()
             }

@@ -22,7 +22,7 @@ from experiments.methods import DEEP_MDS
 from experiments.progress import Bar
 from experiments.run import AUTHORS_FILES, Run
 from experiments.running import on_one_core, one_core, stage
-from experiments.tracks.recipes import deep_mds, zhao
+from experiments.tracks.recipes import load_deep_mds, zhao
 
 # Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.
 _METHODS = {
@@ -43,11 +43,10 @@ def fitted(run: Run, train: Faces, method: str):
     """
     run = run.trained
     if method in DEEP_MDS:
-        return deep_mds(run, train, method)[0]
-    if method in ("zhao", "zhao_authors"):
-        return zhao(run, train, method)
-    if method == "zhao_frontal":
-        return zhao(run, train, "zhao_authors")
+        return load_deep_mds(run, train, method)
+    if method.startswith("zhao"):
+        name = "zhao_authors" if method == "zhao_frontal" else method
+        return zhao(run).restore(run.network_file(name))
     if method == "aldrian":
         return Aldrian(*load_landmark_model(run))
     if method == "authors_weights":

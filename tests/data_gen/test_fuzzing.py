@@ -346,8 +346,10 @@ def method():
     from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
     from deepmds_keras.pipeline import DeepMDS
 
-    networks = build_autoencoder(51), build_dissimilarity_net()
-    return DeepMDS.from_networks(*networks, 13, n_landmarks=51)
+    model = DeepMDS(51)
+    model.autoencoder_, model.dissimilarity_net_ = build_autoencoder(51), build_dissimilarity_net()
+    model.front_landmark_, model.history_ = 13, {}
+    return model
 
 
 def load_method(file):

@@ -30,7 +30,7 @@ def small():
     """A network of 8 landmarks that is trained in a few seconds, and what it was trained on."""
     rng = np.random.default_rng(0)
     shapes = rng.random((1, 8, 3)) + 0.05 * rng.normal(size=(48, 8, 3))
-    model = DeepMDS(8, autoencoder_epochs=2, dissimilarity_epochs=1, seed=3)
+    model = DeepMDS(8, autoencoder_epochs=2, dissimilarity_epochs=1, dissimilarity_steps=50, seed=3)
     return model.fit(shapes[..., :2], shapes), shapes
 
 
@@ -107,6 +107,70 @@ def test_same_seed_same_prediction(small):
     model, shapes = small
     again = clone(model).fit(shapes[..., :2], shapes)
     assert np.array_equal(again.predict(shapes[..., :2]), model.predict(shapes[..., :2]))
+
+
+def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
+    model, shapes = small
+    views, calls = shapes[..., :2], []
+
+    def stop(network, losses):
+        calls.append(network)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    def fresh(**parameters):
+        return clone(model).set_params(**parameters)
+
+    with pytest.raises(KeyboardInterrupt):
+        fresh().fit(views, shapes, checkpoint=tmp_path, progress=stop)
+    with pytest.raises(InputError, match="dissimilarity-paper-constant.npz does not exist"):
+        fresh().restore(tmp_path, shapes)
+    resumed = fresh().fit(views, shapes, checkpoint=tmp_path)
+    assert np.array_equal(resumed.predict(views), model.predict(views))
+    assert resumed.history_ == model.history_
+
+    written = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    restored = fresh().restore(tmp_path, shapes)
+    assert np.array_equal(restored.predict(views), model.predict(views))
+    assert restored.history_ == model.history_
+    assert restored.front_landmark_ == model.front_landmark_
+    # The other variant has the same autoencoder, which is not trained again.
+    fresh(variant="released").fit(views, shapes, checkpoint=tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "autoencoder-constant.npz",
+        "dissimilarity-paper-constant.npz",
+        "dissimilarity-released-constant.npz",
+    }
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"dissimilarity_epochs": 2}, "is of another run"),
+        ({"seed": 4}, "autoencoder-constant.npz is of another run; delete it"),
+        ({"dissimilarity_steps": 10}, "dissimilarity-paper-constant.npz is of another run"),
+        ({"schedule": "cosine"}, "autoencoder-cosine.npz does not exist"),
+        ({"n_landmarks": 7}, "is of another run"),
+    ],
+)
+def test_only_what_this_model_would_have_trained_is_restored(small, tmp_path, parameters, problem):
+    model, shapes = small
+    clone(model).fit(shapes[..., :2], shapes, checkpoint=tmp_path)
+    with pytest.raises(InputError, match=problem):
+        clone(model).set_params(**parameters).restore(tmp_path, shapes)
+
+
+def test_a_training_that_was_stopped_is_not_restored(small, tmp_path):
+    model, shapes = small
+
+    def stop(network, losses):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        clone(model).fit(shapes[..., :2], shapes, checkpoint=tmp_path, progress=stop)
+    with pytest.raises(InputError, match="not trained to the end. Received 1 of 2 epochs"):
+        clone(model).restore(tmp_path, shapes)
 
 
 def test_n_parameters_are_the_trainable_ones(shipped):

@@ -80,7 +80,10 @@ def shapes_of(
     if (flame.work / f"{flame.ringnet_stage}.json").exists():
         licensed = flame.ringnet is not None
         size = CROP_SIZE if licensed else IMAGE_SIZE
-        net = released_ringnet(flame) if licensed else ringnet(flame)
+        if licensed:
+            net = released_ringnet(flame)
+        else:
+            net = ringnet(flame).restore(flame.network_file("ringnet"))
         squares = [crop(*pair, size, CROP_MARGIN)[0]
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip
         shapes["ringnet"] = net.predict(np.stack(squares))

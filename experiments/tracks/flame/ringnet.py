@@ -12,7 +12,7 @@ from experiments.arguments import parse_run
 from experiments.inputs import load_crops
 from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
-from experiments.tracks.recipes import released_ringnet, ringnet
+from experiments.tracks.recipes import released_ringnet, train_ringnet
 
 
 def shrunk(images: ImageFiles) -> np.ndarray:
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
         if run.ringnet is not None:
             write_prediction(run, "ringnet", released_ringnet(run), test)
         else:
-            model = ringnet(run)
+            model = train_ringnet(run)
             record["final_losses"] = {
                 mode: round(losses[-1], 6) for mode, losses in model.history_.items()
             }

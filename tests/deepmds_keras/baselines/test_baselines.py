@@ -147,9 +147,13 @@ def test_zhao_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path):
     checkpoint = tmp_path / "zhao.npz"
     with pytest.raises(StoppedError):
         quick_zhao().fit(shapes, checkpoint=checkpoint, progress=stop)
+    with pytest.raises(InputError, match="zhao.npz is not trained to the end"):
+        quick_zhao().restore(checkpoint)
     resumed = quick_zhao().fit(shapes, checkpoint=checkpoint)
     views = shapes[..., :2]
-    np.testing.assert_array_equal(resumed.predict(views), quick_zhao().fit(shapes).predict(views))
+    whole = quick_zhao().fit(shapes).predict(views)
+    np.testing.assert_array_equal(resumed.predict(views), whole)
+    np.testing.assert_array_equal(quick_zhao().restore(checkpoint).predict(views), whole)
 
 
 # Aldrian

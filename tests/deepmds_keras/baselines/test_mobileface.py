@@ -102,12 +102,16 @@ def test_stopped_training_goes_on_to_the_same_weights(toy, tmp_path):
     path = tmp_path / "mobileface.npz"
     with pytest.raises(KeyboardInterrupt):
         toy_model(basis).fit(images, coefficients, checkpoint=path, progress=stop)
+    with pytest.raises(InputError, match="mobileface.npz is not trained to the end. Received 1 of"):
+        toy_model(basis).restore(path)
     seen = []
     resumed = toy_model(basis).fit(images, coefficients, checkpoint=path, progress=seen.append)
     assert len(seen) == 2
     assert resumed.history_ == whole.history_
-    for a, b in zip(whole.network_.weights, resumed.network_.weights, strict=True):
-        assert np.array_equal(a.numpy(), b.numpy())
+    restored = toy_model(basis).restore(path)
+    for weights in zip(*(m.network_.weights for m in (whole, resumed, restored)), strict=True):
+        assert np.array_equal(weights[0].numpy(), weights[1].numpy())
+        assert np.array_equal(weights[0].numpy(), weights[2].numpy())
     with pytest.raises(InputError, match="mobileface.npz is of another run"):
         toy_model(basis, seed=5).fit(images, coefficients, checkpoint=path)
 

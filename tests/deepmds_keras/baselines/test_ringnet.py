@@ -235,12 +235,16 @@ def test_stopped_training_goes_on_to_the_same_weights(toy, bases, small_body, tm
     path = tmp_path / "ringnet.npz"
     with pytest.raises(KeyboardInterrupt):
         toy_model(bases).fit(*toy, checkpoint=path, progress=stop)
+    with pytest.raises(InputError, match="ringnet.npz is not trained to the end. Received 1 of 2"):
+        toy_model(bases).restore(path)
     seen = []
     resumed = toy_model(bases).fit(*toy, checkpoint=path, progress=seen.append)
     assert len(seen) == 2
     assert resumed.history_ == whole.history_
-    for a, b in zip(whole.network_.weights, resumed.network_.weights, strict=True):
-        assert np.array_equal(a.numpy(), b.numpy())
+    restored = toy_model(bases).restore(path)
+    for weights in zip(*(m.network_.weights for m in (whole, resumed, restored)), strict=True):
+        assert np.array_equal(weights[0].numpy(), weights[1].numpy())
+        assert np.array_equal(weights[0].numpy(), weights[2].numpy())
     with pytest.raises(InputError, match="ringnet.npz is of another run"):
         toy_model(bases, ring_weight=2.0).fit(*toy, checkpoint=path)
 
