@@ -23,6 +23,8 @@ def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np
     Returns:
         `(n, count)` eigenvalues in descending order and `(n, L, count)` eigenvectors of length 1.
     """
+    # SciPy's eigh(subset_by_index=) would make the batched solver a fifth slower on one core, and
+    # its threads would wait for each other, since it holds Python's lock.
     n, size, _ = matrices.shape
     if size > _STEPS > count:
         values, vectors, proven = _lanczos(matrices, count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable
 
@@ -9,7 +10,6 @@ import numpy as np
 from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
-from deepmds_keras.batched_mds import batched_mds, is_compiled
 from deepmds_keras.eigenpairs import leading_eigenpairs
 from deepmds_keras.io.errors import InputError
 
@@ -17,7 +17,6 @@ from deepmds_keras.io.errors import InputError
 # largest one the matrix is not one of distances.
 _NEGATIVE_SHARE = 0.1
 SOLVERS = ("sklearn", "batched")
-# Matrices of a task of the batched solver are to stay in the cache of a core.
 _FACES_PER_TASK = {"sklearn": 32, "batched": 128}
 
 
@@ -44,11 +43,11 @@ def embed(
         dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
             negative values, as a regression may give for near neighbours, are folded.
         n_components: Dimensions of the embedding.
-        solver: `"sklearn"`, or `"batched"`, which makes the same steps for all faces together, see
-            `batched_mds`; it is the faster by far where numba is installed (extra `fast`).
+        solver: `"sklearn"`, or `"batched"`, which makes the same steps compiled by numba (extra
+            `fast`), many times faster, see `compiled_mds`; without numba it is scikit-learn's too.
         max_iter: Most SMACOF iterations for a face.
         eps: Relative decrease of stress at which to stop.
-        n_jobs: Processes, or threads of the compiled batched solver; None or 1 works in this one,
+        n_jobs: Processes, or threads where the solver is compiled; None or 1 works in this one,
             -1 uses every core.
         progress: Called with the number of faces just done.
         return_stress: Whether to return stress-1 too.
@@ -69,7 +68,7 @@ def embed(
     step = _FACES_PER_TASK[solver]
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     # Compiled code runs beside other threads: nothing has to be sent to another process.
-    prefer = "threads" if solver == "batched" and is_compiled() else None
+    prefer = "threads" if solver == "batched" and compiled_solver() else None
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
         delayed(_embed_faces)(matrices[task], n_components, solver, max_iter, eps) for task in tasks
     )
@@ -92,9 +91,18 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
     sign of a component, which distances leave open, is such that the first landmark far out on it
     has a positive coordinate.
     """
-    values, vectors = np.linalg.eigh(_doubly_centred(dissimilarities))
-    top = slice(None, -n_components - 1, -1)
-    return _with_signs(vectors[..., top] * np.sqrt(np.maximum(values[..., top], 0))[..., None, :])
+    values, vectors = leading_eigenpairs(_doubly_centred(dissimilarities), n_components)
+    return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
+
+
+@functools.cache
+def compiled_solver() -> Callable | None:
+    """Return `compiled_mds`, None where numba cannot be imported, which takes it a second."""
+    try:
+        from deepmds_keras.compiled_mds import compiled_mds
+    except ImportError:
+        return None
+    return compiled_mds
 
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
@@ -153,16 +161,10 @@ def _with_signs(points: np.ndarray) -> np.ndarray:
 
 def _embed_faces(matrices, n_components, solver, max_iter, eps):
     matrices = check_dissimilarities(matrices)
-    if solver == "batched":
-        values, vectors = leading_eigenpairs(_doubly_centred(matrices), n_components)
-        start = vectors * np.sqrt(np.maximum(values, 0))[:, None]
-        points, stress, _ = batched_mds(matrices, start, max_iter, eps)
-    else:
-        points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
-        for face, matrix in enumerate(matrices):
-            scaling = non_metric_mds(n_components, n_init=1, max_iter=max_iter, eps=eps)
-            points[face] = scaling.fit_transform(matrix, init=points[face])
-            stress[face] = scaling.stress_
+    solve = (solver == "batched" and compiled_solver()) or sklearn_mds
+    points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
+    for face, matrix in enumerate(matrices):
+        points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
     points -= points.mean(1, keepdims=True)
     points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)
     points = _with_signs(points)
@@ -177,6 +179,15 @@ def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     # Of points about their mean, the sum of all squared distances.
     total = 2 * points.shape[1] * squares.sum(1)
     return np.einsum("nij,nij->n", distances, matrices) / total
+
+
+def sklearn_mds(
+    dissimilarities: np.ndarray, start: np.ndarray, max_iter: int = 300, eps: float = 1e-6
+) -> tuple[np.ndarray, float, int]:
+    """Points, stress-1 and iterations of one face, as `compiled_mds`, by scikit-learn."""
+    scaling = non_metric_mds(start.shape[1], n_init=1, max_iter=max_iter, eps=eps)
+    points = scaling.fit_transform(dissimilarities, init=start)
+    return points, scaling.stress_, scaling.n_iter_
 
 
 def non_metric_mds(n_components: int, **options) -> MDS:

@@ -109,7 +109,7 @@ def _times(n_landmarks, output, rng) -> dict[str, float]:
     many = _seconds(lambda: embed(noisy, max_iter=_MANY_ITERATIONS, eps=0))
     return {
         EMBEDDING: _seconds(lambda: embed(noisy)),
-        START: _seconds(lambda: classical_scaling(noisy)),
+        START: _seconds(lambda: classical_scaling(noisy[None])),
         ITERATION: (many - few) / (_MANY_ITERATIONS - _FEW_ITERATIONS),
         NET: _seconds(lambda: output(points[:, :2])),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import keras
@@ -13,7 +12,6 @@ from scipy.spatial.distance import squareform
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from deepmds_keras import batched_mds
 from deepmds_keras.embedding import SOLVERS, embed
 from deepmds_keras.networks import forward
 from deepmds_keras.normalisation import normalise
@@ -106,17 +104,6 @@ def dissimilarities(network: keras.Model, frontal: np.ndarray, variant: str) -> 
     """
     distances = [forward(network, pair_features(view, variant)) for view in normalise(frontal)]
     return np.stack([squareform(np.abs(own.ravel())) for own in distances])
-
-
-@contextmanager
-def without_numba() -> Iterator[None]:
-    """The batched solver as it is where numba is not installed."""
-    chosen = batched_mds.smacof_solver
-    batched_mds.smacof_solver = lambda: batched_mds.smacof
-    try:
-        yield
-    finally:
-        batched_mds.smacof_solver = chosen
 
 
 def _chunks(n: int) -> Iterator[slice]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from data_gen.datasets.dataset import make_dataset
-from deepmds_keras.batched_mds import is_compiled
+from deepmds_keras.embedding import compiled_solver
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.bench import released_code as released
@@ -16,11 +16,10 @@ from experiments.bench.material import (
     Material,
     embed_all,
     predict_all,
-    without_numba,
 )
 from experiments.bench.measurements import RELEASED, SKLEARN, Way
 
-OURS, BATCHED, BATCHED_SCIPY = "ours", "batched", "batched_scipy"
+OURS, BATCHED = "ours", "batched"
 DATA, FEATURES, PREDICTION = "data generation", "pair features", "prediction"
 EMBEDDING, END_TO_END = "embedding", "end to end"
 _NO_NUMBA = "numba is not installed"
@@ -34,7 +33,6 @@ _NOTES = {
     (EMBEDDING, RELEASED): "scikit-learn, four random starts",
     (EMBEDDING, SKLEARN): "scikit-learn, classical start",
     (EMBEDDING, BATCHED): "compiled by numba",
-    (EMBEDDING, BATCHED_SCIPY): "without numba",
     (END_TO_END, RELEASED): "loops over pairs, one predict a face and network, four random starts",
     (END_TO_END, SKLEARN): "DeepMDS.predict, embedded by scikit-learn",
     (END_TO_END, BATCHED): "DeepMDS.predict, embedded by the batched solver",
@@ -56,8 +54,7 @@ def comparisons(material: Material) -> Iterator[list[Way]]:
                       (OURS, lambda: predict_all(material.networks, views), n)]),
         (EMBEDDING, [(RELEASED, lambda: released.embed(material.matrices[:few]), few),
                      (SKLEARN, lambda: embed_all(material.matrices, some, "sklearn"), some),
-                     (BATCHED, compiled(lambda: embed_all(material.matrices, n, "batched")), n),
-                     (BATCHED_SCIPY, lambda: _embed_without_numba(material, some), some)]),
+                     (BATCHED, compiled(lambda: embed_all(material.matrices, n, "batched")), n)]),
         (END_TO_END, [(RELEASED, lambda: released.shapes(material.networks, views[:few]), few),
                       (SKLEARN, lambda: end_to_end(material, some, "sklearn"), some),
                       (BATCHED, compiled(lambda: end_to_end(material, n, "batched")), n)]),
@@ -80,7 +77,7 @@ def way(
 
 def compiled(call: Callable[[], object]) -> Callable[[], object] | None:
     """The call, or None where the batched solver is not compiled."""
-    return call if is_compiled() else None
+    return call if compiled_solver() else None
 
 
 def make_faces(material: Material, name: str, n: int) -> Callable[[], object]:
@@ -105,8 +102,3 @@ def _loops(material, n):
 
 def _predict(material, n):
     return released.predict(material.networks, material.first_views(n), loops=False)
-
-
-def _embed_without_numba(material, n):
-    with without_numba():
-        embed_all(material.matrices, n, "batched")

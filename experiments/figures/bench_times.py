@@ -17,7 +17,6 @@ _WAYS = {
     "sklearn": ("scikit-learn's solver", "#0072B2", "^"),
     "ours": ("ours", "#D55E00", "o"),
     "batched": ("ours, batched solver", "#D55E00", "o"),
-    "batched_scipy": ("batched solver without numba", "#E69F00", "v"),
 }
 _PARTS = {
     "data generation": ("#009E73", "D"),

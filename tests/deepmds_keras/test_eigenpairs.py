@@ -44,14 +44,12 @@ def of_eigh(matrices, count):
     [
         pytest.param(face_like(), id="faces"),
         pytest.param(face_like(n_landmarks=51), id="51 landmarks"),
-        pytest.param(face_like(n_landmarks=19), id="19 landmarks"),
         pytest.param(face_like(n_landmarks=5), id="5 landmarks"),
         pytest.param(gram(squareform(pdist(cloud())))[None], id="rank 3"),
         pytest.param(gram(squareform(pdist(mirrored())))[None], id="mirror symmetry"),
         pytest.param(gram(squareform(pdist(cloud() * [1, 1, 0])))[None], id="rank 2"),
         pytest.param(gram(noisy(cloud(), 0.5))[None], id="no clear third"),
         pytest.param(-face_like(), id="most negative"),
-        pytest.param(face_like() - 10 * np.eye(72), id="all negative"),
         pytest.param(np.diag(np.arange(40.0))[None], id="evenly spaced"),
         pytest.param(1e-9 * face_like(), id="small"),
     ],
@@ -71,7 +69,6 @@ def test_eigenpairs_are_those_of_eigh(matrices, count):
 @pytest.mark.parametrize(
     "matrix",
     [
-        pytest.param(gram(1 - np.eye(40)), id="all alike"),
         pytest.param(np.diag([3.0, 2, 2] + 37 * [0.01]), id="second twice"),
         pytest.param(np.diag([1.0, 1, 1] + 37 * [0.0]), id="first three times"),
     ],

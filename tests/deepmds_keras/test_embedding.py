@@ -1,5 +1,6 @@
 """Non-metric MDS: true distances come back as the shape, and only the order of distances counts."""
 
+import sys
 from functools import partial
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from deepmds_keras import InputError, align, embed
-from deepmds_keras.embedding import SOLVERS, classical_scaling
+from deepmds_keras.embedding import SOLVERS, classical_scaling, compiled_solver
 
 
 @pytest.fixture
@@ -128,6 +129,22 @@ def test_scale_is_the_one_with_the_least_squares():
         return np.square(scale * distances - matrix).sum()
 
     assert misfit(1) < min(misfit(0.999), misfit(1.001))
+
+
+def test_without_numba_the_batched_solver_is_that_of_scikit_learn(distances, monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "deepmds_keras.compiled_mds", raising=False)
+    compiled_solver.cache_clear()
+    try:
+        assert compiled_solver() is None
+        assert np.array_equal(embed(distances, solver="batched"), embed(distances))
+    finally:
+        compiled_solver.cache_clear()
+
+
+def test_with_numba_the_batched_solver_is_compiled():
+    pytest.importorskip("numba", reason="numba is not installed")
+    assert compiled_solver().__module__ == "deepmds_keras.compiled_mds"
 
 
 def test_unknown_solver_is_named():

@@ -133,18 +133,6 @@ def test_agreement_sees_a_solver_that_goes_wrong(matrices, monkeypatch):
     assert 0.01 < found["largest_shape_difference"] < 0.2
 
 
-def test_batched_solver_without_numba_is_another_one_and_is_put_back(matrices):
-    from deepmds_keras import batched_mds
-    from experiments.bench.material import without_numba
-
-    before = batched_mds.smacof_solver
-    with without_numba():
-        assert batched_mds.smacof_solver() is batched_mds.smacof
-        without = embed(matrices, solver="batched")
-    assert batched_mds.smacof_solver is before
-    np.testing.assert_allclose(without, embed(matrices, solver="batched"), atol=1e-9)
-
-
 def test_every_row_has_as_many_faces_as_it_says(model, networks, views, matrices):
     from experiments.bench.material import Material, embed_all
     from experiments.bench.parts import end_to_end

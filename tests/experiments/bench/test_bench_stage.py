@@ -32,7 +32,7 @@ def test_every_part_is_timed_beside_the_released_way(table):
         "data generation", "pair features", "prediction", "embedding", "end to end",
     }  # fmt: skip
     assert all("released" in own and len(own) > 1 for own in ways)
-    assert {"sklearn", "batched", "batched_scipy"} < ways["embedding"]
+    assert {"sklearn", "batched"} < ways["embedding"]
     assert {"faces", "landmarks", "training"} <= set(table["comparison"])
 
 

@@ -1,15 +1,42 @@
-"""What `batched_mds.smacof` does, compiled by numba."""
+"""Non-metric MDS of one dissimilarity matrix, compiled: the steps of scikit-learn, not its cost."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
+from scipy.spatial.distance import squareform
 
-# As in batched_mds, but not imported: what numba keeps on disk would outlive a change there.
+# Constants of scikit-learn: dissimilarities that exceed the smallest of their group by less are
+# ties, and points that coincide count as this far apart.
 _TIE = 1e-15
 _COINCIDENT = 1e-5
 # Sums may be taken in another order, which vector instructions need; NaN and infinity stay.
 _REORDERED = {"reassoc", "contract", "nsz"}
+
+
+def compiled_mds(
+    dissimilarities: np.ndarray, start: np.ndarray, max_iter: int = 300, eps: float = 1e-6
+) -> tuple[np.ndarray, float, int]:
+    """SMACOF with isotonic regression (Kruskal's non-metric MDS, stress-1) of one face.
+
+    Makes the same steps from `start` as scikit-learn's `MDS` (1.9, not metric, one initialisation)
+    and stops at the same one, so it agrees to rounding. It is faster because it is compiled, finds
+    the order of the dissimilarities, which never changes, once, and begins the regression of one
+    iteration with the blocks of the last.
+
+    Args:
+        dissimilarities: `(L, L)`, symmetric with zero diagonal and no negative entries. Zeros off
+            the diagonal are missing values.
+        start: `(L, k)` points to start from.
+        max_iter: Most iterations.
+        eps: Decrease of stress, relative to the sum of squared distances, at which to stop.
+
+    Returns:
+        `(L, k)` points whose scale has no meaning, stress-1 and the number of iterations.
+    """
+    pairs = squareform(np.asarray(dissimilarities, float), checks=False)
+    start = np.array(start, float, order="C")
+    return _smacof(pairs, pairs.argsort(), start, int(max_iter), float(eps))
 
 
 def _compiled(function):
@@ -22,43 +49,38 @@ def _compiled(function):
 
 
 @_compiled
-def smacof(pairs, order, start, max_iter, eps):
-    """As `batched_mds.smacof`, for C-contiguous arrays."""
-    n, n_landmarks, n_components = start.shape
-    n_pairs = pairs.shape[1]
-    solved, stress, n_iter = np.empty_like(start), np.empty(n), np.empty(n, np.int64)
-    points, moved = np.empty((n_components, n_landmarks)), np.empty((n_components, n_landmarks))
-    distances, disparities, ratios = np.empty(n_pairs), np.empty(n_pairs), np.empty(n_pairs)
-    all_positions, all_tied = np.empty(n_pairs, np.uint32), np.empty(n_pairs, np.bool_)
+def _smacof(pairs, order, start, max_iter, eps):
+    """`compiled_mds` of `(P,)` pairs, row by row of the upper triangle, that `order` sorts."""
+    n_landmarks, n_components = start.shape
+    n_pairs = len(pairs)
+    points, moved = start.T.copy(), np.empty((n_components, n_landmarks))
+    distances, disparities, ratios = np.empty(n_pairs), pairs.copy(), np.empty(n_pairs)
     values, sums, weights = np.empty(n_pairs), np.empty(n_pairs), np.empty(n_pairs)
     blocks, new_blocks = np.empty(n_pairs + 1, np.uint32), np.empty(n_pairs + 1, np.uint32)
-    for face in range(n):
-        n_known = _read_order(pairs[face], order[face], all_positions, all_tied)
-        positions, tied = all_positions[:n_known], all_tied[:n_known]
-        blocks[0], blocks[1], n_blocks = 0, n_known, 1
-        disparities[:] = pairs[face]  # of the first iteration
-        points[:] = start[face].T
+    all_positions, all_tied = np.empty(n_pairs, np.uint32), np.empty(n_pairs, np.bool_)
+    n_known = _read_order(pairs, order, all_positions, all_tied)
+    positions, tied = all_positions[:n_known], all_tied[:n_known]
+    blocks[0], blocks[1], n_blocks = 0, n_known, 1
+    _pair_distances(points, distances)
+    previous = np.inf
+    for iteration in range(1, max_iter + 1):
+        if iteration > 1:  # the first takes the dissimilarities as they are
+            for rank in range(n_known):
+                values[rank] = distances[positions[rank]]
+            n_blocks = _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights)
+            blocks[: n_blocks + 1] = new_blocks[: n_blocks + 1]
+            for block in range(n_blocks):
+                mean = sums[block] / weights[block]
+                for rank in range(blocks[block], blocks[block + 1]):
+                    disparities[positions[rank]] = mean
+        _rescale(disparities)
+        _move(points, distances, disparities, ratios, moved)
         _pair_distances(points, distances)
-        previous = np.inf
-        for iteration in range(1, max_iter + 1):
-            if iteration > 1:
-                for rank in range(n_known):
-                    values[rank] = distances[positions[rank]]
-                n_blocks = _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights)
-                blocks[: n_blocks + 1] = new_blocks[: n_blocks + 1]
-                for block in range(n_blocks):
-                    mean = sums[block] / weights[block]
-                    for rank in range(blocks[block], blocks[block + 1]):
-                        disparities[positions[rank]] = mean
-            _rescale(disparities)
-            _move(points, distances, disparities, ratios, moved)
-            _pair_distances(points, distances)
-            raw, size = _raw_stress(distances, disparities)
-            if (previous - raw) / size < eps:
-                break
-            previous = raw
-        solved[face], stress[face], n_iter[face] = points.T, np.sqrt(raw / size), iteration
-    return solved, stress, n_iter
+        raw, size = _raw_stress(distances, disparities)
+        if (previous - raw) / size < eps:
+            break
+        previous = raw
+    return points.T.copy(), np.sqrt(raw / size), iteration
 
 
 @_compiled
