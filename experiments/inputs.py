@@ -48,6 +48,12 @@ class Faces:
         """Some of the faces, by a slice, a mask or their numbers."""
         return Faces(**{name: own[faces] for name, own in vars(self).items()})
 
+    def against(self, landmarks: np.ndarray) -> Faces:
+        """The same faces with other landmarks, `(n, L, 3)` millimetres, for their ground truth."""
+        return replace(
+            self, shapes=np.float32(normalise(landmarks)), unit_mm=unit(landmarks)[1].ravel()
+        )
+
 
 def in_photos(run: Run, dataset: Dataset) -> Dataset:
     """A data set of the FLAME track with views as the run's protocol places them.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from decimal import Decimal
 from pathlib import Path
 
@@ -41,8 +43,8 @@ def published(experiment: str, path: Path = PUBLISHED) -> pd.DataFrame:
         {
             "method": rows["method"],
             "metric": rows["metric"],
-            "paper_mean": [*map(_plain, rows["value"], rows["unit"])],
-            "paper_std": [*map(_plain, rows["uncertainty"], rows["unit"])],
+            "paper_mean": [*map(float, map(_plain, rows["value"], rows["unit"]))],
+            "paper_std": [*map(float, map(_plain, rows["uncertainty"], rows["unit"]))],
             "paper_note": rows["note"],
         }
     ).reset_index(drop=True)
@@ -79,7 +81,44 @@ def printed_number(table: str, metric: str, method: str = "", path: Path = PUBLI
             f"{path} must have one number {metric} of {method or 'no method'} in {table}. "
             f"Received {len(rows)}."
         )
-    return _plain(rows["value"].iloc[0], rows["unit"].iloc[0])
+    return float(_plain(rows["value"].iloc[0], rows["unit"].iloc[0]))
+
+
+def unit_of(experiment: str, metric: str) -> float:
+    """Power of ten in which the paper prints a metric of an experiment; 1 where it has none.
+
+    Raises:
+        InputError: Unknown experiment.
+    """
+    rows = _rows(experiment, PUBLISHED)
+    units = rows["unit"][rows["metric"] == metric]
+    return float(_plain("1", units.iloc[0])) if len(units) else 1.0
+
+
+def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
+    """A number of the paper and its uncertainty, if any, with the digits that are printed.
+
+    Tables hold the paper's numbers as floats, which do not tell 0.3 from 0.30.
+
+    Args:
+        mean, std: In plain units, as from `published`; NaN for none.
+
+    Returns:
+        In plain units; without trailing zeros where the paper prints no such number.
+    """
+    numbers = [value for value in (mean, std) if not math.isnan(value)]
+    return _printed_digits().get(tuple(numbers)) or [Decimal(f"{value:.6g}") for value in numbers]
+
+
+@functools.cache
+def _printed_digits() -> dict[tuple[float, ...], list[Decimal]]:
+    """Numbers of the transcription, with their uncertainties, as they are printed."""
+    rows = pd.read_csv(PUBLISHED, dtype=str, keep_default_na=False)
+    found = {}
+    for row in rows[rows["value"] != ""].itertuples():
+        digits = [_plain(text, row.unit) for text in (row.value, row.uncertainty) if text]
+        found[tuple(map(float, digits))] = digits
+    return found
 
 
 def _rows(experiment: str, path: Path) -> pd.DataFrame:
@@ -91,8 +130,6 @@ def _rows(experiment: str, path: Path) -> pd.DataFrame:
     return rows[rows["table"].isin(SOURCES[experiment])]
 
 
-def _plain(value: str, unit: str) -> float:
-    """Decimal arithmetic, so that 1.4 in units of 1e-4 is 0.00014 and not its neighbour."""
-    if not value:
-        return float("nan")
-    return float(Decimal(value) * (1 if unit in ("", "%") else Decimal(unit)))
+def _plain(value: str, unit: str) -> Decimal:
+    """Decimal, so that 1.4 in units of 1e-4 is 0.00014, not its neighbour, and 0.30 keeps its 0."""
+    return Decimal(value or "nan") * (1 if unit in ("", "%") else Decimal(unit))

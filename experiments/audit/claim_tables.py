@@ -12,8 +12,9 @@ from experiments.audit.claims import Claim, described
 from experiments.audit.findings import Finding
 from experiments.markup.markdown import markdown
 from experiments.records import write_text
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import NOTHING
 from experiments.scoring.tables import to_csv
-from experiments.scoring.typesetting import NOTHING, tex
 from experiments.verdicts import VERDICTS, listed, read_claims, side_by_side
 
 COLUMNS = ("id", "where", "claim", "check", "model", "verdict", "condition", "evidence")
@@ -63,19 +64,9 @@ def latex(table: pd.DataFrame, names: Mapping[str, str]) -> str:
     r"""Claims and verdicts by face model, as a booktabs `longtable` to `\input`."""
     rows = side_by_side(table, names).fillna(NOTHING)
     models = len(rows.columns) - 2
-    columns = (
-        rf"p{{0.3\linewidth}}p{{0.14\linewidth}}*{{{models}}}{{p{{{0.5 / models:.3f}\linewidth}}}}"
-    )
-    lines = [
-        r"{\footnotesize\setlength{\tabcolsep}{3pt}\raggedright",
-        rf"\begin{{longtable}}{{@{{}}{columns}@{{}}}}",
-        r"\toprule",
-        " & ".join(map(tex, rows)) + r" \\",
-        r"\midrule\endhead",
-        r"\bottomrule\endfoot",
-        *(" & ".join(map(tex, row)) + r" \\" for row in rows.values),
-    ]
-    return "\n".join([*lines, r"\end{longtable}}", ""])
+    width = rf"{0.5 / models:.3f}\linewidth"
+    columns = rf"p{{0.3\linewidth}}p{{0.14\linewidth}}*{{{models}}}{{p{{{width}}}}}"
+    return tabular(rows, columns, over_pages=True)
 
 
 def _sorted(table: pd.DataFrame) -> pd.DataFrame:

@@ -66,7 +66,7 @@ def draw_landmark_errors(
     mapped: Sequence[str],
 ) -> None:
     """Write the figure of the errors by landmark; of `mapped`, as far as run, as whole faces."""
-    errors = landmark_errors(scores, test)
+    errors = landmark_errors(scores)
     maps = [method for method in mapped if method in errors]
     figure = error_per_landmark(errors, scheme, test.shapes.mean(0), maps)
     save(figure, folder / "figures", "error_per_landmark")

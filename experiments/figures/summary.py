@@ -11,6 +11,7 @@ from matplotlib.ticker import NullFormatter
 
 from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
+from experiments.scoring.numbers import as_quoted, plus_minus
 
 _MSE_UNIT = 1e-4
 
@@ -80,33 +81,18 @@ def _numbers(axes: Axes, rows: pd.DataFrame, unit: float, name: str) -> None:
     axes.set_axis_off()
     _stripes(axes, len(rows))
     axes.set(xlim=(0, 1), title=f"{name}\n")
-    for x, head, mean, std in (
-        (0.50, "this work", rows["mean"], rows["std"]),
-        (0.98, "published", rows["paper_mean"], rows["paper_std"]),
+    for x, head, mean, std, text in (
+        (0.50, "this work", rows["mean"], rows["std"], plus_minus),
+        (0.98, "published", rows["paper_mean"], rows["paper_std"], as_quoted),
     ):
         axes.text(x, -0.6, head, ha="right", va="bottom", size=6.5, color=INK)
-        for y, (value, spread) in enumerate(zip(mean / unit, std / unit, strict=True)):
-            axes.text(
-                x, y, _plus_minus(value, spread), ha="right", va="center", size=5.8, color=INK
-            )
+        for y, values in enumerate(zip(mean, std, strict=True)):
+            axes.text(x, y, text(*values, unit), ha="right", va="center", size=5.8, color=INK)
 
 
 def _stripes(axes: Axes, n_rows: int) -> None:
     for y in range(0, n_rows, 2):
         axes.axhspan(y - 0.5, y + 0.5, color="#F5F5F5", lw=0, zorder=0)
-
-
-def _plus_minus(mean: float, std: float) -> str:
-    """Rounded where the s.d. begins, or one digit later if it is 1 or 2; at most four decimals."""
-    if np.isnan(mean):
-        return "–"
-    if not std > 0:
-        return f"{mean:.3g}"
-    exponent = int(np.floor(np.log10(std)))
-    leading = round(std / 10.0**exponent, 1)
-    second = leading < 3 and leading % 1 > 0
-    digits = min(max(second - exponent, 0), 4)
-    return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
 @styled

@@ -11,7 +11,7 @@ import pandas as pd
 
 from experiments.figures.examples import EXAMPLES
 from experiments.manifest import read_manifest
-from experiments.published import PUBLISHED, SOURCES
+from experiments.published import unit_of
 
 REPORT = "report"
 # Experiments in the order of the report, and the target that makes each.
@@ -87,9 +87,7 @@ class Experiment:
     @property
     def mse_unit(self) -> float:
         """In which the paper prints the errors of the table that this one stands beside."""
-        rows = pd.read_csv(PUBLISHED, dtype=str)
-        rows = rows[rows["table"].isin(SOURCES[self.track]) & (rows["metric"] == "mse")]
-        return float(rows["unit"].iloc[0])
+        return unit_of(self.track, "mse")
 
 
 def base_of(name: str) -> str:

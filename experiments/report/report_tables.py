@@ -6,6 +6,8 @@ import pandas as pd
 
 from experiments.markup.markdown import Notes, Table
 from experiments.methods import BY_ID, title
+from experiments.metrics import METRICS, metrics_of
+from experiments.published import unit_of
 from experiments.report import wording
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
@@ -19,20 +21,11 @@ from experiments.scoring.numbers import (
     power,
     scientific,
 )
+from experiments.scoring.typesetting import head_of
 from experiments.studies.ablation import HEADS, rows_of
 
-_CRITERIA = {"mse": "MSE", "depth_corr": "Depth correlation"}
 _OF_PAPER = "in the paper, "
 _OF_CELL = ["mean", "std", "paper_mean", "paper_std"]
-_OTHERS = {
-    "mse_mm2": "MSE (mm²)",
-    "rmse_mm": "RMSE (mm)",
-    "depth_corr_across_faces": "Across faces",
-    "mirrored_fraction": "Mirrored",
-    "found_fraction": "Found",
-    "ms_per_face": "ms a face",
-    "n_parameters": "Parameters",
-}
 # As in `experiments.scoring.parameters`, which would load Keras.
 _PARAMETERS = {
     "trainable": "Trainable",
@@ -40,7 +33,7 @@ _PARAMETERS = {
     "paper": "Trainable (paper)",
     "complexity_paper": "Complexity (paper)",
     "complexity": "Complexity",
-    "ms_per_face": "ms a face",
+    "ms_per_face": METRICS["ms_per_face"].head,
 }
 # Of a stage's record: what tables have of their own, or nobody asks for.
 _NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",
@@ -50,20 +43,21 @@ _HEADS = {"std": "s.d.", "mse": "MSE", "n_faces": "faces"}
 
 def metric_head(metric: str) -> str:
     """Name of a metric in tables."""
-    return (_CRITERIA | _OTHERS).get(metric, metric.replace("_", " "))
+    return METRICS[metric].head if metric in METRICS else metric.replace("_", " ")
 
 
 def criteria_table(experiment: Experiment) -> Table:
     """The paper's criteria: ours, the paper's and how they differ, of every method."""
-    units = {"mse": experiment.mse_unit, "depth_corr": 1.0}
+    track = experiment.track
+    criteria = [metric for metric in METRICS.values() if metric.in_paper]
     notes, rows = Notes(), []
     for method, cells in _by_method(experiment):
-        common, own = _notes_of(cells.loc[[*_CRITERIA]])
+        common, own = _notes_of(cells.loc[[metric.id for metric in criteria]])
         row = {"Method": title(method) + notes.mark(common)}
-        for metric, unit in units.items():
-            head = _CRITERIA[metric] + (f" ({power(unit)})" if unit != 1 else "")
-            mean, std, paper, paper_std = cells.loc[metric, _OF_CELL]
-            here, there = own[metric]
+        for metric in criteria:
+            head, unit = head_of(metric, track), unit_of(track, metric.id)
+            mean, std, paper, paper_std = cells.loc[metric.id, _OF_CELL]
+            here, there = own[metric.id]
             row[f"{head}: here"] = plus_minus(mean, std, unit) + notes.mark(here)
             row[f"{head}: paper"] = as_quoted(paper, paper_std, unit) + notes.mark(there)
             row[f"{head}: difference"] = difference(mean, paper, unit)
@@ -82,14 +76,15 @@ def criteria_table(experiment: Experiment) -> Table:
 
 def other_criteria_table(experiment: Experiment) -> Table:
     """What else is measured of every method."""
-    known = [m for m in dict.fromkeys(experiment.table()["metric"]) if m not in _CRITERIA]
+    shown = [metric for metric in metrics_of(experiment.track) if "report" in metric.shown]
+    known = [metric.id for metric in shown if not metric.in_paper]
     notes, rows = Notes(), []
     for method, cells in _by_method(experiment):
         common, own = _notes_of(cells.loc[known])
         row = {"Method": title(method) + notes.mark(common)}
         for metric in known:
-            shown = plus_minus(*cells.loc[metric, ["mean", "std"]])
-            row[metric_head(metric)] = shown + notes.mark(own[metric][0])
+            number = plus_minus(*cells.loc[metric, ["mean", "std"]])
+            row[metric_head(metric)] = number + notes.mark(own[metric][0])
         rows.append(row)
     caption = "What the paper does not measure: mean ± s.d. here."
     return Table(caption, pd.DataFrame(rows), notes=tuple(notes))

@@ -5,20 +5,29 @@ from __future__ import annotations
 import datetime
 import math
 
+from experiments.published import as_printed
+
 NOTHING = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plus_minus(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
     """`mean ± std` in a unit, to the s.d.'s first digit, or its second if it begins with 1 or 2."""
-    if math.isnan(mean):
-        return NOTHING
     mean, std = mean / unit, std / unit
-    if not std > 0:
-        return minus(f"{mean:,.0f}" if abs(mean) >= 1000 else f"{mean:.3g}")
+    if math.isnan(mean) or not std > 0:
+        return rounded(mean)
     exponent = math.floor(math.log10(std))
     decimals = max(0, int(float(f"{std / 10.0**exponent:.1f}") < 3) - exponent)
     return minus(f"{mean:,.{decimals}f} ± {std:,.{decimals}f}")
+
+
+def rounded(value: float, decimals: int | None = None) -> str:
+    """With that many decimals, or three significant digits, or more to the units' place."""
+    if math.isnan(value):
+        return NOTHING
+    if decimals is None and abs(value) < 1000:
+        return minus(f"{value:.3g}")
+    return minus(f"{value:,.{decimals or 0}f}")
 
 
 def scientific(value: float, digits: int = 4) -> str:
@@ -30,9 +39,10 @@ def scientific(value: float, digits: int = 4) -> str:
 
 
 def as_quoted(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
-    """With the digits that the paper gives, not more."""
-    numbers = [f"{value / unit:.6g}" for value in (mean, std) if not math.isnan(value)]
-    return minus(" ± ".join(numbers)) or NOTHING
+    """A number of the paper in a unit that is a power of ten, with the digits that it prints."""
+    exponent = round(math.log10(unit))
+    digits = [f"{value.scaleb(-exponent):f}" for value in as_printed(mean, std)]
+    return minus(" ± ".join(digits)) or NOTHING
 
 
 def difference(ours: float, theirs: float, unit: float = 1.0) -> str:

@@ -9,12 +9,13 @@ from deepmds_keras.baselines.mobileface import build_mobileface_net
 from deepmds_keras.baselines.ringnet_net import build_ringnet
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, count_trainable
 from experiments.inputs import load_landmark_model
-from experiments.methods import BY_ID, METHODS
+from experiments.methods import METHODS, title
 from experiments.published import printed
 from experiments.records import write_text
 from experiments.run import Run
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import NOTHING
 from experiments.scoring.tables import to_csv
-from experiments.scoring.typesetting import NOTHING, tex
 
 # Which pair features the dissimilarity net of a method takes.
 _VARIANTS = {
@@ -102,24 +103,8 @@ def parameter_table(
 
 def latex(table: pd.DataFrame) -> str:
     r"""The table as a booktabs `tabular` to `\input`."""
-    rows = table.assign(method=[BY_ID[method].title for method in table["method"]])
-    return "\n".join(
-        [
-            r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
-            r"\begin{tabular}{@{}lrrrllr@{}}",
-            r"\toprule",
-            " & ".join(HEADS.values()) + r" \\",
-            r"\midrule",
-            *(
-                " & ".join(tex(cell or NOTHING) for cell in row) + r" \\"
-                for row in rows.itertuples(index=False)
-            ),
-            r"\bottomrule",
-            rf"\multicolumn{{{len(HEADS)}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{{tex(_LEGEND)}}} \\",
-            r"\end{tabular}}",
-            "",
-        ]
-    )
+    cells = table.assign(method=table["method"].map(title)).replace("", NOTHING)
+    return tabular(cells.rename(columns=HEADS), "lrrrllr", [_LEGEND])
 
 
 def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:

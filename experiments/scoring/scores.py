@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -12,6 +14,7 @@ from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.inputs import Faces
+from experiments.metrics import METRICS
 from experiments.records import load_record
 from experiments.run import Run
 from experiments.streams import Stream
@@ -32,12 +35,12 @@ def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]
 
 
 def costs(descriptions: dict[str, dict]) -> pd.DataFrame:
-    """Long table `method, metric, value` of the time of a prediction and the parameters."""
+    """Long table `method, metric, value` of what the stages that predict measured."""
     rows = [
-        (method, metric, described[metric])
+        (method, metric.id, described[metric.id])
         for method, described in descriptions.items()
-        for metric in ("ms_per_face", "n_parameters")
-        if metric in described
+        for metric in METRICS.values()
+        if metric.is_cost and metric.id in described
     ]
     return pd.DataFrame(rows, columns=["method", "metric", "value"])
 
@@ -50,38 +53,54 @@ class Scores:
 
     Attributes:
         aligned: `(n, L, 3)` predictions in the frame and unit of the truth.
-        mse: `(n,)` mean squared error over all coordinates, in the unit of `normalise`.
-        mse_mm2: `(n,)` the same in square millimetres.
-        depth_corr: `(n,)` trace depth correlation, at most L.
+        truth: `(n, L, 3)`, in the unit of `normalise`.
+        unit_mm: `(n,)` millimetres that 1 stands for in `truth`.
         mirrored: `(n,)` 1 where the alignment had to reflect the prediction, else 0.
     """
 
     aligned: np.ndarray
-    mse: np.ndarray
-    mse_mm2: np.ndarray
-    depth_corr: np.ndarray
+    truth: np.ndarray
+    unit_mm: np.ndarray
     mirrored: np.ndarray
+
+    def __getitem__(self, faces) -> Scores:
+        """Some of the faces, by a slice, a mask or their numbers."""
+        return Scores(*(getattr(self, field.name)[faces] for field in fields(self)))
+
+    @cached_property
+    def found(self) -> np.ndarray:
+        """`(n,)` whether the method found the face."""
+        return np.isfinite(self.aligned).all((1, 2))
+
+    @cached_property
+    def mse(self) -> np.ndarray:
+        """`(n,)` mean squared error over all coordinates, in squares of the unit of `truth`."""
+        return self._of_found(metrics.mse)
+
+    @cached_property
+    def depth_corr(self) -> np.ndarray:
+        """`(n,)` trace depth correlation, at most L."""
+        return self._of_found(metrics.depth_corr)
+
+    @cached_property
+    def distances_mm(self) -> np.ndarray:
+        """`(n, L)` distances to the truth, millimetres."""
+        return np.linalg.norm(self.aligned - self.truth, axis=2) * self.unit_mm[:, None]
+
+    def _of_found(self, criterion: Callable) -> np.ndarray:
+        values = np.full(len(self.aligned), np.nan)
+        values[self.found] = criterion(self.aligned[self.found], self.truth[self.found])
+        return values
 
 
 def score(shapes: np.ndarray, test: Faces) -> Scores:
-    """Align predictions `(n, L, 3)` to the truth and measure what is left."""
+    """Align predictions `(n, L, 3)` to the truth; a face that was not found is NaN."""
     found = np.isfinite(shapes).all((1, 2))
-    truth = test.shapes[found].astype(float)
-    aligned = align(shapes[found], truth)
-    mse = metrics.mse(aligned, truth)
-
-    def of_all(values: np.ndarray) -> np.ndarray:
-        everywhere = np.full((len(shapes), *values.shape[1:]), np.nan)
-        everywhere[found] = values
-        return everywhere
-
-    return Scores(
-        aligned=of_all(aligned),
-        mse=of_all(mse),
-        mse_mm2=of_all(mse) * test.unit_mm**2,
-        depth_corr=of_all(metrics.depth_corr(aligned, truth)),
-        mirrored=of_all(is_mirrored(shapes[found], truth)),
-    )
+    truth = test.shapes.astype(float)
+    aligned, mirrored = np.full(shapes.shape, np.nan), np.full(len(shapes), np.nan)
+    aligned[found] = align(shapes[found], truth[found])
+    mirrored[found] = is_mirrored(shapes[found], truth[found])
+    return Scores(aligned, truth, test.unit_mm, mirrored)
 
 
 def evaluate(
@@ -100,29 +119,25 @@ def evaluate(
     """
     chosen = subsets(run, len(test.views))
     scores = {method: score(own, test) for method, own in shapes.items()}
-    may_miss = run.track == "flame"  # where methods look for the face in a photo
-    rows = [subset_metrics(method, own, test, chosen, may_miss) for method, own in scores.items()]
-    metrics = pd.concat([*rows, costs(descriptions)], ignore_index=True)
-    metrics["subset"] = metrics["subset"].astype("Int64")
-    return metrics, scores
+    rows = [subset_metrics(method, own, chosen, run.track) for method, own in scores.items()]
+    table = pd.concat([*rows, costs(descriptions)], ignore_index=True)
+    table["subset"] = table["subset"].astype("Int64")
+    return table, scores
 
 
 def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
-    """Metric to method to its values on the faces that every method found."""
-    found = np.all([np.isfinite(own.mse) for own in scores.values()], axis=0)
+    """The paper's metrics to method to its values on the faces that every method found."""
+    found = np.all([own.found for own in scores.values()], axis=0)
     return {
-        metric: {method: getattr(own, metric)[found] for method, own in scores.items()}
-        for metric in ("mse", "depth_corr")
+        metric.id: {method: metric.per_face(own)[found] for method, own in scores.items()}
+        for metric in METRICS.values()
+        if metric.in_paper
     }
 
 
-def landmark_errors(scores: dict[str, Scores], test: Faces) -> dict[str, np.ndarray]:
+def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:
     """Method to `(L,)` root-mean-square distances to the truth, millimetres."""
-    distances = {
-        method: np.linalg.norm(own.aligned - test.shapes, axis=2) * test.unit_mm[:, None]
-        for method, own in scores.items()
-    }
-    return {method: np.sqrt(np.nanmean(own**2, axis=0)) for method, own in distances.items()}
+    return {m: np.sqrt(np.nanmean(own.distances_mm**2, axis=0)) for m, own in scores.items()}
 
 
 def subsets(run: Run, n: int) -> np.ndarray:
@@ -136,31 +151,26 @@ def subsets(run: Run, n: int) -> np.ndarray:
     return np.array([rng.choice(n, preset.subset_size, False) for _ in range(preset.n_subsets)])
 
 
-def subset_metrics(
-    method: str, scores: Scores, test: Faces, chosen: np.ndarray, may_miss: bool
-) -> pd.DataFrame:
+def subset_metrics(method: str, scores: Scores, chosen: np.ndarray, track: str) -> pd.DataFrame:
     """Long table `method, metric, subset, value` of one method, over the faces that it found.
 
-    If it may miss some, also of the share that it found.
+    Args:
+        method: Its id.
+        scores: On all test faces.
+        chosen: Faces of the subsets, as from `subsets`.
+        track: Whose metrics are computed.
     """
-    found = np.isfinite(scores.mse)
-    groups = [faces[found[faces]] for faces in chosen]
-    values = {
-        metric: [getattr(scores, metric)[faces].mean() for faces in groups]
-        for metric in ("mse", "mse_mm2", "depth_corr")
-    }
-    values |= {
-        "depth_corr_across_faces": [
-            metrics.depth_corr_across_faces(scores.aligned[faces], test.shapes[faces])
-            for faces in groups
-        ],
-        "mirrored_fraction": [scores.mirrored[faces].mean() for faces in groups],
-    }
-    if may_miss:
-        values["found_fraction"] = found[chosen].mean(1)
-    rows = [
-        (method, metric, subset, value)
-        for metric, by_subset in values.items()
-        for subset, value in enumerate(by_subset)
-    ]
+    rows = []
+    for metric in METRICS.values():
+        if not metric.is_of(track):
+            continue
+        if metric.per_face is not None:
+            values = metric.per_face(scores)
+            known = np.isfinite(values)
+            by_subset = [values[faces[known[faces]]].mean() for faces in chosen]
+        elif metric.per_subset is not None:
+            by_subset = [metric.per_subset(scores[faces[scores.found[faces]]]) for faces in chosen]
+        else:
+            continue
+        rows += [(method, metric.id, subset, value) for subset, value in enumerate(by_subset)]
     return pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])

@@ -12,20 +12,11 @@ import pandas as pd
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.metrics import wilcoxon_table
 from experiments.methods import METHODS, title
+from experiments.metrics import METRICS, metrics_of
 from experiments.published import published
 from experiments.records import write_text
 from experiments.scoring.typesetting import latex
 
-METRICS = (
-    "depth_corr",
-    "mse",
-    "mse_mm2",
-    "rmse_mm",
-    "depth_corr_across_faces",
-    "mirrored_fraction",
-    "ms_per_face",
-    "n_parameters",
-)
 COLUMNS = (
     "method",
     "metric",
@@ -37,12 +28,11 @@ COLUMNS = (
     "subset_size",
     "note",
 )
-TESTED = ("mse", "depth_corr")  # As in the paper, "Evaluation Criteria".
 
 
 def summarise(
     metrics: pd.DataFrame,
-    quoted: pd.DataFrame,
+    experiment: str,
     notes: Mapping[str, str],
     *,
     subset_size: int,
@@ -52,7 +42,7 @@ def summarise(
 
     Args:
         metrics: `method`, `metric`, `subset` (empty where a number is of no subset), `value`.
-        quoted: As from `published.published`.
+        experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
         notes: Method to what a reader must know of it; for one that was not run, why not.
         subset_size: Test faces in a subset.
         beside: Method of the paper to the one that its numbers stand beside, where that is another
@@ -60,13 +50,14 @@ def summarise(
 
     Returns:
         `COLUMNS`, with a row for every method (measured, quoted or noted) and metric. A cell that
-        was not measured is empty and its `note` says why. `std` is that of a sample (n - 1), and
-        `rmse_mm` the root of `mse_mm2` of each subset. Notes of a cell are separated by `"; "`.
+        was not measured is empty and its `note` says why. `std` is that of a sample (n - 1). Notes
+        of a cell are separated by `"; "`.
 
     Raises:
-        InputError: A column is missing, a row is there twice, or a method is unknown.
+        InputError: A column is missing, a row is there twice, or the experiment, a method or a
+            metric is unknown.
     """
-    metrics = _with_rmse(_checked(metrics))
+    metrics, quoted = _with_derived(_checked(metrics)), published(experiment)
     grouped = metrics.groupby(["method", "metric"])
     measured = grouped.agg(
         mean=("value", "mean"), std=("value", "std"), n_subsets=("subset", "count")
@@ -76,9 +67,9 @@ def summarise(
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
         title(method)
-    known = [*METRICS, *sorted({*metrics["metric"]} - {*METRICS})]
+    columns = [metric.id for metric in metrics_of(experiment)]
     cells = pd.MultiIndex.from_product(
-        [[method.id for method in METHODS if method.id in present], known],
+        [[method.id for method in METHODS if method.id in present], columns],
         names=["method", "metric"],
     )
     table = measured.reindex(cells).join(quoted)
@@ -108,15 +99,13 @@ def write_tables(
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, subset_size, notes, beside: As for `summarise`.
-        experiment: As for `latex`.
+        metrics, experiment, subset_size, notes, beside: As for `summarise`.
         per_face: Metric to method to `(n,)`, of all test faces in one order.
 
     Returns:
         What `table.csv` holds.
     """
-    quoted = published(experiment)
-    table = summarise(metrics, quoted, notes, subset_size=subset_size, beside=beside)
+    table = summarise(metrics, experiment, notes, subset_size=subset_size, beside=beside)
     write_text(folder / "table.csv", to_csv(table))
     write_text(folder / "table.tex", latex(table, experiment))
     write_text(folder / "wilcoxon.csv", to_csv(wilcoxon_tests(metrics, per_face)))
@@ -131,7 +120,7 @@ def wilcoxon_tests(
     Subsets of one test set differ only by resampling, so the first says little of the methods.
     """
     tests = []
-    for metric in TESTED:
+    for metric in (metric.id for metric in METRICS.values() if metric.in_paper):
         rows = metrics[(metrics["metric"] == metric) & metrics["subset"].notna()]
         subsets = rows.pivot(index="subset", columns="method", values="value")
         subsets = subsets[[m.id for m in METHODS if m.id in subsets]]
@@ -164,13 +153,20 @@ def _checked(metrics: pd.DataFrame) -> pd.DataFrame:
             "metrics must have one row for each method, metric and subset. "
             f"Received {', '.join(map(str, twice.iloc[0, :3]))} twice."
         )
+    unknown = [metric for metric in metrics["metric"] if metric not in METRICS]
+    if unknown:
+        raise InputError(f"metric must be one of {', '.join(METRICS)}. Received {unknown[0]!r}.")
     return metrics
 
 
-def _with_rmse(metrics: pd.DataFrame) -> pd.DataFrame:
-    squares = metrics[metrics["metric"] == "mse_mm2"]
-    roots = squares.assign(metric="rmse_mm", value=np.sqrt(squares["value"]))
-    return pd.concat([metrics, roots], ignore_index=True)
+def _with_derived(metrics: pd.DataFrame) -> pd.DataFrame:
+    frames = [metrics]
+    for metric in METRICS.values():
+        if metric.derived:
+            source, function = metric.derived
+            rows = metrics[metrics["metric"] == source]
+            frames.append(rows.assign(metric=metric.id, value=function(rows["value"])))
+    return pd.concat(frames, ignore_index=True)
 
 
 def _note(method: str, metric: str, row: pd.Series, was_run: bool, note: str | None) -> str:

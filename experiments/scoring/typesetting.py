@@ -1,52 +1,24 @@
-"""A summary as it is read: a LaTeX `tabular` and a text for the terminal, of the same cells."""
+"""A summary as it is read: a LaTeX table and a text for the terminal, of the same cells."""
 
 from __future__ import annotations
 
-import math
-import re
 import textwrap
-from dataclasses import dataclass
 
 import pandas as pd
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
 from experiments.methods import title
+from experiments.metrics import Metric, metrics_of
+from experiments.published import unit_of
+from experiments.run import SCHEMES
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import NOTHING, as_quoted, plus_minus, power, rounded
 
-NOTHING = "--"
-
-_LATEX_CHARACTERS = {c: rf"\{c}" for c in "&%$#_{}"} | {
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "\\": r"\textbackslash{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-}
-
-
-@dataclass(frozen=True)
-class _Column:
-    """A metric as it is shown; one that the paper has gets two columns, paper and here."""
-
-    metric: str
-    head: str
-    legend: str
-    exponent: int = 0
-    quoted: bool = False
-    in_latex: bool = True
-
-    @property
-    def subheads(self) -> list[str]:
-        return ["paper", "here"] if self.quoted else ["here"]
-
-
-# How the paper prints an experiment's table: number of landmarks, power of ten of its MSE.
-_LAYOUTS = {"bfm": (72, -4), "celeba": (72, -5), "flame": (51, -3)}
+_METHOD = ("", "Method")
 
 
 def latex(table: pd.DataFrame, experiment: str) -> str:
-    r"""The table as a booktabs `tabular` to `\input`: methods by criteria, the paper's first.
+    r"""The table to `\input`: methods by metrics, the paper's first, and below it what they are.
 
     Args:
         table: As from `tables.summarise`.
@@ -55,32 +27,14 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
     Raises:
         InputError: Unknown experiment.
     """
-    columns = [column for column in _columns(experiment) if column.in_latex]
-    heads, rules, first = [], [], 2
-    for column in columns:
-        width = len(column.subheads)
-        heads.append(rf"\multicolumn{{{width}}}{{c}}{{{tex(column.head)}}}")
-        rules.append(rf"\cmidrule(lr){{{first}-{first + width - 1}}}")
-        first += width
-    subheads = ["Method", *(s for column in columns for s in column.subheads)]
-    lines = [
-        r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
-        rf"\begin{{tabular}}{{@{{}}l{'r' * (len(subheads) - 1)}@{{}}}}",
-        r"\toprule",
-        " & ".join(["", *heads]).lstrip() + r" \\",
-        "".join(rules),
-        " & ".join(subheads) + r" \\",
-        r"\midrule",
-        *(" & ".join(map(tex, row)) + r" \\" for row in _rows(table, columns)),
-        r"\bottomrule",
-    ]
-    below = rf"\multicolumn{{{len(subheads)}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{"
-    remarks = [rf"{below}{tex(remark)}}} \\" for remark in _remarks(table, columns)]
-    return "\n".join([*lines, *remarks, r"\end{tabular}}", ""])
+    metrics = _shown(experiment, "latex")
+    cells = _cells(table, experiment, metrics)
+    columns = "l" + "r" * (cells.shape[1] - 1)
+    return tabular(cells, columns, _remarks(table, experiment, metrics))
 
 
 def text(table: pd.DataFrame, experiment: str) -> str:
-    """The table for the terminal: the paper's criteria, the others, then what the columns are.
+    """The table for the terminal: the paper's metrics, the others, then what the columns are.
 
     Args:
         table, experiment: As for `latex`.
@@ -88,29 +42,69 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     Raises:
         InputError: Unknown experiment.
     """
-    columns = _columns(experiment)
+    metrics = _shown(experiment, "terminal")
     blocks = [
-        _block(table, [column for column in columns if column.quoted == quoted])
-        for quoted in (True, False)
+        _block(_cells(table, experiment, [m for m in metrics if m.in_paper == in_paper]))
+        for in_paper in (True, False)
     ]
     width = blocks[0].index("\n")
     remarks = [
         textwrap.fill(remark, width, subsequent_indent="    ")
-        for remark in _remarks(table, columns)
+        for remark in _remarks(table, experiment, metrics)
     ]
     return "\n".join([*blocks, *remarks, ""])
 
 
-def _block(table: pd.DataFrame, columns: list[_Column]) -> str:
-    """Some columns of the table, aligned."""
-    body = [["method", *(s for c in columns for s in c.subheads)], *_rows(table, columns)]
-    widths = [max(map(len, cells)) for cells in zip(*body, strict=True)]
+def head_of(metric: Metric, experiment: str) -> str:
+    """Name of a metric, with its unit, in the tables of an experiment."""
+    return metric.head + metric.scale.format(
+        n=_n_landmarks(experiment), power=power(unit_of(experiment, metric.id))
+    )
+
+
+def legend_of(metric: Metric, experiment: str) -> str:
+    """Definition of a metric in an experiment."""
+    better = f", {metric.better} is better" if metric.better else ""
+    return metric.legend.format(n=_n_landmarks(experiment)) + better
+
+
+def _n_landmarks(experiment: str) -> int:
+    return len(load_scheme(SCHEMES[experiment]))
+
+
+def _shown(experiment: str, output: str) -> list[Metric]:
+    return [metric for metric in metrics_of(experiment) if output in metric.shown]
+
+
+def _cells(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> pd.DataFrame:
+    """Texts of every method, a row each, under heads of two levels."""
+    by_metric = {metric: rows.set_index("method") for metric, rows in table.groupby("metric")}
+    methods = table["method"].unique()
+    cells = {_METHOD: [*map(title, methods)]}
+    for metric in metrics:
+        head, unit = head_of(metric, experiment), unit_of(experiment, metric.id)
+        rows = by_metric[metric.id].loc[methods]
+        ours = zip(rows["mean"], rows["std"], strict=True)
+        if metric.in_paper:
+            paper = zip(rows["paper_mean"], rows["paper_std"], strict=True)
+            cells[head, "paper"] = [as_quoted(*of, unit) for of in paper]
+            cells[head, "here"] = [plus_minus(*of, unit) for of in ours]
+        else:
+            cells[head, "here"] = [rounded(mean, metric.decimals) for mean, _ in ours]
+    return pd.DataFrame(cells)
+
+
+def _block(cells: pd.DataFrame) -> str:
+    """Aligned, with the heads of groups over the last of their columns."""
+    body = [[sub for _, sub in cells.columns], *cells.to_numpy().tolist()]
+    widths = [max(map(len, column)) for column in zip(*body, strict=True)]
     top, first = " " * widths[0], 1
-    for column in columns:
-        last = first + len(column.subheads) - 1
+    while first < len(widths):
+        head = cells.columns[first][0]
+        last = max(k for k, (other, _) in enumerate(cells.columns) if other == head)
         room = sum(widths[first : last + 1]) + 2 * (last - first)
-        widths[last] += max(0, len(column.head) - room)
-        top += "  " + column.head.rjust(room)
+        widths[last] += max(0, len(head) - room)
+        top += "  " + head.rjust(room)
         first = last + 1
     lines = [
         "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in body
@@ -118,93 +112,16 @@ def _block(table: pd.DataFrame, columns: list[_Column]) -> str:
     return "\n".join([top, lines[0], "-" * len(top), *lines[1:], ""])
 
 
-def tex(string: str) -> str:
-    """Text with LaTeX's special characters escaped, and ±, × and powers as mathematics."""
-    powers = re.split(r"\^(\d)", string)
-    powers[::2] = ["".join(_LATEX_CHARACTERS.get(c, c) for c in part) for part in powers[::2]]
-    powers[1::2] = [f"$^{digit}$" for digit in powers[1::2]]
-    return "".join(powers)
-
-
-def _columns(experiment: str) -> list[_Column]:
-    if experiment not in _LAYOUTS:
-        raise InputError(
-            f"experiment must be one of {', '.join(_LAYOUTS)}. Received {experiment!r}."
-        )
-    n_landmarks, exponent = _LAYOUTS[experiment]
-    return [
-        _Column(
-            "depth_corr",
-            f"depth corr. (of {n_landmarks})",
-            "trace of the landmarks' correlation matrix (the paper's avgDepthCorr), "
-            f"at most {n_landmarks}, higher is better",
-            quoted=True,
-        ),
-        _Column(
-            "mse",
-            f"MSE (×1e{exponent})",
-            "mean square over coordinates (the paper's avgMSE) after Procrustes alignment, in "
-            "squares of the min-max unit of a face, lower is better",
-            exponent=exponent,
-            quoted=True,
-        ),
-        _Column("rmse_mm", "RMSE (mm)", "root of the mean square in millimetres, a coordinate"),
-        _Column(
-            "depth_corr_across_faces",
-            "across faces",
-            "sum over landmarks of the correlation of depth across faces, "
-            f"at most {n_landmarks}, higher is better",
-        ),
-        _Column("mirrored_fraction", "mirrored", "share of faces mirrored", in_latex=False),
-        _Column("ms_per_face", "ms/face", "time of a prediction", in_latex=False),
-        _Column("n_parameters", "parameters", "trainable parameters", in_latex=False),
-    ]
-
-
-def _rows(table: pd.DataFrame, columns: list[_Column]) -> list[list[str]]:
-    """Title and cells of every method."""
-    cells = table.set_index(["method", "metric"])
-    rows = []
-    for method in table["method"].unique():
-        row = [title(method)]
-        for column in columns:
-            cell = cells.loc[(method, column.metric)]
-            if column.quoted:
-                row.append(_quoted(cell["paper_mean"], cell["paper_std"], column.exponent))
-            row.append(_measured(cell["mean"], cell["std"], column))
-        rows.append(row)
-    return rows
-
-
-def _quoted(mean: float, std: float, exponent: int) -> str:
-    """With the digits that the paper gives, not more."""
-    numbers = [f"{x / 10.0**exponent:.6g}" for x in (mean, std) if not math.isnan(x)]
-    return " ± ".join(numbers) or NOTHING
-
-
-def _measured(mean: float, std: float, column: _Column) -> str:
-    """Mean, and in the paper's columns s.d., to the first digit of the s.d. (2 to 4 decimals)."""
-    if math.isnan(mean):
-        return NOTHING
-    if column.metric == "n_parameters":
-        return f"{mean:,.0f}"
-    mean, std = mean / 10.0**column.exponent, std / 10.0**column.exponent
-    if math.isnan(std) or not column.quoted:
-        return f"{mean:.2f}"
-    decimals = min(max(2, -math.floor(math.log10(std))), 4) if std > 0 else 2
-    return f"{mean:.{decimals}f} ± {std:.{decimals}f}"
-
-
-def _remarks(table: pd.DataFrame, columns: list[_Column]) -> list[str]:
+def _remarks(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> list[str]:
     """What each column is, over how many faces, then the notes of the cells shown."""
-    remarks = [f"{column.head}: {column.legend}." for column in columns]
+    remarks = [f"{head_of(m, experiment)}: {legend_of(m, experiment)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates()
     remarks += [
         f"Here: mean (± s.d.) over {n} random subsets of {size} test faces."
         for n, size in subsets.itertuples(index=False)
     ]
     remarks.append(f"Paper: quoted from Kamyab and Azimifar. {NOTHING}: no number.")
-    shown = table[table["metric"].isin([column.metric for column in columns])]
+    shown = table[table["metric"].isin([metric.id for metric in metrics])]
     notes = shown.assign(note=shown["note"].fillna("").str.split("; ")).explode("note")
     for note, rows in notes[notes["note"] != ""].groupby("note", sort=False):
         remarks.append(f"{', '.join(map(title, rows['method'].unique()))}: {note}.")

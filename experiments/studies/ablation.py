@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 
-import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
@@ -23,9 +22,10 @@ from experiments.manifest import MANIFEST, clear_results, records_of, write_mani
 from experiments.records import write_text
 from experiments.run import Run
 from experiments.running import peak_memory_mb, stage
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import score, subsets
 from experiments.scoring.tables import to_csv
-from experiments.scoring.typesetting import tex
 from experiments.studies.variants import TITLES, VARIANTS, Variant, fewer_faces
 
 METRICS = (
@@ -130,21 +130,12 @@ def training_curve(run: Run, table: pd.DataFrame) -> pd.DataFrame:
 
 def latex(table: pd.DataFrame) -> str:
     r"""Mean and s.d. over seeds of every variant, as a booktabs `tabular` to `\input`."""
-    lines = [
-        r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
-        rf"\begin{{tabular}}{{@{{}}l{'r' * (len(HEADS) - 1)}@{{}}}}",
-        r"\toprule",
-        " & ".join(map(tex, HEADS.values())) + r" \\",
-        r"\midrule",
-    ]
-    for row in rows_of(table):
-        lines.append(" & ".join(map(tex, row)) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}}", ""])
+    return tabular(_cells(table), "l" + "r" * (len(HEADS) - 1))
 
 
 def text(table: pd.DataFrame) -> str:
     """The same for the terminal."""
-    return pd.DataFrame(rows_of(table), columns=[*HEADS.values()]).to_string(index=False)
+    return _cells(table).to_string(index=False)
 
 
 def rows_of(table: pd.DataFrame) -> list[list[str]]:
@@ -154,10 +145,13 @@ def rows_of(table: pd.DataFrame) -> list[list[str]]:
         cells = own.set_index("metric")
         row = [TITLES[variant], f"{faces:,}", f"{cells['count'].max():.0f}"]
         for metric in [*HEADS][3:]:
-            mean, std = cells.loc[metric, ["mean", "std"]] / _UNIT
-            row.append(f"{mean:.3g}" if np.isnan(std) else f"{mean:.3g} ± {std:.2g}")
+            row.append(plus_minus(*cells.loc[metric, ["mean", "std"]], _UNIT))
         rows.append(row)
     return rows
+
+
+def _cells(table: pd.DataFrame) -> pd.DataFrame:
+    return pd.DataFrame(rows_of(table), columns=[*HEADS.values()])
 
 
 def write(run: Run) -> None:

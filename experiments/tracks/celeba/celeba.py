@@ -26,7 +26,6 @@ from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
-from experiments.scoring.truths import against
 from experiments.tracks.celeba.photo_sources import photo_source
 from experiments.tracks.results import write_results
 
@@ -147,7 +146,7 @@ def main(arguments: list[str] | None = None) -> None:
         if known:
             folders.append(run.experiment_results("celeba-true-landmarks"))
             with_fit = shapes | {_FIT: fitted}
-            metrics, scores = evaluate(run, against(test, truth), with_fit, descriptions)
+            metrics, scores = evaluate(run, test.against(truth), with_fit, descriptions)
             write_results(run, folders[1], metrics, scores, notes(run, with_fit))
         stages = [load_record(run.trained, "networks")]
         stages = [*records_of(run, ("photos", "predictions", "mobileface")), *stages]

@@ -32,7 +32,6 @@ from experiments.methods import DEEP_MDS
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
-from experiments.scoring.truths import against
 from experiments.tracks.results import write_results
 
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
@@ -191,7 +190,7 @@ def main(arguments: list[str] | None = None) -> None:
         folders = [folder]
         if truth is not None:
             folders.append(run.experiment_results("flame-true-landmarks"))
-            true_test = against(test, truth)
+            true_test = test.against(truth)
             metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
             write_results(run, folders[1], metrics, scores, notes(run, scores))
         records = records_of(run, (*_STAGES, run.ringnet_stage))

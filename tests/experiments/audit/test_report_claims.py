@@ -65,7 +65,9 @@ def test_verdicts_and_evidence_are_in_both_reports(results):
 def test_ablation_is_a_table_of_its_variants(results):
     text, _ = written(results)
     assert all(head in text for head in HEADS.values())
-    assert "| Without the autoencoder | 4,800 | 5 | 2 ± 0.1 | 2 ± 0.1 | 2 ± 0.1 |" in text
+    assert (
+        "| Without the autoencoder | 4,800 | 5 | 2.00 ± 0.10 | 2.00 ± 0.10 | 2.00 ± 0.10 |" in text
+    )
 
 
 def test_an_audit_of_tables_that_changed_is_stale(results):

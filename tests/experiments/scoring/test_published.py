@@ -1,13 +1,16 @@
 """The transcription of the paper: complete, as printed, and read in plain units."""
 
 import re
+from decimal import Decimal
 
 import pandas as pd
 import pytest
 
 from deepmds_keras.io.errors import InputError
 from experiments.methods import BY_ID, METHODS, title
+from experiments.metrics import METRICS
 from experiments.published import PUBLISHED, printed, published
+from experiments.scoring.numbers import as_quoted
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +74,21 @@ def test_value_and_uncertainty_are_what_is_printed(rows):
         assert row.printed == f"{row.value} ± {row.uncertainty}"
     for row in rows[(rows["metric"] == "n_parameters") & (rows["value"] != "")].itertuples():
         assert re.sub(r"\D", "", row.printed) == row.value
+
+
+def test_a_number_is_found_again_as_it_is_printed(rows):
+    for row in rows[rows["uncertainty"] != ""].itertuples():
+        numbers = (float(Decimal(x) * Decimal(row.unit.strip("%") or 1))
+                   for x in (row.value, row.uncertainty))  # fmt: skip
+        unit = float(row.unit.strip("%") or 1)
+        assert as_quoted(*numbers, unit) == row.printed
+    assert as_quoted(0.00125, unit=1e-3) == "1.25", "also one that is not the paper's"
+
+
+def test_metrics_are_the_papers_where_it_prints_them():
+    for experiment in ("bfm", "celeba", "flame"):
+        printed = {*published(experiment)["metric"]}
+        assert printed == {m.id for m in METRICS.values() if m.in_paper}
 
 
 def test_doubtful_numbers_carry_a_note():

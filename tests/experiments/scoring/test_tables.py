@@ -5,10 +5,11 @@ import pandas as pd
 import pytest
 
 from deepmds_keras.io.errors import InputError
-from experiments.published import published
+from experiments.metrics import metrics_of
 from experiments.scoring import parameters
-from experiments.scoring.tables import METRICS, summarise, to_csv, write_tables
-from experiments.scoring.typesetting import latex, tex, text
+from experiments.scoring.latex import tabular, tex
+from experiments.scoring.tables import summarise, to_csv, write_tables
+from experiments.scoring.typesetting import latex, text
 
 NOTES = {"mobileface": "needs images: not part of this experiment yet"}
 
@@ -31,7 +32,7 @@ def metrics():
 
 @pytest.fixture
 def table(metrics):
-    return summarise(metrics, published("bfm"), NOTES, subset_size=500)
+    return summarise(metrics, "bfm", NOTES, subset_size=500)
 
 
 def line(string, start):
@@ -55,7 +56,9 @@ def test_the_root_is_taken_of_each_subset(table):
 def test_every_method_has_every_metric_and_every_empty_cell_a_reason(table):
     methods = ["mean_shape", "linear", "zhao", "aldrian", "mobileface", "ours"]
     cells = [*zip(table["method"], table["metric"], strict=True)]
-    assert cells == [(method, metric) for method in methods for metric in METRICS]
+    columns = [metric.id for metric in metrics_of("bfm")]
+    assert columns[:2] == ["depth_corr", "mse"], "the paper's first, in its order"
+    assert cells == [(method, metric) for method in methods for metric in columns]
     assert (table.loc[table["mean"].isna(), "note"] != "").all()
     reasons = table[table["mean"].isna()].groupby("method")["note"].first()
     assert reasons["aldrian"].startswith("not part of this experiment")
@@ -64,10 +67,10 @@ def test_every_method_has_every_metric_and_every_empty_cell_a_reason(table):
 def test_latex_to_the_letter(table):
     tabular = latex(table, "bfm")
     assert line(tabular, "Deep-MDS &") == (
-        r"Deep-MDS & 71.95 $\pm$ 0.002 & 71.91 $\pm$ 0.01 & 1.4 $\pm$ 0.005 & 2.00 $\pm$ 1.41"
+        r"Deep-MDS & 71.95 $\pm$ 0.002 & 71.910 $\pm$ 0.014 & 1.4 $\pm$ 0.005 & 2.0 $\pm$ 1.4"
         r" & 2.50 & -- \\"
     )
-    assert line(tabular, "Linear &") == r"Linear & -- & -- & -- & 0.02 $\pm$ 0.00 & -- & -- \\"
+    assert line(tabular, "Linear &") == r"Linear & -- & -- & -- & 0.02 & -- & -- \\"
     assert line(tabular, "MobileFace &") == (
         r"MobileFace & 71.97 $\pm$ 0.002 & -- & 0.6 $\pm$ 0.004 & -- & -- & -- \\"
     )
@@ -75,6 +78,14 @@ def test_latex_to_the_letter(table):
     assert "MobileFace: needs images: not part of this experiment yet." in tabular
     assert "2 random subsets of 500 test faces" in tabular
     assert "quoted from Kamyab and Azimifar" in tabular
+
+
+def test_the_papers_numbers_have_the_digits_that_it_prints(metrics):
+    """As floats, as which `table.csv` holds them, 0.30 and 1.50 have lost their last digit."""
+    table = summarise(metrics, "flame", {}, subset_size=500)
+    for row in ("Zhao's", "2.6 ± 0.30"), ("MediaPipe", "1.30 ± 0.19"), ("Deep-MDS", "1.50 ± 0.18"):
+        assert f" {row[1]} " in line(text(table, "flame"), row[0])
+        assert f" {tex(row[1])} & " in line(latex(table, "flame"), row[0])
 
 
 def test_latex_is_balanced(table):
@@ -86,12 +97,13 @@ def test_latex_is_balanced(table):
 
 @pytest.mark.parametrize(
     ("experiment", "head", "number"),
-    [("bfm", "MSE (×1e-4)", "2.00"), ("celeba", "MSE (×1e-5)", "20.00")],
+    [("bfm", "MSE (10⁻⁴)", "2.0"), ("celeba", "MSE (10⁻⁵)", "20")],
 )
 def test_errors_are_in_the_unit_of_the_papers_table(metrics, experiment, head, number):
-    table = summarise(metrics, published(experiment), {}, subset_size=500)
+    table = summarise(metrics, experiment, {}, subset_size=500)
     assert head in text(table, experiment)
     assert f" {number} ± " in line(text(table, experiment), "Deep-MDS ")
+    assert tex(head) in latex(table, experiment)
 
 
 def test_terminal_columns_are_aligned(table):
@@ -103,7 +115,16 @@ def test_terminal_columns_are_aligned(table):
 
 
 def test_special_characters_are_escaped():
-    assert tex("50 % of a_b ± n^2 > 0") == (r"50 \% of a\_b $\pm$ n$^2$ \textgreater{} 0")
+    assert tex("50 % of a_b ± n^2 > −10⁻³") == (
+        r"50 \% of a\_b $\pm$ n$^{2}$ \textgreater{} $-$10$^{-3}$"
+    )
+
+
+def test_a_table_over_pages_repeats_its_heads():
+    long = tabular(pd.DataFrame({"Claim": ["a & b"], "Where": ["–"]}), "ll", over_pages=True)
+    assert line(long, "a ") == r"a \& b & -- \\"
+    assert long.count(r"Claim & Where \\") == 2
+    assert long.count("{") == long.count("}")
 
 
 def test_files(metrics, tmp_path):
@@ -124,13 +145,16 @@ def test_files(metrics, tmp_path):
 
 
 def test_unusable_metrics_are_refused(metrics):
-    quoted = published("bfm")
     with pytest.raises(InputError, match=r"one row for each .* Received ours, mse, 0.0 twice"):
-        summarise(pd.concat([metrics, metrics]), quoted, {}, subset_size=5)
+        summarise(pd.concat([metrics, metrics]), "bfm", {}, subset_size=5)
     with pytest.raises(InputError, match=r"must have columns .* Received method, metric"):
-        summarise(metrics.drop(columns="subset"), quoted, {}, subset_size=5)
+        summarise(metrics.drop(columns="subset"), "bfm", {}, subset_size=5)
     with pytest.raises(InputError, match=r"method must be one of .* Received 'mystery'"):
-        summarise(metrics.replace("linear", "mystery"), quoted, {}, subset_size=5)
+        summarise(metrics.replace("linear", "mystery"), "bfm", {}, subset_size=5)
+    with pytest.raises(InputError, match=r"metric must be one of mse, .* Received 'mystery'"):
+        summarise(metrics.replace("mse", "mystery"), "bfm", {}, subset_size=5)
+    with pytest.raises(InputError, match=r"experiment must be one of bfm, .* Received 'lfw'"):
+        summarise(metrics, "lfw", {}, subset_size=5)
 
 
 def test_parameters_are_counted_from_the_networks(metrics):

@@ -1,0 +1,163 @@
+"""The metrics of the tables, a row each: whoever adds a row has added a column."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepmds_keras.metrics import depth_corr_across_faces
+from experiments.published import published
+
+if TYPE_CHECKING:
+    from experiments.scoring.scores import Scores
+
+_REPORT = frozenset({"report"})
+_TERMINAL = _REPORT | {"terminal"}
+_ALL = _TERMINAL | {"latex"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A metric and the column that shows it.
+
+    At most one of `per_face`, `per_subset` and `derived` says how it is computed. Without any, the
+    stage that predicts measures it and writes it, under the id, into its description.
+
+    Attributes:
+        id: As in `metrics.csv` and `table.csv`.
+        head: Its name in tables.
+        legend: Definition, for below the tables; `{n}` stands for the number of landmarks.
+        scale: What follows the name in the table of one experiment: `{n}` as above, `{power}` the
+            power of ten in which the paper prints the metric there.
+        better: `"higher"`, `"lower"`, or empty: neither.
+        per_face: `(n,)` values of the faces of `Scores`; a subset has their mean but for NaN.
+        per_subset: A number from the `Scores` of those faces of a subset that were found.
+        derived: Id of another metric and a function of its value on each subset. `metrics.csv`
+            holds the other metric only.
+        in_paper: Whether the paper prints it. Such a metric has two columns, paper and here, and is
+            compared by Wilcoxon's test.
+        decimals: Of a mean that is shown without its s.d.; None: three significant digits.
+        shown: Outputs with this column, of `"latex"`, `"terminal"` and `"report"`; the CSV files
+            hold every metric.
+        tracks: Where it is measured; None: everywhere.
+    """
+
+    id: str
+    head: str
+    legend: str
+    scale: str = ""
+    better: str = ""
+    per_face: Callable[[Scores], np.ndarray] | None = None
+    per_subset: Callable[[Scores], float] | None = None
+    derived: tuple[str, Callable[[np.ndarray], np.ndarray]] | None = None
+    in_paper: bool = False
+    decimals: int | None = None
+    shown: frozenset[str] = _ALL
+    tracks: tuple[str, ...] | None = None
+
+    def is_of(self, track: str) -> bool:
+        """Whether it is measured on a track."""
+        return self.tracks is None or track in self.tracks
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether the stage that predicts measures it."""
+        return not (self.per_face or self.per_subset or self.derived)
+
+
+# In the order of `metrics.csv`.
+METRICS = {
+    metric.id: metric
+    for metric in (
+        Metric(
+            id="mse",
+            head="MSE",
+            scale=" ({power})",
+            legend="mean square over coordinates (the paper's avgMSE) after Procrustes alignment "
+            "with scale and reflection, in squares of the min-max unit of a face",
+            better="lower",
+            per_face=lambda scores: scores.mse,
+            in_paper=True,
+        ),
+        Metric(
+            id="mse_mm2",
+            head="MSE (mm²)",
+            legend="the same in square millimetres",
+            better="lower",
+            per_face=lambda scores: scores.mse * scores.unit_mm**2,
+            shown=_REPORT,
+        ),
+        Metric(
+            id="rmse_mm",
+            head="RMSE (mm)",
+            legend="root of the mean square in millimetres, per coordinate",
+            better="lower",
+            derived=("mse_mm2", np.sqrt),
+            decimals=2,
+        ),
+        Metric(
+            id="depth_corr",
+            head="Depth correlation",
+            scale=" (of {n})",
+            legend="trace of the landmarks' correlation matrix (the paper's avgDepthCorr), at most "
+            "{n}",
+            better="higher",
+            per_face=lambda scores: scores.depth_corr,
+            in_paper=True,
+        ),
+        Metric(
+            id="depth_corr_across_faces",
+            head="Across faces",
+            legend="sum over landmarks of the correlation of depth across faces, at most {n}",
+            better="higher",
+            per_subset=lambda scores: depth_corr_across_faces(scores.aligned, scores.truth),
+            decimals=2,
+        ),
+        Metric(
+            id="mirrored_fraction",
+            head="Mirrored",
+            legend="share of faces that the alignment had to reflect",
+            per_face=lambda scores: scores.mirrored,
+            decimals=2,
+            shown=_TERMINAL,
+        ),
+        Metric(
+            id="found_fraction",
+            head="Found",
+            legend="share of photos in which a method found the face",
+            per_face=lambda scores: scores.found,
+            decimals=2,
+            shown=_TERMINAL,
+            tracks=("flame",),  # where methods look for the face in a photo
+        ),
+        Metric(
+            id="ms_per_face",
+            head="ms/face",
+            legend="time of a prediction",
+            shown=_TERMINAL,
+        ),
+        Metric(
+            id="n_parameters",
+            head="Parameters",
+            legend="trainable parameters",
+            shown=_TERMINAL,
+        ),
+    )
+}
+
+
+def metrics_of(experiment: str) -> list[Metric]:
+    """Metrics of the tables of an experiment: the paper's first, in its order.
+
+    Args:
+        experiment: `"bfm"`, `"celeba"` or `"flame"`.
+
+    Raises:
+        InputError: Unknown experiment.
+    """
+    order = [*dict.fromkeys(published(experiment)["metric"])]
+    own = [metric for metric in METRICS.values() if metric.is_of(experiment)]
+    return sorted(own, key=lambda m: order.index(m.id) if m.in_paper else len(order))

@@ -1,0 +1,64 @@
+r"""Tables as LaTeX to `\input`: pandas' Styler writes them, for the package booktabs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import pandas as pd
+
+_CHARACTERS = {c: rf"\{c}" for c in "&%$#_{}"} | {
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "\\": r"\textbackslash{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "±": r"$\pm$",
+    "×": r"$\times$",
+    "−": "$-$",
+    "–": "--",
+}
+_SUPERSCRIPTS = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
+_AS_DIGITS = str.maketrans(_SUPERSCRIPTS, "-0123456789")
+
+
+def tabular(
+    cells: pd.DataFrame, columns: str, notes: Sequence[str] = (), *, over_pages: bool = False
+) -> str:
+    r"""A table in small type, with booktabs' rules.
+
+    Args:
+        cells: Texts. Where its columns have two levels, the upper ones are heads of groups.
+        columns: Types of the columns, as `tabular` takes them.
+        notes: To stand below a table of one page, a paragraph each.
+        over_pages: Whether it is a `longtable`, which may be broken.
+    """
+    styler = cells.style.format(tex).format_index(tex, axis=1).hide(axis=0)
+    body = styler.to_latex(
+        column_format=f"@{{}}{columns}@{{}}",
+        hrules=True,
+        multicol_align="c",
+        environment="longtable" if over_pages else None,
+    )
+    if cells.columns.nlevels > 1:  # Styler has no rules below the heads of groups
+        body = body.replace("\\\\\n", f"\\\\\n{_rules(cells.columns)}\n", 1)
+    below = rf"\multicolumn{{{cells.shape[1]}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{%s}} \\"
+    rows = "".join(f"{below % tex(note)}\n" for note in notes)
+    body = body.replace(r"\end{tabular}", rf"{rows}\end{{tabular}}")
+    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body.rstrip()}}}\n"
+
+
+def tex(string: str) -> str:
+    """Text with LaTeX's special characters escaped, and ±, × and powers as mathematics."""
+    powers = re.split(rf"\^(\d)|([{_SUPERSCRIPTS}]+)", string)
+    plain, raised = powers[::3], zip(powers[1::3], powers[2::3], strict=True)
+    escaped = ["".join(_CHARACTERS.get(c, c) for c in part) for part in plain]
+    exponents = [f"$^{{{a or b.translate(_AS_DIGITS)}}}$" for a, b in raised]
+    return "".join(part for pair in zip(escaped, [*exponents, ""], strict=True) for part in pair)
+
+
+def _rules(columns: pd.MultiIndex) -> str:
+    """A rule below each head of a group."""
+    heads = [*columns.get_level_values(0)]
+    places = {head: [k for k, other in enumerate(heads, 1) if other == head] for head in heads}
+    return "".join(rf"\cmidrule(lr){{{k[0]}-{k[-1]}}}" for head, k in places.items() if head)
