@@ -14,10 +14,9 @@ from experiments.methods import title
 from experiments.report import wording
 from experiments.report.experiment import COMMANDS, REPORT, Experiment
 from experiments.report.report_tables import metric_head
-from experiments.report.summaries import better_than_ours, measured, with_unit
+from experiments.report.summaries import better_than_ours, error, measured, printed
 from experiments.scoring.numbers import (
     NOTHING,
-    as_quoted,
     duration,
     factor,
     moment,
@@ -48,10 +47,8 @@ def at_a_glance(experiments: list[Experiment]) -> Table | None:
         rows.append(
             {
                 "Experiment": f"[{heading_of(own)}](#{own.name})",
-                "Deep-MDS, MSE: here": with_unit(plus_minus(ours["mean"], ours["std"], unit), unit),
-                "Deep-MDS, MSE: paper": with_unit(
-                    as_quoted(ours["paper_mean"], ours["paper_std"], unit), unit
-                ),
+                "Deep-MDS, MSE: here": error(ours, unit),
+                "Deep-MDS, MSE: paper": printed(ours, unit),
                 "Deep-MDS, MSE: ratio": NOTHING if pd.isna(ratio) else f"×{factor(ratio)}",
                 "Mean shape, MSE": f"{plus_minus(constant, unit=unit)} × {power(unit)}",
                 "Methods that err less": f"{len(better)} of {len(others)}",
@@ -145,28 +142,28 @@ def empty_cells(experiments: list[Experiment]) -> Table | None:
 
 def environment(experiments: list[Experiment]) -> Table:
     """Machine, packages and face model, and which experiments had another one."""
-    values: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for own in experiments:
-        made = own.manifest
-        facts = {
-            "Machine": made["platform"],
-            "Processor": made.get("processor", "not recorded"),
-            "Python": made["python"],
-            **made["packages"],
-            "Face model (sha256)": made["model_sha256"],
-        }
-        for name, value in facts.items():
-            values[name][value].append(own.name)
-    rows = [
-        (
-            name,
-            "; ".join(
-                value if len(by_value) == 1 else f"{value} ({', '.join(owners)})"
-                for value, owners in by_value.items()
-            ),
+    made = {own.name: own.manifest for own in experiments}
+    facts = pd.DataFrame(
+        [
+            {
+                "Machine": own["platform"],
+                "Processor": own.get("processor", "not recorded"),
+                "Python": own["python"],
+                **own["packages"],
+                "Face model (sha256)": own["model_sha256"],
+            }
+            for own in made.values()
+        ],
+        index=[*made],
+    )
+    rows = []
+    for name, column in facts.items():
+        values = column.groupby(column, sort=False)
+        owners = (
+            f"{value} ({', '.join(own.index)})" if values.ngroups > 1 else value
+            for value, own in values
         )
-        for name, by_value in values.items()
-    ]
+        rows.append((name, "; ".join(owners)))
     heads = ["What", "Version"]
     return Table("What computed the numbers.", pd.DataFrame(rows, columns=heads), tuple(heads))
 

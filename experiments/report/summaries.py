@@ -64,11 +64,11 @@ def summary(experiment: Experiment, others: list[Experiment]) -> str:
 
 def _against_the_paper(experiment: Experiment, mse: pd.DataFrame) -> str:
     ours, unit = mse.loc[_OURS], experiment.mse_unit
-    sentence = f"{title(_OURS)} has an MSE of {_error(ours, unit)}"
+    sentence = f"{title(_OURS)} has an MSE of {error(ours, unit)}"
     if pd.isna(ours["paper_mean"]):
         return f"{sentence}; the paper prints none."
     ratio = factor(ours["mean"] / ours["paper_mean"])
-    return f"{sentence}, {ratio} times the {_printed(ours, unit)} that the paper prints."
+    return f"{sentence}, {ratio} times the {printed(ours, unit)} that the paper prints."
 
 
 def _against_the_others(experiment: Experiment, mse: pd.DataFrame) -> str:
@@ -112,10 +112,10 @@ def _of_released_evaluator(
     net, perfect = mse.loc[nets[0]], mse.loc[_PERFECT]
     first = (
         "Scored as the authors' script scores Zhao's net, the true depth itself has an MSE of "
-        f"{_error(perfect, unit)}, {factor(perfect['mean'] / net['paper_mean'])} times the "
-        f"{_printed(net, unit)} that the paper prints for that net."
+        f"{error(perfect, unit)}, {factor(perfect['mean'] / net['paper_mean'])} times the "
+        f"{printed(net, unit)} that the paper prints for that net."
     )
-    second = f'The net (row "{title(nets[0])}") has {_error(net, unit)}'
+    second = f'The net (row "{title(nets[0])}") has {error(net, unit)}'
     if beside is not None and nets[0] in (fair := measured(beside)).index:
         ratio = factor(net["mean"] / fair.loc[nets[0], "mean"])
         second += f", {ratio} times the error that it has when scored like every other method"
@@ -147,11 +147,11 @@ def _of_seeds(experiment: Experiment) -> str:
 def _of_parameters(experiment: Experiment) -> str:
     table = experiment.table().set_index("method")
     ours, known = table.loc[_OURS], table["trainable"].dropna()
-    printed = f"{int(ours['paper']):,}" if ours["paper"].isdigit() else ours["paper"]
+    theirs = f"{int(ours['paper']):,}" if ours["paper"].isdigit() else ours["paper"]
     most = known.idxmax()
     first = (
         f"{title(_OURS)} has {ours['trainable']:,.0f} trainable parameters where the paper prints "
-        f"{printed}; {title(most)} has the most, {known[most]:,.0f}."
+        f"{theirs}; {title(most)} has the most, {known[most]:,.0f}."
     )
     others = table[~table.index.isin(_SAME_METHOD)]
     timed = others["ms_per_face"].dropna()
@@ -165,14 +165,15 @@ def _of_parameters(experiment: Experiment) -> str:
     )
 
 
-def with_unit(number: str, unit: float) -> str:
-    """A number as `numbers.plus_minus` has it, in a power of ten."""
+def error(row: pd.Series, unit: float) -> str:
+    """An error of ours, mean and s.d. in a power of ten."""
+    return _in_unit(plus_minus(row["mean"], row["std"], unit), unit)
+
+
+def printed(row: pd.Series, unit: float) -> str:
+    """The paper's number in its place, if there is one."""
+    return _in_unit(as_quoted(row["paper_mean"], row["paper_std"], unit), unit)
+
+
+def _in_unit(number: str, unit: float) -> str:
     return number if number == NOTHING else f"({number}) × {power(unit)}"
-
-
-def _error(row: pd.Series, unit: float) -> str:
-    return with_unit(plus_minus(row["mean"], row["std"], unit), unit)
-
-
-def _printed(row: pd.Series, unit: float) -> str:
-    return with_unit(as_quoted(row["paper_mean"], row["paper_std"], unit), unit)
