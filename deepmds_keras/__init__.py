@@ -13,7 +13,7 @@ _HOME = {
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",
     "embed": "embedding",
-    "head_pose": "pose",
+    "head_pose": "camera",
     "normalise": "normalisation",
     "pair_features": "proximities",
     "read_photo": "photos",

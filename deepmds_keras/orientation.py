@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from deepmds_keras.camera import orthographic_cameras
+
 
 def front_landmark(shapes: np.ndarray) -> int:
     """0-based number of the landmark that is on average most in front: `(n, L, 3)` → int."""
@@ -13,8 +15,7 @@ def front_landmark(shapes: np.ndarray) -> int:
 def face_front(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> np.ndarray:
     """Turn shapes over their frontal views, the front landmark towards the viewer.
 
-    The rotation is the scaled-orthographic pose: least squares of the affine camera, whose two
-    rows are then made orthonormal.
+    The rotation is that of the scaled orthographic camera that sees the shape as its view.
 
     Args:
         shapes: `(n, L, 3)` shapes in any orientation, mirrored or not.
@@ -24,14 +25,8 @@ def face_front(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> 
     Returns:
         `(n, L, 3)` turned shapes: x, y centred on the frontal view, mean z 0.
     """
-    centre = frontal.mean(1, keepdims=True)
-    shapes = shapes - shapes.mean(1, keepdims=True)
-    camera = np.linalg.pinv(shapes) @ (frontal - centre)
-    u, _, vt = np.linalg.svd(camera, full_matrices=False)
-    right_up = np.swapaxes(u @ vt, 1, 2)
-    forward = np.cross(right_up[:, 0], right_up[:, 1])
-    axes = np.concatenate([right_up, forward[:, None]], axis=1)
-    turned = shapes @ np.swapaxes(axes, 1, 2)
+    rotations, _, _ = orthographic_cameras(frontal, shapes)
+    turned = (shapes - shapes.mean(1, keepdims=True)) @ np.swapaxes(rotations, 1, 2)
     turned[..., 2] *= np.where(turned[:, front_landmark, 2] < 0, -1, 1)[:, None]
-    turned[..., :2] += centre
+    turned[..., :2] += frontal.mean(1, keepdims=True)
     return turned

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
-from data_gen.models.landmark_transfer import similarity
+from deepmds_keras.alignment import align, procrustes
 from deepmds_keras.io.archives import read_npz
 from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.io.errors import InputError
@@ -95,7 +95,7 @@ def _bounds(prior: IdentityPrior) -> tuple[np.ndarray, np.ndarray]:
 def _directions(prior: IdentityPrior, average: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """`(P, 3L)` what a parameter at 1 does to the landmarks, up to similarity, in ICT's frame."""
     unit = np.linalg.norm(average[CANTHI[0]] - average[CANTHI[1]])
-    scale, rotation, _ = similarity(average / unit, goal)
+    rotation, scale, _ = procrustes(average / unit, goal, reflection=False)
     slopes = (prior.positive - prior.negative) / np.where(prior.one_sided, 1, 2)[:, None, None]
     moves = np.einsum("ps,slj->plj", prior.mixing, slopes) @ rotation * (scale / unit)
     here = (average - average.mean(0)) / unit @ rotation * scale
@@ -124,7 +124,7 @@ def _ict_covariance(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _covariance(faces: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """`(3L, 3L)` landmark covariance in ICT's frame, similarity removed."""
     faces, mean = _generalised_procrustes(faces.astype(float))
-    _, rotation, _ = similarity(mean, goal)
+    rotation, _, _ = procrustes(mean, goal, reflection=False)
     return np.cov((faces @ rotation).reshape(len(faces), -1).T)
 
 
@@ -132,11 +132,7 @@ def _generalised_procrustes(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Aligned `(n, L, 3)` faces and their mean, the outer canthi of which are 1 apart."""
     mean = faces[0]
     for _ in range(5):
-        goal = mean - mean.mean(0)
-        centred = faces - faces.mean(1, keepdims=True)
-        u, singular, vt = np.linalg.svd(np.einsum("nki,kj->nij", centred, goal))
-        scale = singular.sum(1) / (centred**2).sum((1, 2))
-        aligned = centred @ (u @ vt) * scale[:, None, None]
+        aligned = align(faces, mean - mean.mean(0))
         mean = aligned.mean(0)
         unit = np.linalg.norm(mean[CANTHI[0]] - mean[CANTHI[1]])
         mean = mean / unit

@@ -7,6 +7,7 @@ from sklearn.utils.extmath import randomized_svd
 
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.makehuman import MakeHumanAssets
+from deepmds_keras.alignment import procrustes
 
 N_COMPONENTS = 199  # as many as the Basel Face Model has
 ALIGNMENT_ROUNDS = 4
@@ -26,12 +27,10 @@ def align_rigidly(heads: np.ndarray, head: Head, progress=iter) -> np.ndarray:
     face = np.flatnonzero(head.masks["face"] > 0.5)
     mean = _symmetric_mean(heads, head)
     for _ in progress(range(ALIGNMENT_ROUNDS)):
-        goal = mean[face] - mean[face].mean(0)
         for start in range(0, len(heads), CHUNK):
             chunk = heads[start : start + CHUNK]
-            centred = chunk - chunk[:, face].mean(1, keepdims=True)
-            u, _, vt = np.linalg.svd(np.einsum("nki,kj->nij", centred[:, face], goal))
-            chunk[:] = centred @ (u @ vt)
+            rotation, _, _ = procrustes(chunk[:, face], mean[face], scaling=False)
+            chunk[:] = (chunk - chunk[:, face].mean(1, keepdims=True)) @ rotation
         mean = _symmetric_mean(heads, head)
     return mean
 

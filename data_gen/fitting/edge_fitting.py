@@ -47,31 +47,24 @@ class EdgeFit:
 
     Attributes:
         identity: `(K,)` standard-normal coefficients, from -3 to 3.
-        rotation: `(3, 3)` from the frame of the model to the camera's, to be multiplied from the
-            left: +x to the right of the image, +y up, +z towards the viewer.
-        scale: Pixels per millimetre.
-        translation: `(2,)` pixels, x right and y down, where the model's origin is seen.
+        camera: From the frame of the model to pixels, but y up.
         rms: Root mean square distance of the projected from the given landmarks, pixels.
-        edge_distance: Mean distance of the outline from the edges that it was last matched with,
-            pixels; NaN where there were none, and the fit is of landmarks alone.
-        edge_share: Share of the outline that was matched with edges.
+        edge_share: Share of the outline that was matched with edges; 0 where there were none, and
+            the fit is of landmarks alone.
         n_rounds: How often outline and edges were matched.
         converged: Whether the last round changed next to nothing.
     """
 
     identity: np.ndarray
-    rotation: np.ndarray
-    scale: float
-    translation: np.ndarray
+    camera: OrthographicCamera
     rms: float
-    edge_distance: float
     edge_share: float
     n_rounds: int
     converged: bool
 
     def project(self, vertices: np.ndarray) -> np.ndarray:
         """Where points of the model are seen: `(..., 3)` mm → `(..., 2)` pixels, y down."""
-        return self.scale * vertices @ (self.rotation[:2].T * (1, -1)) + self.translation
+        return self.camera.project(vertices) * (1, -1)
 
 
 class EdgeFitter:
@@ -148,11 +141,11 @@ class EdgeFitter:
         except InputError as error:
             raise InputError(f"landmarks, here with y turned up: {error}") from None
         # Pixels a millimetre at the start, throughout: by its own, a smaller face would fit better.
-        unit = start.scale
+        pose = start.camera
+        unit = pose.scale
         edges = edges_about(landmarks, image, _AROUND * unit, round(unit / _PIXELS_PER_MM))
         edges = ImageEdges(edges.points * (1, -1), edges.normals * (1, -1))
         matcher = EdgeMatcher(edges, _REACH * unit, _TURN * unit)
-        pose = OrthographicCamera(start.rotation, start.scale, start.translation)
         identity = start.identity.clip(-_BOX, _BOX)
         converged, n_rounds = False, 0
         while not converged and n_rounds < _MAX_ROUNDS:
@@ -179,11 +172,8 @@ class EdgeFitter:
         missed = pose.project(self._mean + np.tensordot(identity, self._basis, 1)) - targets
         return EdgeFit(
             identity=identity,
-            rotation=pose.rotation,
-            scale=float(pose.scale),
-            translation=pose.translation * (1, -1),
+            camera=pose,
             rms=float(np.sqrt((missed**2).sum(1).mean())),
-            edge_distance=float(np.abs(distances).mean()) if len(near) else np.nan,
             edge_share=float(outline.shares.sum()),
             n_rounds=n_rounds,
             converged=converged,

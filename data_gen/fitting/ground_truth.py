@@ -83,7 +83,7 @@ class GroundTruth:
                 f"moved after {fit.n_iterations} iterations."
             )
         shape = self._model.shape(fit.identity, fit.expression)
-        posed = shape @ fit.rotation.T
+        posed = shape @ fit.camera.rotation.T
         surface, landmarks = posed[: self._n_surface], posed[self._n_surface :]
         tree = KDTree(points)
         found = _register(surface, tree)
@@ -94,7 +94,7 @@ class GroundTruth:
                 f"{'' if found.converged else ', still moving'}."
             )
         gaps, nearest = tree.query(landmarks @ found.rotation.T + found.translation)
-        rotation = found.rotation @ fit.rotation
+        rotation = found.rotation @ fit.camera.rotation
         truth = (points[nearest] - found.translation) @ rotation
         fitted = shape[self._n_surface :]
         return Registration(fit, found, truth, fitted, gaps, (rotation, found.translation))

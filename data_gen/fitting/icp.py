@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from deepmds_keras.alignment import procrustes
 from deepmds_keras.io.errors import InputError
 
 _MIN_POINTS = 3  # fewer leave the rotation open
@@ -36,10 +37,6 @@ class IcpResult:
     overlap: float
     n_iterations: int
     converged: bool
-
-    def move(self, points: np.ndarray) -> np.ndarray:
-        """Points of the source to where the target has them, `(..., 3)` mm."""
-        return points @ self.rotation.T + self.translation
 
 
 def icp(
@@ -106,7 +103,8 @@ def icp(
             rms = np.inf
             break
         pairs = centred[kept], tree.data[nearest[kept]]
-        found, found_middle = _rigid_motion(*pairs)
+        turned, _, found_middle = procrustes(*pairs, scaling=False, reflection=False)
+        found = turned.T
         rms = np.sqrt(((pairs[0] @ found.T + found_middle - pairs[1]) ** 2).sum(1).mean())
         motion = np.linalg.norm(centred @ found.T + found_middle - moved, axis=1).max()
         converged = bool(motion <= tolerance)
@@ -132,18 +130,6 @@ def icp(
         n_iterations=n_iterations,
         converged=converged,
     )
-
-
-def _rigid_motion(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares rotation, never a reflection, and translation of paired points.
-
-    Umeyama 1991, doi:10.1109/34.88573, without scale.
-    """
-    source_centre, target_centre = source.mean(0), target.mean(0)
-    u, _, vt = np.linalg.svd((target - target_centre).T @ (source - source_centre))
-    u[:, 2] *= np.sign(np.linalg.det(u @ vt))
-    rotation = u @ vt
-    return rotation, target_centre - rotation @ source_centre
 
 
 def _points(label: str, points: np.ndarray) -> np.ndarray:

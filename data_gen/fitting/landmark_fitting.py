@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data_gen.fitting.orthographic_camera import N_POSE, OrthographicCamera
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.camera import orthographic_cameras
 from deepmds_keras.io.errors import InputError
 
 _DAMPING = 1e-3  # of the first step, as a share of the diagonal
@@ -26,10 +27,7 @@ class LandmarkFit:
     Attributes:
         identity: `(K,)` standard-normal coefficients.
         expression: `(E,)` weights, or None where the fit was of neutral faces.
-        rotation: `(3, 3)` from the frame of the model to the camera's, to be multiplied from the
-            left: +x to the right of the image, +y up, +z towards the viewer.
-        scale: Pixels per millimetre.
-        translation: `(2,)` pixels, where the model's origin is seen.
+        camera: From the frame of the model to pixels, y up.
         rms: Root mean square distance of the projected from the given landmarks, pixels.
         n_iterations: Steps tried.
         converged: Whether the last step changed the cost by less than the tolerance.
@@ -37,16 +35,10 @@ class LandmarkFit:
 
     identity: np.ndarray
     expression: np.ndarray | None
-    rotation: np.ndarray
-    scale: float
-    translation: np.ndarray
+    camera: OrthographicCamera
     rms: float
     n_iterations: int
     converged: bool
-
-    def project(self, vertices: np.ndarray) -> np.ndarray:
-        """Where points of the model are seen: `(..., 3)` mm → `(..., 2)` pixels, y up."""
-        return self.scale * vertices @ self.rotation[:2].T + self.translation
 
 
 class LandmarkFitter:
@@ -175,9 +167,7 @@ class LandmarkFitter:
         return LandmarkFit(
             identity=coefficients[: self._n_identity],
             expression=expression if self._has_expression else None,
-            rotation=pose.rotation,
-            scale=float(pose.scale),
-            translation=pose.project(-self._centre),
+            camera=replace(pose, translation=pose.project(-self._centre)),
             rms=float(noise * np.sqrt((residuals**2).sum(1).mean())),
             n_iterations=n_iterations,
             converged=converged,
@@ -199,15 +189,11 @@ class LandmarkFitter:
 
 
 def _starting_pose(shape: np.ndarray, points: np.ndarray) -> OrthographicCamera:
-    """The scaled orthographic camera nearest to the best affine one, of centred landmarks."""
-    translation = points.mean(0)
-    affine = np.linalg.lstsq(shape, points - translation, rcond=None)[0].T
-    u, sizes, vt = np.linalg.svd(affine, full_matrices=False)
-    rows = u @ vt
-    rotation = np.vstack([rows, np.cross(*rows)])
+    """The camera that sees the mean face about as the points are."""
+    (rotation,), (scale,), (translation,) = orthographic_cameras(points[None], shape[None])
     if rotation[2, 2] <= 0:
         raise InputError(
             "points must be of a face seen from in front, x to the right and y up. "
             "Received one seen from behind or mirrored."
         )
-    return OrthographicCamera(rotation, sizes.mean(), translation)
+    return OrthographicCamera(rotation, scale, translation)

@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from data_gen.models.mesh import largest_component, vertex_normals
+from deepmds_keras.alignment import procrustes
 from deepmds_keras.io.errors import InputError
 
 MIN_ANCHORS = 6
@@ -29,12 +30,10 @@ class Transfer(NamedTuple):
 
     Attributes:
         vertices: `(L,)` target vertex numbers, all distinct.
-        surface_residual: Mean distance in mm from the fitted source points to the target surface.
         snap: `(L,)` mm, from where a landmark was carried to the vertex that it took.
     """
 
     vertices: np.ndarray
-    surface_residual: float
     snap: np.ndarray
 
 
@@ -76,7 +75,9 @@ def transfer_landmarks(
         if not extent[2] > 1e-3 * extent[0]:
             raise InputError(f"{label} must not lie in one plane. Received extents {extent}.")
     # The source is bent, so the target is brought to it: every length below is in the source's mm.
-    scale, rotation, shift = similarity(source_mean[source_anchors], target_mean[target_anchors])
+    rotation, scale, shift = procrustes(
+        source_mean[source_anchors], target_mean[target_anchors], reflection=False
+    )
     target_mean = (target_mean - shift) @ rotation.T / scale
     target = _Skin(target_mean, target_triangles)
     n_needed = max(len(source_landmarks), _CANDIDATES)
@@ -105,9 +106,8 @@ def transfer_landmarks(
             np.concatenate([feet[matched], anchors_to]),
             smoothing=smoothing,
         )
-    gap, _ = target.tree.query(moved[zone])
     nearest, snap = _distinct_nearest(moved[source_landmarks], target.tree)
-    return Transfer(target.vertices[nearest], float(gap.mean()), snap)
+    return Transfer(target.vertices[nearest], snap)
 
 
 class _Skin:
@@ -126,16 +126,6 @@ class _Skin:
         best = near[np.arange(len(points)), fits.argmax(axis=1)]
         height = np.einsum("nd,nd->n", points - self.points[best], self.normals[best])
         return points - height[:, None] * self.normals[best], fits.any(axis=1)
-
-
-def similarity(source: np.ndarray, target: np.ndarray):
-    """Least-squares `source * scale @ rotation + shift`; Umeyama 1991, doi:10.1109/34.88573."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    u, s, vt = np.linalg.svd(a.T @ b)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * sign) @ vt
-    scale = (s * sign).sum() / (a**2).sum()
-    return scale, rotation, target.mean(axis=0) - scale * source.mean(axis=0) @ rotation
 
 
 def _bend(points, source, target, *, smoothing):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from sklearn.base import BaseEstimator
 
+from deepmds_keras.camera import affine_cameras, orthographic_cameras
 from deepmds_keras.checks import check_faces, check_points
 from deepmds_keras.io.errors import InputError
 
 CAMERAS = ("affine", "orthographic")
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB
-MAX_CONDITION = 1e10  # beyond it a shape is flat to rounding and leaves its affine camera open
+FLAT = 1e-5  # depth of a shape, as a share of its length, that leaves its affine camera open
 
 
 class Aldrian(BaseEstimator):
@@ -18,7 +19,7 @@ class Aldrian(BaseEstimator):
 
     Aldrian and Smith 2013 (doi:10.1109/TPAMI.2012.206), geometric part. Given the camera the
     coefficients have a closed form, `solve_shape`; given the shape so has the camera,
-    `estimate_camera`. The first camera sees the mean face. Coefficients are standard normal, so
+    `affine_cameras`. The first camera sees the mean face. Coefficients are standard normal, so
     with the true noise `regularisation=1` makes each solve a maximum a posteriori estimate.
 
     An affine camera can pass for part of the identity (stretched or sheared faces), where only
@@ -100,7 +101,7 @@ class Aldrian(BaseEstimator):
         moving = np.arange(len(views))
         while len(moving) and rounds.max() < self.max_iter:
             seen, before = views[moving], coefficients[moving]
-            camera = estimate_camera(seen, _shapes(before, mean, basis), self.camera)
+            camera = _cameras(seen, _shapes(before, mean, basis), self.camera)
             seen_shape_noise = self.shape_noise * np.linalg.norm(camera[..., :3], axis=2)
             precision = 1 / (noise[moving] ** 2 + seen_shape_noise**2)
             after = solve_shape(camera, seen, mean, basis, precision, self.regularisation, gram)
@@ -111,6 +112,9 @@ class Aldrian(BaseEstimator):
 
     def _checked_model(self):
         mean = check_points(self.mean, "mean", 3)[0]
+        extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
+        if extents[2] < FLAT * extents[0]:
+            raise InputError("mean must not be flat. Received landmarks in one plane.")
         basis = np.asarray(self.basis_times_sd, float)
         if basis.ndim != 3 or basis.shape[1:] != mean.shape or not np.isfinite(basis).all():
             raise InputError(
@@ -127,35 +131,13 @@ class Aldrian(BaseEstimator):
         return mean, basis
 
 
-def estimate_camera(views: np.ndarray, shapes: np.ndarray, camera: str = "affine") -> np.ndarray:
-    """Least-squares affine camera of each face, or the scaled orthographic one nearest to it.
-
-    Centring is all that is kept of the normalising similarities of the normalised DLT: without
-    a projective row they change the rounding of the affine solution, not the solution.
-
-    Args:
-        views: `(n, L, 2)`.
-        shapes: `(n, L, 3)`.
-        camera: `"affine"` or `"orthographic"`.
-
-    Returns:
-        `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
-
-    Raises:
-        InputError: A flat shape, which leaves the camera open.
-    """
-    view_centre, shape_centre = views.mean(1), shapes.mean(1)
-    centred = shapes - shape_centre[:, None]
-    scatter = np.swapaxes(centred, 1, 2) @ centred
-    if np.linalg.cond(scatter).max() > MAX_CONDITION:
-        raise InputError("shapes must not be flat. Received landmarks in one plane.")
-    moments = np.swapaxes(centred, 1, 2) @ (views - view_centre[:, None])
-    linear = np.swapaxes(np.linalg.solve(scatter, moments), 1, 2)
-    if camera == "orthographic":
-        u, size, vt = np.linalg.svd(linear, full_matrices=False)
-        linear = size.mean(1)[:, None, None] * (u @ vt)
-    shift = view_centre - np.einsum("nrd,nd->nr", linear, shape_centre)
-    return np.concatenate([linear, shift[..., None]], axis=2)
+def _cameras(views, shapes, kind):
+    """`(n, 2, 4)` cameras of that kind, mapping `(x, y, z, 1)` to the view."""
+    if kind == "affine":
+        return affine_cameras(views, shapes)
+    rotations, scales, translations = orthographic_cameras(views, shapes)
+    linear = scales[:, None, None] * rotations[:, :2]
+    return np.concatenate([linear, translations[..., None]], axis=2)
 
 
 def gram_matrices(basis_times_sd: np.ndarray) -> np.ndarray:

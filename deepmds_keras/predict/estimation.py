@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 import deepmds_keras
+from deepmds_keras.camera import HeadPose, head_poses
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import SIZES
-from deepmds_keras.pose import HeadPose, head_poses
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.weights import pretrained_path
 

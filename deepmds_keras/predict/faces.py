@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.pose import HeadPose
+from deepmds_keras.camera import HeadPose
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from data_gen.views.projections import Cameras, camera_angles, in_camera_frame, project, rotations
 from deepmds_keras import InputError, align, embed, pair_features
 from deepmds_keras.alignment import is_mirrored
+from deepmds_keras.camera import head_pose
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.metrics import depth_corr, mse, wilcoxon_table
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.orientation import face_front
-from deepmds_keras.pose import head_pose
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import N_LANDMARKS, read_landmarks
 from deepmds_keras.predict.outputs import write_outputs

@@ -86,7 +86,7 @@ def fitted(photo: PhotoSample, landmark_model: MorphableModel, fitter: EdgeFitte
         "status": np.array(USED),
         "landmarks": shape,
         "pixels": pixels,
-        "rotation": fit.rotation,
+        "rotation": fit.camera.rotation,
     }
 
 

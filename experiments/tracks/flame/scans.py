@@ -113,7 +113,7 @@ def _registered(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | N
         "landmarks": found.landmarks,
         "fitted": found.fitted,
         "gaps": found.gaps,
-        "rotation": found.fit.rotation,
+        "rotation": found.fit.camera.rotation,
         "fit_rms": np.array(found.fit.rms),
         "icp_rms": np.array(found.icp.rms),
     }

@@ -95,7 +95,7 @@ def test_the_truth_is_found_where_the_detector_makes_no_error(model, ideal):
     found = GroundTruth(model).register(pixels, points)
     distance = np.linalg.norm(found.landmarks - landmarks, axis=1)
     assert np.median(distance) < 2 and distance.max() < 12
-    assert np.allclose(found.fit.rotation, rotations(camera)[0], atol=0.08)
+    assert np.allclose(found.fit.camera.rotation, rotations(camera)[0], atol=0.08)
     assert found.icp.converged and found.icp.rms < 1.5
     # Every landmark is a point of the scan, brought back into the frame of the model.
     rotation, translation = found.model_to_scan

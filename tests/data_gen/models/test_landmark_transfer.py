@@ -55,7 +55,6 @@ def test_landmarks_are_found_on_the_same_face_renumbered_turned_and_scaled(head,
     on_skin = skin_landmarks(head)
     hidden = number[head.landmarks["bfm72"]]
     np.testing.assert_array_equal(found.vertices[on_skin], hidden[on_skin])
-    assert found.surface_residual < 0.01
     assert found.snap[on_skin].max() < 0.1
 
 
@@ -90,7 +89,6 @@ def test_open_head_landmarks_land_on_those_of_ict(head, kind):
     assert np.median(error) < 3  # measured: 2.2 (names), 2.5 (eos)
     # eos has no anchor at the ear: its jaw angles slide; measured: 8.9 (names), 15.6 (eos)
     assert error.max() < (17 if kind == "eos" else 10)
-    assert found.surface_residual < 1
 
 
 def test_vertices_are_distinct_even_where_landmarks_meet(head, anchors):

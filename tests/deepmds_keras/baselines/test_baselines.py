@@ -6,7 +6,7 @@ import pytest
 from sklearn.base import clone
 
 from deepmds_keras.alignment import align
-from deepmds_keras.baselines.aldrian import Aldrian, estimate_camera, solve_shape
+from deepmds_keras.baselines.aldrian import Aldrian, solve_shape
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net, normalise_view
@@ -225,18 +225,6 @@ def test_aldrian_solve_is_the_ridge_solution_of_the_stacked_system(model, rng):
         right = np.concatenate([-weight * b, np.zeros(N_COMPONENTS)])
         expected = np.linalg.lstsq(rows, right, rcond=None)[0]
         np.testing.assert_allclose(found[face], expected, rtol=1e-8)
-
-
-def test_affine_camera_is_recovered_and_orthographic_has_equal_orthogonal_rows(faces, rng):
-    shapes = faces[1]
-    truth = rng.normal(size=(len(shapes), 2, 4))
-    views = shapes @ np.swapaxes(truth[..., :3], 1, 2) + truth[:, None, :, 3]
-    np.testing.assert_allclose(estimate_camera(views, shapes), truth, atol=1e-9)
-    linear = estimate_camera(views, shapes, "orthographic")[..., :3]
-    gram = linear @ np.swapaxes(linear, 1, 2)
-    np.testing.assert_allclose(gram, gram[:, :1, :1] * np.eye(2), atol=1e-12)
-    # No other scale is nearer to the affine camera.
-    np.testing.assert_allclose(((truth[..., :3] - linear) * linear).sum((1, 2)), 0, atol=1e-8)
 
 
 def test_aldrian_trains_nothing(model):

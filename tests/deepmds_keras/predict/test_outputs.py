@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from deepmds_keras import InputError, __version__
+from deepmds_keras.camera import head_pose
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.pose import head_pose
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import FORMATS, wireframe_edges, write_outputs

@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from data_gen.models.openhead import load_openhead
+from deepmds_keras.camera import HeadPose, head_pose
 from deepmds_keras.normalisation import normalise
-from deepmds_keras.pose import HeadPose, head_pose
 from deepmds_keras.predict.cutout import cut_out
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.page import json_in_html, wireframe_script, write_page

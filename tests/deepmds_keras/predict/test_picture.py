@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from data_gen.models.openhead import load_openhead
+from deepmds_keras.camera import head_pose
 from deepmds_keras.normalisation import normalise
-from deepmds_keras.pose import head_pose
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.picture import draw_face, draw_summary, write_picture
 

@@ -1,15 +1,70 @@
-"""The pose of a head: how a 3D shape must be turned, scaled and moved to be seen as its view."""
+"""Cameras that see given shapes as given views, affine or scaled orthographic: a head's pose."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.errors import InputError
+
+
+class OrthographicCameras(NamedTuple):
+    """Scaled orthographic cameras: `view = scale * (shape @ rotation.T)[:, :2] + translation`.
+
+    Attributes:
+        rotations: `(n, 3, 3)`, of determinant 1, to be multiplied from the left.
+        scales: `(n,)` units of the view for a unit of the shape.
+        translations: `(n, 2)` where the shape's origin is seen.
+    """
+
+    rotations: np.ndarray
+    scales: np.ndarray
+    translations: np.ndarray
+
+
+def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return the affine camera of each face that has the least squared distances in its view.
+
+    Centring is all that is kept of the normalising similarities of the normalised DLT: without
+    a projective row they change the rounding of the solution, not the solution. Of a flat shape,
+    which leaves the camera open, the smallest is taken.
+
+    Args:
+        views: `(n, L, 2)`.
+        shapes: `(n, L, 3)`.
+
+    Returns:
+        `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
+    """
+    seen, centre = views.mean(1, keepdims=True), shapes.mean(1, keepdims=True)
+    linear = np.linalg.pinv(shapes - centre) @ (views - seen)
+    return np.swapaxes(np.concatenate([linear, seen - centre @ linear], axis=1), 1, 2)
+
+
+def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> OrthographicCameras:
+    """Return the scaled orthographic camera of each face that is nearest to its affine one.
+
+    Of the affine camera's matrix, the nearest rotation times a scale (the POS algorithm of
+    DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
+    minimise the distances in the image over rotations instead would not do: shapes are estimates,
+    and the pitch of a nearly frontal one then depends on their errors most.
+
+    Args:
+        views: `(n, L, 2)`.
+        shapes: `(n, L, 3)`.
+    """
+    linear = np.swapaxes(affine_cameras(views, shapes)[..., :3], 1, 2)
+    u, sizes, vt = np.linalg.svd(linear, full_matrices=False)
+    rows = np.swapaxes(u @ vt, 1, 2)
+    rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
+    scales = sizes.mean(1)
+    seen = scales[:, None] * np.einsum("nrd,nd->nr", rows, shapes.mean(1))
+    return OrthographicCameras(rotations, scales, views.mean(1) - seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +125,6 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
 def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
     """`head_pose` of many faces; one that is mirrored comes out as seen from behind.
 
-    The best affine camera, and of its matrix the nearest rotation times a scale (the POS algorithm
-    of DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
-    minimise the distances in the image over rotations instead would not do: shapes are estimates,
-    and the pitch of a nearly frontal one then depends on their errors most.
-
     Args:
         views: `(n, L, 2)`, y up.
         shapes: `(n, L, 3)` as for `head_pose`.
@@ -88,20 +138,15 @@ def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
             "view and shape must have the same faces and landmarks. "
             f"Received {views.shape[:2]} and {shapes.shape[:2]}."
         )
-    centre, seen = shapes.mean(1, keepdims=True), views.mean(1, keepdims=True)
-    u, sizes, vt = np.linalg.svd(np.linalg.pinv(shapes - centre) @ (views - seen), False)
-    rows = np.swapaxes(u @ vt, 1, 2)
-    rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
-    scales = sizes.mean(1)
-    turned = scales[:, None, None] * np.swapaxes(rows, 1, 2)
-    translations = seen - centre @ turned
-    off = shapes @ turned + translations - views
+    rotations, scales, translations = orthographic_cameras(views, shapes)
+    projected = scales[:, None, None] * (shapes @ np.swapaxes(rotations[:, :2], 1, 2))
+    off = projected + translations[:, None] - views
     residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # from straight above, yaw is as good as roll
         angles = Rotation.from_matrix(rotations).as_euler("yxz", degrees=True) * (1, -1, 1)
     return [
-        HeadPose(*angle, rotation, scale, translation[0], residual)
+        HeadPose(*angle, rotation, scale, translation, residual)
         for angle, rotation, scale, translation, residual in zip(
             angles.tolist(),
             rotations,

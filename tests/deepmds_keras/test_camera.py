@@ -1,4 +1,4 @@
-"""Head poses: what was turned is found turned, by the angles that the data are made with."""
+"""Cameras and head poses: what was turned is found turned, by the angles of the data."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import Cameras, camera_angles, project
 from deepmds_keras import InputError
-from deepmds_keras.pose import head_pose, head_poses
+from deepmds_keras.camera import affine_cameras, head_pose, head_poses, orthographic_cameras
 
 N = 40
 ANGLES = ("yaw", "pitch", "roll")
@@ -31,6 +31,21 @@ def shape():
 
 def seen(shape, turned, scale=1.0, shift=(0, 0)):
     return scale * project(np.stack([shape] * len(turned.yaw)), turned) + shift
+
+
+def test_affine_cameras_are_recovered_and_orthographic_are_the_nearest():
+    rng = np.random.default_rng(0)
+    shapes, truth = rng.normal(size=(8, 20, 3)), rng.normal(size=(8, 2, 4))
+    views = shapes @ np.swapaxes(truth[..., :3], 1, 2) + truth[:, None, :, 3]
+    np.testing.assert_allclose(affine_cameras(views, shapes), truth, atol=1e-9)
+    rotations, scales, translations = orthographic_cameras(views, shapes)
+    np.testing.assert_allclose(rotations @ np.swapaxes(rotations, 1, 2), [np.eye(3)] * 8, atol=1e-9)
+    assert np.allclose(np.linalg.det(rotations), 1)
+    # No other scale is nearer to the affine camera.
+    linear = scales[:, None, None] * rotations[:, :2]
+    np.testing.assert_allclose(((truth[..., :3] - linear) * linear).sum((1, 2)), 0, atol=1e-8)
+    seen = (linear @ shapes.mean(1)[..., None])[..., 0] + translations
+    np.testing.assert_allclose(seen, views.mean(1))
 
 
 def test_the_angles_scale_and_place_of_a_view_are_found(shape):
