@@ -6,9 +6,9 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.face_models import TITLES
 from experiments.figures.style import colour
 from experiments.manifest import MANIFEST
-from experiments.markup.markdown import markdown
+from experiments.markup.markdown import Table, markdown
 from experiments.methods import METHODS, title
-from experiments.report import overview, report_tables, wording
+from experiments.report import method_tables, overview, report_tables, wording
 from experiments.report.experiment import Experiment
 from experiments.report.summaries import summary
 from experiments.scoring.numbers import size
@@ -75,16 +75,16 @@ def _section(experiment: Experiment, experiments: list[Experiment]) -> dict:
         "summary": summary(experiment, experiments),
         "claims": listed(read_claims(claims), TITLES) if claims else None,
         "tables": [] if claims else _tables(experiment),
-        "tests": report_tables.wilcoxon_table(experiment) if compared else None,
+        "tests": method_tables.wilcoxon_table(experiment) if compared else None,
         "n_faces": len(examples["faces"]) if examples else 0,
-        "faces": report_tables.faces_table(experiment, examples) if examples else None,
+        "faces": method_tables.faces_table(experiment, examples) if examples else None,
         "figures": known | {n: text for n, text in figures.items() if n not in known},
         "stages": report_tables.stages_table(experiment),
         "files": [name for name in (*experiment.manifest["files"], MANIFEST) if "/" not in name],
     }
 
 
-def _tables(experiment: Experiment) -> list[report_tables.Table]:
+def _tables(experiment: Experiment) -> list[Table]:
     if not experiment.has("table.csv"):
         return []
     if experiment.base == "parameters":
@@ -94,6 +94,6 @@ def _tables(experiment: Experiment) -> list[report_tables.Table]:
     if not experiment.compared:
         return [report_tables.plain_table(experiment)]
     return [
-        report_tables.criteria_table(experiment),
-        report_tables.other_criteria_table(experiment),
+        method_tables.criteria_table(experiment),
+        method_tables.other_criteria_table(experiment),
     ]
