@@ -72,10 +72,9 @@ class Experiment:
         return self.has("metrics.csv") and self.has("table.csv") and "paper_mean" in self.table()
 
     @property
-    def figures(self) -> dict[str, Path]:
-        """Name to PNG file."""
-        names = re.findall(r"(?m)^figures/(.+)\.png$", "\n".join(self.manifest["files"]))
-        return {name: self.folder / "figures" / f"{name}.png" for name in names}
+    def figures(self) -> list[str]:
+        """Names of its pictures, in order of the alphabet."""
+        return sorted(re.findall(r"(?m)^figures/(.+)\.png$", "\n".join(self.manifest["files"])))
 
     @property
     def examples(self) -> dict | None:

@@ -64,10 +64,7 @@ def _section(experiment: Experiment, experiments: list[Experiment]) -> dict:
     claims = experiment.folder / "claims.csv" if experiment.has("claims.csv") else None
     compared = experiment.compared and not claims
     examples = experiment.examples
-    figures = {
-        name: f"{name.replace('_', ' ').capitalize()}." for name in sorted(experiment.figures)
-    }
-    known = {name: text for name, text in wording.FIGURES.items() if name in figures}
+    order = [*wording.FIGURES, *experiment.figures]
     return {
         "name": experiment.name,
         "title": overview.heading_of(experiment),
@@ -78,7 +75,10 @@ def _section(experiment: Experiment, experiments: list[Experiment]) -> dict:
         "tests": method_tables.wilcoxon_table(experiment) if compared else None,
         "n_faces": len(examples["faces"]) if examples else 0,
         "faces": method_tables.faces_table(experiment, examples) if examples else None,
-        "figures": known | {n: text for n, text in figures.items() if n not in known},
+        "figures": {
+            name: wording.FIGURES.get(name, f"{name.replace('_', ' ').capitalize()}.")
+            for name in sorted(experiment.figures, key=order.index)
+        },
         "stages": report_tables.stages_table(experiment),
         "files": [name for name in (*experiment.manifest["files"], MANIFEST) if "/" not in name],
     }
