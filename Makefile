@@ -198,12 +198,16 @@ pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
 
-test: | $(READY) ## all tests
-	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
-	MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
+# Two at a time: a stage keeps about a core busy.
+PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
-nightly: | $(READY) ## 50 kills, full disks and flipped bytes, thousands of damaged files   (1 to 2 h)
-	KILLS=50 FUZZ=20 $(PY) -m pytest tests/experiments/test_faults.py tests/data_gen/test_fuzzing.py
+test: | $(READY) ## the tests, but for what takes long                (5 min)
+	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
+	$(PYTEST) -n 2 --dist loadfile -m 'not slow'
+
+nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1 h)
+	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
+	KILLS=40 FUZZ=10 $(PYTEST)
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

@@ -1,8 +1,11 @@
-"""The two sizes at which every experiment runs: the paper's, and one to see that it works."""
+"""Sizes at which every experiment runs: the paper's, a small one to see that it works, a tiny one.
+
+Stages are tested at the last.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,4 +157,29 @@ SMOKE = Preset(
     streamed_faces=1_000,
     faces_per_file=100,
 )
-PRESETS = {preset.name: preset for preset in (PAPER, SMOKE)}
+# Of the tests. A prime number of steps above 50 is a call each: what is traced is one step, not a
+# loop of them, which takes longer than to train.
+TINY = replace(
+    SMOKE,
+    name="tiny",
+    train_faces=53 * 16,
+    test_faces=10,
+    frame_subjects=2,
+    frames=53 * 16,
+    scan_subjects=2,
+    scans=12,
+    photos=12,
+    autoencoder_epochs=3,
+    dissimilarity_steps=53,
+    zhao_steps=53,
+    train_images=32,
+    mobileface_steps=1,
+    ring_subjects=4,
+    ringnet_steps=1,
+    subset_size=8,
+    timed_faces=1,
+    training_sizes=(53,),
+    streamed_faces=100,
+    faces_per_file=10,
+)
+PRESETS = {preset.name: preset for preset in (PAPER, SMOKE, TINY)}

@@ -16,14 +16,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import faults
 import psutil
+import runs
+from places import ROOT
 
 from deepmds_keras.io.errors import InputError
 
 _NAMES = ("JOBLIB_BACKEND", "DASK_ADDRESS", "RAY_ADDRESS")
-ALONE = {name: value for name, value in faults.ENVIRONMENT.items() if name not in _NAMES} | {
-    "PYTHONPATH": f"{faults.ROOT}{os.pathsep}{faults.ROOT / 'tests'}"
+ALONE = {name: value for name, value in runs.ENVIRONMENT.items() if name not in _NAMES} | {
+    "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"
 }
 
 

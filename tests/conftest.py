@@ -2,12 +2,16 @@
 
 import multiprocessing
 import os
+import pickle
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-import faults
 import pytest
+import runs
+from filelock import FileLock
+from places import MEDIAPIPE
 from threadpoolctl import threadpool_limits
 
 # As `make` has it, before TensorFlow is loaded: sums in one order on every processor.
@@ -23,17 +27,64 @@ def apart():
 
 
 @pytest.fixture(scope="session")
-def whole_bfm(tmp_path_factory):
-    """The BFM experiment at the smallest size, which nothing disturbed: nobody may write to it.
+def once(tmp_path_factory):
+    """Makes a run that tests only read, once for all processes of pytest: `once(name, build)`."""
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
 
-    Scored without MobileFace, whose table is kept apart, then with it.
-    """
-    folder = tmp_path_factory.mktemp("whole")
-    first = faults.measure(("faces", "networks", "predictions", "bfm"), folder)
+    def once(name: str, build: Callable[[Path], runs.Measured]) -> runs.Measured:
+        made = root / f"{name}.pickle"
+        with FileLock(root / f"{name}.lock"):
+            if not made.exists():
+                (root / name).mkdir()
+                made.write_bytes(pickle.dumps(build(root / name)))
+        return pickle.loads(made.read_bytes())
+
+    return once
+
+
+def _bfm(folder: Path, *more: str) -> runs.Measured:
+    """Scored without MobileFace, whose table is kept apart, then with it."""
+    first = runs.measure(("faces", "networks", "predictions", "bfm"), folder, *more)
     (table,) = (folder / "results").glob("*/*/bfm/table.csv")
     shutil.copy(table, folder / "without_mobileface.csv")
-    second = faults.measure(("images", "mobileface", "bfm"), folder)
-    return faults.Measured(folder, first.seconds | second.seconds, first.sizes | second.sizes)
+    second = runs.measure(("images", "mobileface", "bfm"), folder, *more)
+    return runs.Measured(folder, first.seconds | second.seconds, first.sizes | second.sizes)
+
+
+@pytest.fixture(scope="session")
+def whole_bfm(once):
+    """The BFM experiment at the smallest size, which nothing disturbed: nobody may write to it."""
+    return once("bfm", lambda folder: _bfm(folder, "--jobs", "1"))
+
+
+@pytest.fixture(scope="session")
+def smoke_bfm(once):
+    """The same at the size that users can ask for, for tests that take long."""
+    return once("bfm-smoke", lambda folder: _bfm(folder, "--preset", "smoke"))
+
+
+@pytest.fixture(scope="session")
+def whole_flame(once):
+    """The FLAME experiment on the stand-ins; without MediaPipe's environment, without its stage."""
+    stages = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
+    if MEDIAPIPE.exists():
+        stages.insert(2, "mediapipe")
+    more = ("--track", "flame", "--jobs", "1")
+    return once("flame", lambda folder: runs.measure(stages, folder, *more))
+
+
+@pytest.fixture(scope="session")
+def whole_celeba(once, whole_bfm):
+    """The CelebA experiment on the stand-in, after the BFM track."""
+
+    def build(folder):
+        shutil.copytree(whole_bfm.folder / "build", folder / "build")
+        stages = ("photos", "predictions", "mobileface", "celeba")
+        return runs.measure(stages, folder, "--track", "celeba", "--jobs", "1")
+
+    return once("celeba", build)
 
 
 @pytest.fixture(scope="module")

@@ -7,23 +7,17 @@ stopped, running it again must end with the same tables as a run that nothing di
 from __future__ import annotations
 
 import csv
-import functools
 import hashlib
 import os
-import resource
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from runs import Measured, Stage, files_in, kill_group
 
-ROOT = Path(__file__).parents[1]
-# `make` sets the same; a stage that runs alone is as deterministic as its threads.
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
 ONE_THREAD = {
     name: "1"
     for name in (
@@ -31,58 +25,9 @@ ONE_THREAD = {
         *("TF_NUM_INTRAOP_THREADS", "TF_NUM_INTEROP_THREADS"),
     )
 }
-STAGES = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
 LONG = ("networks", "ablation", "photos", "ringnet")  # at work before a second one has started
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _EARLIEST = 0.2  # share of a stage's time in which it only starts
-
-
-def command(stage: str, folder: Path, *more: str) -> list[str]:
-    """A stage at the smallest size, with `build` and `results` in a folder."""
-    return [
-        sys.executable, "-m", "experiments", stage, "--preset", "smoke",
-        "--build", str(folder / "build"), "--results", str(folder / "results"), *more,
-    ]  # fmt: skip
-
-
-def run(
-    stage: str, folder: Path, *more: str, threads: dict[str, str] | None = None
-) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        command(stage, folder, *more),
-        cwd=ROOT, env=ENVIRONMENT | (threads or {}), capture_output=True, text=True,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A run that nothing disturbed.
-
-    Attributes:
-        folder: Of its `build` and `results`.
-        seconds: How long each stage took.
-        sizes: Bytes of each file that a stage wrote, by its name in the folder.
-    """
-
-    folder: Path
-    seconds: dict[str, float]
-    sizes: dict[str, dict[Path, int]]
-
-
-def measure(stages: Sequence[str], folder: Path, *more: str) -> Measured:
-    """Run stages one after the other; the numbers are of the last run of each."""
-    seconds, sizes = {}, {}
-    for stage in stages:
-        before, start = _stamps(folder), time.perf_counter()
-        done = run(stage, folder, *more)
-        assert done.returncode == 0, done.stderr
-        seconds[stage] = time.perf_counter() - start
-        sizes[stage] = {
-            path.relative_to(folder): path.stat().st_size
-            for path, stamp in _stamps(folder).items()
-            if before.get(path) != stamp
-        }
-    return Measured(folder, seconds, sizes)
 
 
 @dataclass(frozen=True)
@@ -170,7 +115,7 @@ class Storm:
             self.starve(stage)
             self.finish(stage, threads)
         for group in self._groups:  # a process whose parent was killed ends by itself, but later
-            _kill_group(group)
+            kill_group(group)
 
     def starve(self, stage: str) -> None:
         """Run a stage with too little room for what it has yet to write."""
@@ -180,7 +125,7 @@ class Storm:
         missing = [size for name, size in sizes if not (self.folder / name).exists()]
         self.disk.leave(self.rng.uniform(0, 0.9), missing)
         before = _digests(self.folder)
-        self._ended("full disk", stage, self._start(stage), before)
+        self._ended("full disk", self._start(stage), before)
         self.disk.clear()
 
     def kill(self, stage: str) -> None:
@@ -191,62 +136,46 @@ class Storm:
         while True:
             before, start = _digests(self.folder), time.perf_counter()
             process = self._start(stage)
-            try:
-                process.wait(longest * self.rng.uniform(_EARLIEST, 1))
-            except subprocess.TimeoutExpired:
-                process.kill() if alone else _kill_group(process.pid)
+            if process.wait(longest * self.rng.uniform(_EARLIEST, 1)) is None:
+                process.kill(alone)
                 if process.wait() != 0:  # not at its end in that very moment
-                    self._ended("killed alone" if alone else "killed", stage, process, before)
+                    self._ended("killed alone" if alone else "killed", process, before)
                     return
             longest = time.perf_counter() - start
-            self._ended("done", stage, process, before)
+            self._ended("done", process, before)
             self._undo(stage)  # for the next one to have work
 
     def finish(self, stage: str, threads: dict[str, str]) -> None:
         """Run a stage to its end; a long one together with a second, which is to give way."""
         before = _digests(self.folder)
-        more = ("--jobs", "1") if threads else ()
-        processes = [self._start(stage, *more, threads=threads)]
+        processes = [self._start(stage, *("--jobs", "1") * bool(threads), environment=threads)]
         if stage in LONG:
-            processes.append(self._start(stage))
-        said = [process.communicate()[1] for process in processes]
-        for process, words in sorted(
-            zip(processes, said, strict=True), key=lambda pair: -pair[0].returncode
-        ):
-            what = "refused" if process.returncode == 2 else "done"
-            self._ended(what, stage, process, before, words)
+            # It starts as late as the first, if that one has its libraries to load.
+            processes.append(self._start(stage, environment=threads))
+        for process in processes:
+            process.wait()
+        for process in sorted(processes, key=lambda own: -own.wait()):
+            self._ended("refused" if process.wait() == 2 else "done", process, before)
 
     def _undo(self, stage: str) -> None:
         """Delete what a stage wrote."""
         for name in self.reference.sizes[stage]:
             (self.folder / name).unlink(missing_ok=True)
 
-    def _start(self, stage: str, *more: str, threads: dict[str, str] | None = None):
-        limit = self.disk.limit
-        limit_files = None if limit is None else functools.partial(
-            resource.setrlimit, resource.RLIMIT_FSIZE, (limit, limit)
-        )  # fmt: skip
-        process = subprocess.Popen(
-            command(stage, self.folder, *self.more, *more),
-            cwd=ROOT,
-            # On another disk, since it stays behind where every process of a stage is killed.
-            env=ENVIRONMENT | {"JOBLIB_TEMP_FOLDER": str(self.folder.parent)} | (threads or {}),
-            start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-            preexec_fn=limit_files,
+    def _start(self, stage: str, *more: str, environment: dict[str, str] | None = None) -> Stage:
+        # Where every process of a stage is killed, what joblib has on a disk stays behind.
+        process = Stage(
+            stage, self.folder, *self.more, *more, environment=environment or None,
+            limit=self.disk.limit, scratch=self.folder.parent,
         )  # fmt: skip
         self._groups.append(process.pid)
         return process
 
-    def _ended(self, what: str, stage: str, process, before: dict, said: str | None = None) -> None:
-        if said is None:
-            # Not to its end: processes whose parent was killed alone have it open for longer.
-            said = "" if what == "killed alone" else process.communicate()[1]
-        process.stderr.close()
-        after = _digests(self.folder)
+    def _ended(self, what: str, process: Stage, before: dict) -> None:
+        done, after = process.done(), _digests(self.folder)
         changed = frozenset(path for path, digest in before.items() if after.get(path) != digest)
         added = frozenset(after.keys() - before.keys())
-        self.events.append(Event(what, stage, process.wait(), said, changed, added))
+        self.events.append(Event(what, process.stage, done.returncode, done.stderr, changed, added))
 
 
 def tables(folder: Path) -> dict[str, list[list[str]]]:
@@ -284,24 +213,8 @@ def flips(content: bytes, n: int, rng: np.random.Generator) -> list[tuple[int, i
     return [*zip(positions.tolist(), rng.integers(1, 256, n).tolist(), strict=True)]
 
 
-def _files(folder: Path) -> list[Path]:
-    """Files but those with temporary names, the locks among them."""
-    return [path for path in folder.rglob("[!.]*") if path.is_file()]
-
-
-def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
-    return {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in _files(folder)}
-
-
 def _digests(folder: Path) -> dict[Path, str]:
     return {
         path.relative_to(folder): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in _files(folder)
+        for path in files_in(folder)
     }
-
-
-def _kill_group(group: int) -> None:
-    try:
-        os.killpg(group, signal.SIGKILL)
-    except ProcessLookupError:
-        return

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from places import ROOT, SHARED
 from scipy.io import savemat
 
 from data_gen.datasets import casia
@@ -31,8 +32,6 @@ from deepmds_keras.training import Recipe
 from experiments.presets import PAPER, PRESETS, SMOKE
 from experiments.run import AUTHORS_FILES, EVALUATORS, Run
 
-ROOT = Path(__file__).parents[1]
-SHARED = ROOT.parent / "shared"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 

@@ -37,11 +37,10 @@ from mutations import damaged
 from PIL import Image, features
 from scipy.io import savemat
 from scipy.sparse import coo_array, csc_matrix, csr_matrix
-from test_casia import asc, vrml
-from test_coma import write_ply
-from test_landmark_files import LAYOUTS, written
-from test_model_files import write_h5, write_ict_folder, write_ict_npz
-from test_plain_pickle import LYING, PYTHON2, Calls, chumpy_pickle
+from writers.landmark_files import LAYOUTS, written
+from writers.models import write_h5, write_ict_folder, write_ict_npz
+from writers.pickles import LYING, PYTHON2, Calls, chumpy_pickle
+from writers.scans import asc, vrml, write_ply
 
 from data_gen.datasets.casia import CasiaScan, load_scan, read_index, write_index
 from data_gen.datasets.celeba import CelebaImage, find_images, load_image

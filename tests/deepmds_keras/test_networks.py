@@ -1,17 +1,16 @@
 """Both networks: their sizes as published, their wiring, and the authors' weights in them."""
 
-from pathlib import Path
-
 import keras
 import numpy as np
 import pytest
+from places import SHARED
 
 from deepmds_keras import DeepMDS, InputError, build_autoencoder, build_dissimilarity_net
 from deepmds_keras.networks import forward
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import VARIANTS
 
-RELEASED = Path(__file__).parents[3] / "shared" / "released" / "bfm"
+RELEASED = SHARED / "released" / "bfm"
 
 
 def trainable(network):

@@ -14,11 +14,14 @@ import clusters
 import distributed
 import faults
 import pytest
+import runs
+from places import ROOT
 
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.tasks import unordered
 
+pytestmark = pytest.mark.slow
 _COMMAND = """
 import sys
 from experiments.running import exit_on_user_error
@@ -49,10 +52,10 @@ def client(dask):
 
 
 @pytest.fixture
-def copy_of_whole(whole_bfm, tmp_path):
+def copy_of_whole(smoke_bfm, tmp_path):
     """A copy of the undisturbed run, without images, tables and their records."""
     folder = tmp_path / "run"
-    shutil.copytree(whole_bfm.folder / "build", folder / "build")
+    shutil.copytree(smoke_bfm.folder / "build", folder / "build")
     (work,) = folder.glob("build/*/*")
     shutil.rmtree(work / "images")
     for name in ("images", "mobileface", "bfm"):
@@ -78,7 +81,7 @@ def assert_as_undisturbed(folder, whole):
     """The experiment's last stages, here, make the same tables of the same files."""
     (record,) = whole.glob("build/*/*/mobileface.json")  # whose predictions were kept
     shutil.copy(record, folder / record.relative_to(whole))
-    done = faults.run("bfm", folder)
+    done = runs.run("bfm", folder, "--preset", "smoke")
     assert done.returncode == 0, done.stderr
     assert len(faults.tables(folder)) >= 3
     assert faults.tables(folder) == faults.tables(whole)
@@ -92,7 +95,7 @@ def assert_as_undisturbed(folder, whole):
     assert sum(path.suffix == ".npy" for path in arrays) == 4
 
 
-def test_images_are_the_same_though_dask_loses_a_worker(dask, client, copy_of_whole, whole_bfm):
+def test_images_are_the_same_though_dask_loses_a_worker(dask, client, copy_of_whole, smoke_bfm):
     def at_work():
         return [address for address, tasks in client.processing().items() if tasks]
 
@@ -106,10 +109,10 @@ def test_images_are_the_same_though_dask_loses_a_worker(dask, client, copy_of_wh
     assert command.poll() is None
     finish(command)
     assert len(client.scheduler_info()["workers"]) == 2
-    assert_as_undisturbed(copy_of_whole, whole_bfm.folder)
+    assert_as_undisturbed(copy_of_whole, smoke_bfm.folder)
 
 
-def test_images_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, whole_bfm):
+def test_images_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, smoke_bfm):
     folder = tmp_path / "ray"
     folder.mkdir()
 
@@ -124,7 +127,7 @@ def test_images_are_the_same_though_ray_loses_a_worker(tmp_path, copy_of_whole, 
         ).kill()
         assert command.poll() is None
         finish(command)
-    assert_as_undisturbed(copy_of_whole, whole_bfm.folder)
+    assert_as_undisturbed(copy_of_whole, smoke_bfm.folder)
 
 
 def test_a_stream_is_the_same_though_dask_loses_a_worker(dask, client, copy_of_whole, tmp_path):
@@ -137,7 +140,7 @@ def test_a_stream_is_the_same_though_dask_loses_a_worker(dask, client, copy_of_w
     os.kill(processes[busy], signal.SIGKILL)
     assert command.poll() is None
     finish(command)
-    done = faults.run("stream", alone, "--jobs", "1")
+    done = runs.run("stream", alone, "--preset", "smoke", "--jobs", "1")
     assert done.returncode == 0, done.stderr
     files = sorted(alone.rglob("stream/*/*.npz"))
     assert len(files) == 20
@@ -194,7 +197,7 @@ def test_what_is_no_cluster_is_refused_on_one_line(environment, missing, words):
         }
         done = subprocess.run(
             [sys.executable, "-c", _COMMAND, *missing],
-            cwd=faults.ROOT, capture_output=True, text=True,
+            cwd=ROOT, capture_output=True, text=True,
             env=clusters.ALONE | {k: value.format(**at) for k, value in environment.items()},
         )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")

@@ -2,14 +2,14 @@
 
 import shutil
 
-import faults
 import numpy as np
 import pytest
+import runs
 
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS
-from experiments.presets import SMOKE
+from experiments.presets import TINY
 from experiments.run import Run
 from experiments.tracks.predictions import fitted
 
@@ -18,7 +18,7 @@ from experiments.tracks.predictions import fitted
 def batched(whole_bfm, tmp_path):
     """The BFM experiment with the predictions of the batched solver in place of scikit-learn's."""
     shutil.copytree(whole_bfm.folder / "build", tmp_path / "build")
-    run = Run("openhead", SMOKE, build=tmp_path / "build", jobs=1)
+    run = Run("openhead", TINY, build=tmp_path / "build", jobs=1)
     train, test = load_faces(run, "train"), load_faces(run, "test")
     for method in DEEP_MDS:
         path = run.prediction_file(method)
@@ -32,11 +32,11 @@ def batched(whole_bfm, tmp_path):
 
 
 def test_both_solvers_print_the_same_table(whole_bfm, batched):
-    done = faults.run("bfm", batched)
+    done = runs.run("bfm", batched)
     assert done.returncode == 0, done.stderr
     for name in ("bfm/table.tex", "parameters/table.tex"):
         first, second = (
-            (folder / "results/smoke/openhead" / name).read_text(encoding="utf-8")
+            (runs.results(folder, "").joinpath(name)).read_text(encoding="utf-8")
             for folder in (whole_bfm.folder, batched)
         )
         assert first == second, name

@@ -1,66 +1,75 @@
 """Runs that are killed, starved of space, damaged and run twice at once: nothing wrong comes out.
 
-`KILLS=50` (`make nightly`) does ten times as much, and all experiments.
+`KILLS=40` (`make nightly`) kills stages four times as often and changes four times as many bytes.
 """
 
 import os
 import shutil
-import subprocess
 from collections import Counter
-from pathlib import Path
 
 import faults
 import numpy as np
 import pytest
+import runs
+from places import MEDIAPIPE
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.inputs import image_files
 from experiments.manifest import MANIFEST, files_of, read_manifest
-from experiments.presets import SMOKE
+from experiments.presets import TINY
 from experiments.records import load_record, read_record, with_checksum, write_json
 from experiments.run import Run
 from experiments.running import locked
 
-KILLS = int(os.environ.get("KILLS", 5))
-NIGHTLY = KILLS >= 50
-FLIPS = 4 * KILLS  # in each file
-MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", faults.ROOT / ".venv-mediapipe/bin/python"))
-# Arguments and stages of an experiment; all but the first two go on from the build of "bfm".
+KILLS = int(os.environ.get("KILLS", 10))
+FLIPS = 2 * KILLS  # in each file
+_BFM = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
+_FLAME = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
+if MEDIAPIPE.exists():
+    _FLAME.insert(2, "mediapipe")
+_SMOKE = ("--preset", "smoke")
+# Arguments and stages of an experiment; those of other tracks go on from the build of "bfm".
 EXPERIMENTS = {
-    "bfm": ((), faults.STAGES),
-    "flame": (
-        ("--track", "flame", "--mediapipe", str(MEDIAPIPE)),
-        ("frames", "scans", "networks", "predictions", "rings", "ringnet",
-         *["mediapipe"] * MEDIAPIPE.exists(), "flame"),
-    ),
-    "celeba": (("--track", "celeba"), ("photos", "predictions", "mobileface", "celeba")),
-    "ablation": ((), ("ablation",)),
-    "stream": (("--faces", "700"), ("stream",)),
-}  # fmt: skip
+    "bfm": (_SMOKE, _BFM),
+    "flame": ((*_SMOKE, "--track", "flame"), _FLAME),
+    "celeba": ((*_SMOKE, "--track", "celeba"), ("photos", "predictions", "mobileface", "celeba")),
+    "ablation": (_SMOKE, ("ablation",)),
+    "stream": ((*_SMOKE, "--faces", "700"), ("stream",)),
+}
 CHECKPOINTS = {"networks", "ablation"}  # folders of what is written again and again
-_KILLS_PER_PASS = 12
-_PASSES = -(-KILLS // _KILLS_PER_PASS)
-PASSES = [("bfm", number) for number in range(_PASSES)]
-if NIGHTLY:
-    PASSES += [(name, 0) for name in EXPERIMENTS if name != "bfm"]
+_PASSES = -(-KILLS // 12)  # of the longest
+STORMS = [
+    (name, number) for name in EXPERIMENTS for number in range(_PASSES if name == "bfm" else 1)
+]
 
 
-@pytest.fixture(scope="module", params=PASSES, ids=lambda own: f"{own[0]}-{own[1]}")
-def storm(request, whole_bfm, tmp_path_factory):
-    """An experiment, done in spite of everything; in every second pass with a single thread."""
-    name, number = request.param
-    more, stages = EXPERIMENTS[name]
-    reference = whole_bfm
+@pytest.fixture(
+    scope="module",
+    params=["quick", *(pytest.param(own, marks=pytest.mark.slow) for own in STORMS)],
+    ids=lambda own: own if own == "quick" else f"{own[0]}-{own[1]}",
+)
+def storm(request, tmp_path_factory):
+    """An experiment, done in spite of everything; in every second pass with a single thread.
+
+    The quick one is of two stages, at the smallest size.
+    """
     disk = faults.Disk(tmp_path_factory.mktemp("storm") / "disk")
+    if request.param == "quick":
+        whole, number = request.getfixturevalue("whole_bfm"), 1
+        name, more, stages, kills = "bfm", (), ("networks", "bfm"), 2
+        shutil.copytree(whole.folder / "build", disk.folder / "build")
+    else:
+        whole, (name, number) = request.getfixturevalue("smoke_bfm"), request.param
+        more, stages = EXPERIMENTS[name]
+        kills = len(range(number, KILLS, _PASSES)) if name == "bfm" else KILLS // 5
     if name != "bfm":
         folder = tmp_path_factory.mktemp(name)
         for own in (folder, disk.folder) if name != "flame" else ():
-            shutil.copytree(whole_bfm.folder / "build", own / "build")
-        reference = faults.measure(stages, folder, *more)
-    kills = len(range(number, KILLS, _PASSES)) if name == "bfm" else KILLS // 5
-    storm = faults.Storm(reference, disk, np.random.default_rng([number, len(stages)]), more)
+            shutil.copytree(whole.folder / "build", own / "build")
+        whole = runs.measure(stages, folder, *more)
+    storm = faults.Storm(whole, disk, np.random.default_rng([number, len(stages)]), more)
     storm.pass_over(stages, kills, faults.ONE_THREAD if number % 2 == 0 else {})
     print(f"\n{name}, pass {number}:", dict(Counter(event.what for event in storm.events)))
     yield storm
@@ -123,13 +132,13 @@ def test_nothing_half_written_and_no_lock_is_left(storm):
         assert read_manifest(folder)["files"] == files_of(folder)
 
 
-if NIGHTLY:
-
-    def test_one_thread_and_one_process_give_the_digits_of_many(whole_bfm, tmp_path):
-        for stage in faults.STAGES:
-            done = faults.run(stage, tmp_path, "--jobs", "1", threads=faults.ONE_THREAD)
-            assert done.returncode == 0, done.stderr
-        assert faults.tables(tmp_path) == faults.tables(whole_bfm.folder)
+@pytest.mark.slow
+def test_one_thread_and_one_process_give_the_digits_of_many(whole_bfm, tmp_path):
+    """The others were forked, too, from a process that had loaded its libraries."""
+    for stage in _BFM:
+        done = runs.Stage(stage, tmp_path, "--jobs", "1", environment=faults.ONE_THREAD).done()
+        assert done.returncode == 0, done.stderr
+    assert faults.tables(tmp_path) == faults.tables(whole_bfm.folder)
 
 
 def readers(run):
@@ -158,7 +167,7 @@ def readers(run):
 
 def test_every_changed_byte_is_reported_or_changes_nothing(whole_bfm, tmp_path):
     shutil.copytree(whole_bfm.folder / "build", tmp_path / "build")
-    run = Run("openhead", SMOKE, build=tmp_path / "build")
+    run = Run("openhead", TINY, build=tmp_path / "build")
     rng = np.random.default_rng(0)
     outcomes = Counter()
     for path, read in readers(run):
@@ -207,7 +216,7 @@ def test_a_stage_names_the_damaged_file_that_it_reads(copy, name, stage):
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     before = faults.tables(copy)
-    refused = faults.run(stage, copy)
+    refused = runs.run(stage, copy)
     assert refused.returncode == 2
     assert str(path) in refused.stderr.splitlines()[-1]
     assert "Traceback" not in refused.stderr
@@ -216,23 +225,16 @@ def test_a_stage_names_the_damaged_file_that_it_reads(copy, name, stage):
 
 def test_two_seeds_at_once_write_what_they_write_alone(whole_bfm, copy):
     """One file of theirs is the same: the table of parameters."""
-    work = copy / "build" / "openhead" / "bfm-smoke-paper-seed0"
-    shutil.copytree(work, work.with_name("bfm-smoke-paper-seed1"))
-    running = [
-        subprocess.Popen(
-            faults.command("bfm", copy, "--seed", seed),
-            cwd=faults.ROOT, env=faults.ENVIRONMENT,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )
-        for seed in "01"
-    ]  # fmt: skip
-    said = [process.communicate()[1] for process in running]
-    assert [process.returncode for process in running] == [0, 0], said
+    work = runs.work(copy, "bfm")
+    shutil.copytree(work, work.with_name(work.name.replace("seed0", "seed1")))
+    running = [runs.Stage("bfm", copy, "--seed", seed) for seed in "01"]
+    ended = [stage.done() for stage in running]
+    assert [done.returncode for done in ended] == [0, 0], ended
     tables = faults.tables(copy)
     for name, rows in faults.tables(whole_bfm.folder).items():
         assert tables[name] == rows, name
     for name in ("bfm", "bfm-seed1", "parameters"):
-        folder = copy / "results" / "smoke" / "openhead" / name
+        folder = runs.results(copy, name)
         assert read_manifest(folder)["files"] == files_of(folder)
         assert "table.csv" in files_of(folder)
 

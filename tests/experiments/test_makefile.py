@@ -1,11 +1,9 @@
 """What `make` would run: what is missing, and nothing that is there."""
 
 import subprocess
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
+from places import ROOT
 
 
 @pytest.fixture

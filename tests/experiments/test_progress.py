@@ -8,7 +8,8 @@ import subprocess
 import sys
 import termios
 
-import faults
+import runs
+from places import ROOT
 
 _BARS = """
 from experiments.progress import Bar, EpochBar
@@ -38,8 +39,8 @@ def test_a_reader_that_leaves_ends_a_stage_without_a_traceback(tmp_path):
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        faults.command("faces", tmp_path),
-        cwd=faults.ROOT, env=faults.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "experiments", *runs.arguments("faces", tmp_path)],
+        cwd=ROOT, env=runs.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")

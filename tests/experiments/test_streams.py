@@ -2,9 +2,10 @@
 
 import ast
 import re
-from pathlib import Path
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+from places import ROOT
+
+EXPERIMENTS = ROOT / "experiments"
 
 
 def seeds():

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from PIL import Image
+from writers.scans import asc, vrml
 
 from data_gen.datasets.casia import (
     CasiaScan,
@@ -54,15 +55,6 @@ def shoulders():
     depth = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     front = np.stack([x, y, depth], axis=1)[depth > 0.1]
     return front * [220, 90, 95] + [0, -290, -20 - DISTANCE]
-
-
-def vrml(points):
-    rows = ",\n".join(" ".join(map(repr, row)) for row in points.tolist())
-    return f"#VRML V2.0 utf8\nShape {{ coord Coordinate {{ point [ {rows} ] }} }}\n"
-
-
-def asc(points):
-    return "\n".join(" ".join(map(repr, row)) for row in points.tolist())
 
 
 def touch(*files):

@@ -3,17 +3,18 @@
 import struct
 import time
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
+from writers.scans import write_ply
 
 from data_gen.datasets.coma import find_meshes, load_coma
 from data_gen.formats.ply import read_ply
 from data_gen.models.flame_embedding import LandmarkEmbedding
 from deepmds_keras.io.errors import InputError
 
-SHARED = Path(__file__).parents[4] / "shared" / "tf_flame"
+TF_FLAME = SHARED / "tf_flame"
 SUBJECTS = ("FaceTalk_170725_00137_TA", "FaceTalk_170728_03272_TA")
 SEQUENCES = ("bareteeth", "mouth_open")
 V, T = 40, 60
@@ -30,28 +31,6 @@ def mesh():
 def embedding():
     rng = np.random.default_rng(1)
     return LandmarkEmbedding(rng.integers(0, T, 51), rng.dirichlet(np.ones(3), 51))
-
-
-def write_ply(file, vertices, triangles, text=False, byte_order="<", faces="vertex_indices"):
-    number = {"f4": "float", "f8": "double"}[vertices.dtype.str[1:]]
-    kind = "ascii" if text else {"<": "binary_little_endian", ">": "binary_big_endian"}[byte_order]
-    header = [
-        *("ply", f"format {kind} 1.0", f"element vertex {len(vertices)}"),
-        *(f"property {number} {axis}" for axis in "xyz"),
-        *(f"element face {len(triangles)}", f"property list uchar int {faces}", "end_header"),
-    ]
-    corners = len(triangles[0])
-    if text:
-        rows = [" ".join(map(repr, map(float, row))) for row in vertices]
-        rows += [" ".join(map(str, (corners, *row))) for row in triangles]
-        body = "\n".join([*rows, ""]).encode()
-    else:
-        rows = np.empty(len(triangles), [("n", "u1"), ("v", f"{byte_order}i4", (corners,))])
-        rows["n"], rows["v"] = corners, triangles
-        body = vertices.astype(vertices.dtype.newbyteorder(byte_order)).tobytes() + rows.tobytes()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes("\n".join([*header, ""]).encode() + body)
-    return file
 
 
 @pytest.fixture
@@ -282,11 +261,11 @@ class TestPly:
             with pytest.raises(InputError, match=f"{path}: must be"):
                 read_ply(path)
 
-    @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/tf_flame is absent")
+    @pytest.mark.skipif(not TF_FLAME.is_dir(), reason="../shared/tf_flame is absent")
     def test_a_mesh_of_flame_takes_milliseconds(self):
         times = []
         for _ in range(20):
             start = time.perf_counter()
-            read_ply(SHARED / "template.ply")
+            read_ply(TF_FLAME / "template.ply")
             times.append(time.perf_counter() - start)
         assert min(times) < 5e-3  # read face by face it takes 80 ms

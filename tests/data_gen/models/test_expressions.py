@@ -1,10 +1,10 @@
 """Performed and held expressions: exact counts, neutral ends, and landmarks that move as named."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 
 from data_gen.datasets.frames_standin import make_frames
 from data_gen.models.expressions import (
@@ -19,7 +19,7 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
-ICT = Path(__file__).parents[3] / ".." / "shared" / "ict-facekit"
+ICT = SHARED / "ict-facekit"
 SCHEME = load_scheme("ibug51")
 NUMBER = {number: i for i, number in enumerate(SCHEME.numbers)}
 BROWS = [i for i, group in enumerate(SCHEME.groups) if group.endswith("brow")]

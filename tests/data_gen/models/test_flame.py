@@ -3,22 +3,22 @@
 import hashlib
 import os
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 from scipy.linalg import expm
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.spatial import ConvexHull
-from test_plain_pickle import chumpy_pickle
+from writers.pickles import chumpy_pickle
 
 from data_gen.formats.ply import read_ply
 from data_gen.models.flame import Flame, load_flame, read_flame, skin
 from data_gen.models.flame_embedding import load_embedding
 from deepmds_keras.io.errors import InputError
 
-SHARED = Path(__file__).parents[4] / "shared" / "tf_flame"
-needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/tf_flame is absent")
+TF_FLAME = SHARED / "tf_flame"
+needs_shared = pytest.mark.skipif(not TF_FLAME.is_dir(), reason="../shared/tf_flame is absent")
 V = 60  # vertices of the synthetic head, a ball of 10 cm
 JAW_JOINT = np.array([0, -0.02, 0.0])
 
@@ -358,9 +358,9 @@ class TestEmbedding:
     @needs_shared
     def test_the_public_embedding_on_the_public_template(self):
         """Figures measured apart from this program on TF_FLAME's files, millimetres."""
-        vertices, triangles = read_ply(SHARED / "template.ply")
+        vertices, triangles = read_ply(TF_FLAME / "template.ply")
         assert vertices.shape == (5023, 3) and triangles.shape == (9976, 3)
-        points = load_embedding(SHARED).points(vertices * 1000, triangles)
+        points = load_embedding(TF_FLAME).points(vertices * 1000, triangles)
         np.testing.assert_allclose(np.ptp(points, axis=0), [114.7, 94.2, 57.4], atol=0.05)
         assert np.linalg.norm(points[19] - points[28]) == pytest.approx(91.5, abs=0.05)
         assert points.max() - points.min() == pytest.approx(133.1, abs=0.05)
@@ -368,8 +368,8 @@ class TestEmbedding:
 
     @needs_shared
     def test_points_of_many_meshes_are_those_of_each(self):
-        vertices, triangles = read_ply(SHARED / "template.ply")
-        embedding = load_embedding(SHARED / "flame_static_embedding.pkl")
+        vertices, triangles = read_ply(TF_FLAME / "template.ply")
+        embedding = load_embedding(TF_FLAME / "flame_static_embedding.pkl")
         many = np.stack([vertices, 2 * vertices + 1])[:, None]
         found = embedding.points(many, triangles)
         assert found.shape == (2, 1, 51, 3)

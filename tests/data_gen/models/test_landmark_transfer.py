@@ -1,9 +1,8 @@
 """Landmark transfer: what was hidden is found, and two real head models agree."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from places import SHARED
 from scipy.spatial import ConvexHull
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
@@ -13,7 +12,6 @@ from data_gen.models.mesh import largest_component, orient_outwards, vertex_norm
 from data_gen.models.openhead import load_openhead, read_openhead
 from deepmds_keras.io.errors import InputError
 
-SHARED = Path(__file__).parents[4] / "shared"
 PUPILS = [4, 53]  # landmarks 5 and 54
 
 

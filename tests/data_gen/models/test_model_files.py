@@ -5,12 +5,11 @@ import json
 import os
 import pickle
 import shutil
-from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from scipy.io import savemat
+from places import SHARED
+from writers.models import write_h5, write_ict_folder, write_ict_npz, write_mat, write_obj
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.bfm2009 import load_bfm2009
@@ -20,7 +19,6 @@ from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import MODELS, load_model
 from deepmds_keras.io.errors import InputError
 
-SHARED = Path(__file__).parents[4] / "shared"
 K = 5  # components of the synthetic models
 SD = np.array([50.0, 20.0, 9.0, 4.0, 1.0])  # mm; unlike its own square everywhere but at the end
 
@@ -79,28 +77,6 @@ def h5_arrays(head, columns):
     return arrays
 
 
-def write_mat(folder, arrays):
-    file = folder / "PublicMM1" / "01_MorphableModel.mat"
-    file.parent.mkdir(exist_ok=True)
-    savemat(file, arrays, do_compression=True)
-    return file
-
-
-def write_h5(folder, arrays, filename="model2017-1_bfm_nomouth.h5"):
-    with h5py.File(folder / filename, "w") as file:
-        for key, value in arrays.items():
-            file[key] = value
-    return folder / filename
-
-
-def write_obj(file, vertices, faces=()):
-    text = ["mtllib ICTFaceModelMaterial.mtl"]
-    text += ["v {:.6f} {:.6f} {:.6f}".format(*row) for row in vertices]
-    text += ["vt 0.5 0.5"] * 4
-    text += ["f " + " ".join(f"{i + 1}/{i % 4 + 1}" for i in face) for face in faces]
-    file.write_text("\n".join(text) + "\n")
-
-
 @pytest.fixture
 def ict_arrays():
     """A cube of quads in ICT's layout, centimetres; vertices 8 and 9 belong to no face."""
@@ -115,32 +91,6 @@ def ict_arrays():
         "expression_names": ["browDown_L", "jawOpen"],
         "quads": quads,
     }
-
-
-def write_ict_folder(folder, arrays):
-    model = folder / "FaceXModel"
-    model.mkdir()
-    neutral = arrays["mean"]
-    write_obj(model / "generic_neutral_mesh.obj", neutral, arrays["quads"])
-    for k, offset in enumerate(arrays["identity"]):
-        write_obj(model / f"identity{k:03d}.obj", neutral + offset, arrays["quads"])
-    for name, offset in zip(arrays["expression_names"], arrays["expression"], strict=True):
-        write_obj(model / f"{name}.obj", neutral + offset, arrays["quads"])
-    return model
-
-
-def write_ict_npz(folder, arrays, **changes):
-    quads = np.array(arrays["quads"])
-    fields = {
-        "mean": arrays["mean"].astype(np.float32),
-        "identity": arrays["identity"].astype(np.float32),
-        "expression": arrays["expression"].astype(np.float32),
-        "expression_names": np.array(arrays["expression_names"]),
-        "triangles": quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int32),
-        "vertex_index": np.arange(len(arrays["mean"]), dtype=np.int32),
-    } | changes
-    np.savez(folder / "ict_light.npz", **fields)
-    return folder / "ict_light.npz"
 
 
 class TestBfm2009:

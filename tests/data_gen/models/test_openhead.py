@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 
 from data_gen.build_openhead.tables import IDENTITY_PRIOR, LANDMARKS
 from data_gen.models.openhead import OPENHEAD, load_openhead, read_openhead
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
 
-SHARED = Path(__file__).parents[4] / "shared"
 FLIP = np.array([-1.0, 1.0, 1.0])
 
 

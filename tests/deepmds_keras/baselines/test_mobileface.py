@@ -1,16 +1,15 @@
 """MobileFace: the published size, the authors' weights, the loss, and training that goes on."""
 
-from pathlib import Path
-
 import keras
 import numpy as np
 import pytest
+from places import SHARED
 
 from deepmds_keras import InputError
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.metrics import mse
 
-RELEASED = Path(__file__).parents[4] / "shared" / "released" / "bfm"
+RELEASED = SHARED / "released" / "bfm"
 K, L, V = 4, 5, 30
 
 

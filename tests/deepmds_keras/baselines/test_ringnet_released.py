@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
+from writers.ringnet import write_checkpoint
 
 from deepmds_keras import InputError
 from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
@@ -11,36 +12,6 @@ from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 v1 = tf.compat.v1
 TRIANGLES = np.array([[0, 1, 2], [10, 20, 30], [5020, 5021, 5022]])
 WEIGHTS = np.array([[1.0, 0.0, 0.0], [0.2, 0.3, 0.5], [0.0, 0.5, 0.5]])
-
-
-def write_checkpoint(
-    prefix, *, image="input_images_1", camera=3, scope="Flamenetnormal_2", python=False
-):
-    """A graph of TensorFlow 1 whose outputs are linear in the mean colours, and its weights."""
-    rng = np.random.default_rng(0)
-    with tf.Graph().as_default():
-        placeholder = v1.placeholder(tf.float32, (1, 224, 224, 3), name=image)
-        colours = tf.reduce_mean(placeholder, (1, 2))
-        if python:
-            colours = tf.reshape(v1.py_func(np.sin, [colours], tf.float32), (1, 3))
-        arrays = {
-            name: rng.normal(0, 0.1, (camera, n)).astype("f4")
-            for name, n in (("to_parameters", 159), ("to_vertices", 3 * 5023))
-        }
-        to_parameters, to_vertices = (
-            v1.get_variable(name, initializer=array, use_resource=False)
-            for name, array in arrays.items()
-        )
-        for name in ("add", "add_1", "add_2"):
-            parameters = v1.add(tf.matmul(colours, to_parameters), 0.0, name=name)
-        with v1.name_scope(scope):
-            flat = tf.reshape(tf.matmul(colours, to_vertices), (1, 5023, 3))
-            v1.add(flat, tf.reshape(parameters[:, :3], (1, 1, 3)), name="Add_9")
-        saver = v1.train.Saver()
-        with v1.Session() as session:
-            session.run(v1.global_variables_initializer())
-            saver.save(session, str(prefix))
-    return arrays
 
 
 @pytest.fixture(scope="module")

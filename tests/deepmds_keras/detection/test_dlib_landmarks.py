@@ -2,46 +2,20 @@
 
 import itertools
 import sys
-from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from places import SHARED
+from writers.heads import drawn_heads, nme
 
-from data_gen.datasets.dataset import make_dataset
-from data_gen.datasets.images import make_scene, render
-from data_gen.models.openhead import load_openhead
-from data_gen.views.projections import Cameras, project
 from deepmds_keras.detection import dlib_landmarks
 from deepmds_keras.detection.dlib_landmarks import DlibLandmarks, find_shape_predictor
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
-SHARED = Path(__file__).parents[4] / "shared"
-CANTHI = [19, 28]  # of the 51 inner landmarks
-NOSE_TIP = 13
 EYES_AND_MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)
-
-
-def drawn_heads(size=256):
-    """Five open heads, yaw -20 to 20 degrees, and their 51 inner landmarks in pixels."""
-    model = load_openhead()
-    faces = make_dataset(model, 5, np.random.default_rng(4), scheme="ibug51")
-    angles = {name: np.zeros(5) for name in Cameras.__dataclass_fields__}
-    angles |= {"yaw": np.linspace(-20, 20, 5), "projection": np.zeros(5, int)}
-    cameras = Cameras(**angles)
-    views = np.float32(project(faces.landmarks.astype(float), cameras))
-    scene = make_scene(model, "ibug51", size, margin=2.0)
-    faces = replace(faces, cameras=cameras, views=views)
-    return render(scene, faces, range(5), np.random.default_rng(0))
-
-
-def nme(found, truth):
-    """Mean distance of each face's landmarks, in distances of its outer canthi: `(n,)`."""
-    canthi = truth[:, CANTHI[0]] - truth[:, CANTHI[1]]
-    return np.linalg.norm(found - truth, axis=2).mean(1) / np.linalg.norm(canthi, axis=1)
 
 
 @cache

@@ -1,17 +1,16 @@
 """FaceMesh's points: by the worker in an environment of its own, and the 51 landmarks of them."""
 
 import csv
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from test_dlib_landmarks import CANTHI, NOSE_TIP, SHARED, drawn_heads, nme
+from places import MEDIAPIPE, SHARED
+from writers.heads import CANTHI, NOSE_TIP, drawn_heads, nme
 
 from deepmds_keras.detection.mediapipe_landmarks import (
-    MEDIAPIPE_PYTHON,
     VARIABLE,
     detect,
     detect_all,
@@ -27,10 +26,9 @@ LEFT_BROW = slice(5, 10)
 @pytest.fixture(scope="module")
 def python():
     """Interpreter of the environment with MediaPipe."""
-    path = Path(os.environ.get("MEDIAPIPE_PYTHON", Path(__file__).parents[3] / MEDIAPIPE_PYTHON))
-    if not path.exists():
-        pytest.skip(f"{path} is absent: make setup-mediapipe")
-    return path
+    if not MEDIAPIPE.exists():
+        pytest.skip(f"{MEDIAPIPE} is absent: make setup-mediapipe")
+    return MEDIAPIPE
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,11 @@
 """Landmark schemes: which points of two are the same, and what the document shows of it."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from places import ROOT, SHARED
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.ict import load_ict
@@ -16,8 +16,6 @@ from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.landmarks.conversion import SCHEMES, SIZES, convert, scheme_of
 from experiments.figures.schemes import numbered, place_numbers
 
-ROOT = Path(__file__).parents[3]
-SHARED = ROOT.parent / "shared"
 DOCUMENT = (ROOT / "docs" / "landmarks.md").read_text(encoding="utf-8")
 PAIRS = {
     int(row["bfm72"]): (int(row["ibug68"]), row["evidence"])

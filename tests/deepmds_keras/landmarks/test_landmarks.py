@@ -1,10 +1,10 @@
 """Landmark tables: what holds for every scheme, and where each is on the face models."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.openhead import load_openhead, read_openhead
@@ -128,7 +128,7 @@ def test_vertices_agree_with_the_shared_tables(shared):
 
 @pytest.fixture
 def shared():
-    folder = Path(__file__).parents[4] / "shared"
+    folder = SHARED
     if not folder.is_dir():
         pytest.skip("../shared is absent")
     return folder

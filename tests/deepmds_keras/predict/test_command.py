@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from test_dlib_landmarks import SHARED, drawn_heads
+from places import ROOT, SHARED
+from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views.photo_views import draw_photo_views
@@ -25,7 +26,6 @@ from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.predict import command
 from deepmds_keras.predict.arguments import parse
 
-ROOT = Path(__file__).parents[3]
 TABLES = ("csv", "json", "ply", "obj", "png")
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views.photo_views import draw_photo_views
@@ -22,7 +23,6 @@ from deepmds_keras.predict.estimation import (
 )
 from deepmds_keras.predict.faces import Found
 
-SHARED = Path(__file__).parents[4] / "shared"
 N = 60
 
 

@@ -1,10 +1,10 @@
 """Claims and their checks belong together, and their verdicts reach the files as they are."""
 
 import shutil
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from places import ROOT
 
 from deepmds_keras.io.errors import InputError
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
@@ -20,7 +20,7 @@ from experiments.face_models import TITLES
 from experiments.markup.markdown import markdown
 from experiments.verdicts import VERDICTS, counted, listed, phrase
 
-RESULTS = Path(__file__).parents[3] / "results"
+RESULTS = ROOT / "results"
 NAMES = {"openhead": "the open head", "ict": "ICT faces"}
 
 

@@ -5,18 +5,24 @@ import shutil
 
 import pandas as pd
 import pytest
-from faults import run
+import runs
 
 from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS
 from experiments.studies.ablation import METRICS
 from experiments.studies.variants import TITLES
 from experiments.verdicts import UNKNOWN
 
+pytestmark = pytest.mark.slow
+
+
+def run(stage, folder):
+    return runs.run(stage, folder, "--preset", "smoke")
+
 
 @pytest.fixture(scope="module")
-def audited(whole_bfm, tmp_path_factory):
+def audited(smoke_bfm, tmp_path_factory):
     """A copy of the smallest run, with its ablation and audit."""
-    folder = shutil.copytree(whole_bfm.folder, tmp_path_factory.mktemp("audit") / "whole")
+    folder = shutil.copytree(smoke_bfm.folder, tmp_path_factory.mktemp("audit") / "whole")
     for stage in ("ablation", "audit"):
         done = run(stage, folder)
         assert done.returncode == 0, done.stderr
@@ -24,7 +30,7 @@ def audited(whole_bfm, tmp_path_factory):
 
 
 def results(folder, name):
-    return folder / "results" / "smoke" / "openhead" / name
+    return runs.results(folder, name, "smoke")
 
 
 def claims(folder):

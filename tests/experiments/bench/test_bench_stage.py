@@ -5,18 +5,19 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from faults import run
+import runs
 
 from experiments.bench.measurements import COLUMNS
 from experiments.manifest import files_of
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
-    done = run("bench", folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "results" / "smoke" / "bench"
+    runs.succeed("bench", folder)
+    return folder / "results" / "tiny" / "bench"
 
 
 @pytest.fixture(scope="module")

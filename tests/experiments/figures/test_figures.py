@@ -1,10 +1,9 @@
 """Laws of the figures: conventions of the views, units on the axes, equal bytes, small files."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from places import SHARED
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.datasets.images import make_scene, render
@@ -19,7 +18,7 @@ from experiments.figures.renders import renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
 
-OPEN_HEAD = Path(__file__).parents[4] / "shared" / "openhead" / "open_head_199_f16.npz"
+OPEN_HEAD = SHARED / "openhead" / "open_head_199_f16.npz"
 SCHEME = load_scheme("bfm72")
 N_LANDMARKS = 72
 PAPER_METHODS = (

@@ -4,13 +4,13 @@ import dataclasses
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from test_page import drawn
+from pages import drawn
+from places import ROOT
 
 from deepmds_keras.landmarks import load_scheme
 from experiments import published
@@ -32,7 +32,6 @@ from experiments.scoring.scores import Scores
 from experiments.scoring.tables import to_csv, write_tables
 from experiments.studies.seeds import spread
 
-ROOT = Path(__file__).parents[3]
 PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
 DESKTOP = {"viewport": {"width": 1280, "height": 900}, "reduced_motion": "reduce"}
 # Mean MSE of each method, in units of the paper's table.

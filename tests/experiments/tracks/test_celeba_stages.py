@@ -1,59 +1,38 @@
 """The CelebA experiment from the command line, at the smallest size."""
 
 import json
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import runs
 from PIL import Image
+from places import MEDIAPIPE, SHARED
+from runs import run, succeed
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.io.archives import read_arrays
 
-ROOT = Path(__file__).parents[3]
-TF_FLAME = ROOT.parent / "shared" / "tf_flame"
-MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", ROOT / ".venv-mediapipe/bin/python"))
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
-
-
-def run(stage, folder, *more):
-    command = [
-        sys.executable, "-m", "experiments", stage, "--preset", "smoke", "--mediapipe",
-        str(MEDIAPIPE), "--build", str(folder / "build"), "--results", str(folder / "results"),
-        *more,
-    ]  # fmt: skip
-    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
-
-
-def succeed(stage, folder, *more):
-    done = run(stage, folder, *more)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+TF_FLAME = SHARED / "tf_flame"
 
 
 def results(folder, name="celeba"):
-    return folder / "results" / "smoke" / "openhead" / name
+    return runs.results(folder, name)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The networks of the BFM track, MobileFace's too, and every stage on the stand-in."""
-    folder = tmp_path_factory.mktemp("celeba")
-    for stage in ("faces", "networks", "images", "mobileface"):
-        succeed(stage, folder)
-    for stage in ("photos", "predictions", "mobileface", "celeba"):
-        succeed(stage, folder, "--track", "celeba")
-    return folder
+def whole(whole_celeba):
+    return whole_celeba.folder
 
 
 @pytest.fixture(scope="module")
 def work(whole):
-    return whole / "build" / "openhead" / "celeba-smoke-paper-seed0"
+    return runs.work(whole, "celeba")
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return runs.copy_build(whole, tmp_path)
 
 
 def mse_of(folder, name):
@@ -95,21 +74,20 @@ def test_methods_get_what_the_camera_of_the_fit_sees(work):
 def test_networks_are_those_of_the_bfm_track(whole, work):
     assert not (work / "networks").exists()
     manifest = json.loads((results(whole) / "manifest.json").read_text())
-    trained = json.loads((whole / "build/openhead/bfm-smoke-paper-seed0/networks.json").read_text())
+    trained = json.loads((runs.work(whole, "bfm") / "networks.json").read_text())
     record = next(r for r in manifest["stages"] if r["stage"] == "networks")
     assert record["started"] == trained["started"]
-    assert manifest["command"].startswith("make reproduce-celeba MODEL=openhead PRESET=smoke")
+    assert manifest["command"].startswith("make reproduce-celeba MODEL=openhead PRESET=tiny")
 
 
-def test_a_stopped_run_goes_on(whole, work, tmp_path):
-    shutil.copytree(whole / "build", tmp_path / "build")
-    copy = tmp_path / "build" / work.relative_to(whole / "build")
-    (copy / "photos.json").unlink()
-    (copy / "photos.npz").unlink()
-    succeed("photos", tmp_path, "--track", "celeba")
+def test_a_stopped_run_goes_on(work, copy):
+    again = runs.work(copy, "celeba")
+    (again / "photos.json").unlink()
+    (again / "photos.npz").unlink()
+    succeed("photos", copy, "--track", "celeba")
     for key, array in read_arrays(work / "photos.npz")[0].items():
-        np.testing.assert_array_equal(read_arrays(copy / "photos.npz")[0][key], array)
-    assert not (copy / "predictions").exists()  # of an earlier test set
+        np.testing.assert_array_equal(read_arrays(again / "photos.npz")[0][key], array)
+    assert not (again / "predictions").exists()  # of an earlier test set
 
 
 def write_photos(folder, n):
@@ -121,31 +99,29 @@ def write_photos(folder, n):
         Image.fromarray(photo.image).save(folder / f"{number:06}.jpg")
 
 
-def test_celeba_as_distributed_takes_the_place_of_the_stand_in(whole, tmp_path, apart):
+def test_celeba_as_distributed_takes_the_place_of_the_stand_in(copy, apart):
     """Laid out as CelebA is; one photo is damaged, one shows nobody, one is not for testing."""
-    shutil.copytree(whole / "build", tmp_path / "build")
-    images = tmp_path / "celeba" / "img_align_celeba"
+    images = copy / "celeba" / "img_align_celeba"
     images.mkdir(parents=True)
-    apart(write_photos, images, 22)
-    (images / "000021.jpg").write_bytes(b"no photo")
-    Image.new("RGB", (178, 218), "grey").save(images / "000022.jpg")
-    lines = [f"{number:06}.jpg {0 if number == 20 else 2}" for number in range(1, 23)]
-    (tmp_path / "celeba" / "list_eval_partition.txt").write_text("\n".join(lines) + "\n")
+    apart(write_photos, images, 11)
+    (images / "000012.jpg").write_bytes(b"no photo")
+    Image.new("RGB", (178, 218), "grey").save(images / "000013.jpg")
+    lines = [f"{number:06}.jpg {0 if number == 5 else 2}" for number in range(1, 14)]
+    (copy / "celeba" / "list_eval_partition.txt").write_text("\n".join(lines) + "\n")
 
-    given = ("--track", "celeba", "--celeba", str(tmp_path / "celeba"))
-    said = succeed("photos", tmp_path, *given)
+    given = ("--track", "celeba", "--celeba", str(copy / "celeba"))
+    said = succeed("photos", copy, *given)
     assert "1 unreadable" in said and "no face found" in said
-    record = json.loads(
-        (tmp_path / "build/openhead/celeba-smoke-paper-seed0-real/photos.json").read_text()
-    )
-    assert record["source"] == "CelebA" and sum(record["photos"].values()) == 21  # not the 20th
+    real = runs.work(copy, "celeba")
+    record = json.loads((real.with_name(f"{real.name}-real") / "photos.json").read_text())
+    assert record["source"] == "CelebA" and sum(record["photos"].values()) == 12  # not the 5th
     for stage in ("predictions", "celeba"):
-        succeed(stage, tmp_path, *given)
-    folder = results(tmp_path, "celeba-real")
+        succeed(stage, copy, *given)
+    folder = results(copy, "celeba-real")
     assert (folder / "figures" / "celeba.png").is_file()
     table = pd.read_csv(folder / "table.csv")
     assert "true_landmarks" not in {*table["method"]}
-    assert not results(tmp_path, "celeba-true-landmarks-real").exists()
+    assert not results(copy, "celeba-true-landmarks-real").exists()
     note = table.set_index(["method", "metric"]).loc[("mobileface", "mse"), "note"]
     assert "MOBILEFACE=no" in note
 
@@ -157,11 +133,11 @@ def test_a_folder_that_is_no_celeba_is_refused(tmp_path):
     assert done.returncode == 2 and done.stderr.count("\n") == 1
 
 
-def test_faces_with_flames_landmarks_are_drawn(tmp_path_factory, tmp_path):
+def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
     if not TF_FLAME.is_dir():
         pytest.skip("../shared/tf_flame is absent")
-    for stage in ("frames", "networks"):
-        succeed(stage, tmp_path, "--track", "flame")
+    runs.copy_build(whole_flame.folder, tmp_path)
+    (runs.work(tmp_path, "flame") / "ringnet.json").unlink()
     succeed("celeba_flame", tmp_path, "--track", "celeba", "--tf-flame", str(TF_FLAME))
     folder = results(tmp_path, "celeba-flame")
     assert (folder / "figures" / "celeba_flame.png").stat().st_size > 50_000

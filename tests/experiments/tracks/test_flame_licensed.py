@@ -2,12 +2,10 @@
 
 import os
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+import runs
 from PIL import Image
 from scipy.sparse import csc_matrix
 
@@ -15,18 +13,12 @@ from data_gen.datasets.dataset import load_dataset
 from data_gen.datasets.frames_standin import make_frames
 from data_gen.models.registry import load_model
 
-ROOT = Path(__file__).parents[3]
 N_FRAMES, N_SCANS = 40, 4
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
 
 
 def run(stage, folder, *more):
-    command = [
-        sys.executable, "-m", "experiments", stage, "--track", "flame", "--preset", "smoke",
-        "--model", "flame", "--data", str(folder / "data"), "--build", str(folder / "build"),
-        "--results", str(folder / "results"), *more,
-    ]  # fmt: skip
-    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+    own = ("--track", "flame", "--model", "flame", "--data", str(folder / "data"))
+    return runs.run(stage, folder, *own, *more)
 
 
 def write_flame(folder, model):
@@ -117,7 +109,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
     done = run("frames", folder)
     assert done.returncode == 0, done.stderr
     assert "1 meshes skipped" in done.stdout
-    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
     assert "bareteeth.000007.ply" in (work / "frames-skipped.txt").read_text()
     train = load_dataset(work / "train.npz")
     model = load_model("openhead", scheme="ibug51")
@@ -128,7 +120,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
 
 
 def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
-    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
     done = run("scans", folder)
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
@@ -159,13 +151,13 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
 def test_the_licensed_ringnet_is_run_on_the_photos(folder):
     """A graph of its tensors' names and shapes, whose vertices are linear in the mean colours."""
     # Here, since the process that draws imports this module, and may not load TensorFlow.
-    from test_ringnet_released import write_checkpoint
+    from writers.ringnet import write_checkpoint
 
     prefix = folder / "ring_6_68641"
     write_checkpoint(prefix)
     done = run("ringnet", folder, "--ringnet", str(prefix))
     assert done.returncode == 0, done.stderr
-    work = folder / "build" / "flame" / "flame-smoke-paper-seed0"
+    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
     with np.load(work / "predictions" / "ringnet-licensed.npz", allow_pickle=False) as file:
         shapes = file["shapes"]
     assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)

@@ -1,57 +1,44 @@
 """The FLAME experiment from the command line, on the open stand-ins, at the smallest size."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pandas as pd
 import pytest
+import runs
+from places import MEDIAPIPE, ROOT
 
 from data_gen.datasets.dataset import load_dataset, save_dataset
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
-from experiments.presets import SMOKE
+from experiments.presets import TINY
 from experiments.run import AUTHORS_FILES
-
-ROOT = Path(__file__).parents[3]
-STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings", "ringnet", "flame")
-MEDIAPIPE = Path(os.environ.get("MEDIAPIPE_PYTHON", ROOT / ".venv-mediapipe/bin/python"))
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
 
 
 def run(stage, folder, *more):
-    command = [
-        sys.executable, "-m", "experiments", stage, "--track", "flame", "--preset", "smoke",
-        "--build", str(folder / "build"), "--results", str(folder / "results"),
-        "--mediapipe", str(MEDIAPIPE), *more,
-    ]  # fmt: skip
-    return subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+    return runs.run(stage, folder, "--track", "flame", *more)
 
 
 def results(folder, name="flame"):
-    return folder / "results" / "smoke" / "openhead" / name
+    return runs.results(folder, name)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A run of every stage; without MediaPipe's environment, of every other."""
-    folder = tmp_path_factory.mktemp("flame")
-    for stage in STAGES:
-        if stage == "mediapipe" and not MEDIAPIPE.exists():
-            continue
-        done = run(stage, folder)
-        assert done.returncode == 0, done.stderr
-    return folder
+def whole(whole_flame):
+    return whole_flame.folder
 
 
 @pytest.fixture(scope="module")
 def work(whole):
-    return whole / "build" / "openhead" / "flame-smoke-paper-seed0"
+    return runs.work(whole, "flame")
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return runs.copy_build(whole, tmp_path)
 
 
 def test_everything_is_written(whole):
@@ -65,25 +52,23 @@ def test_everything_is_written(whole):
                        "error_per_expression", "scans"}  # fmt: skip
 
 
-def test_manifest_says_what_was_left_out(whole, tmp_path):
+def test_manifest_says_what_was_left_out(whole, copy):
     manifest = json.loads((results(whole) / "manifest.json").read_text())
     assert "RINGNET" not in manifest["command"]
     assert ("MEDIAPIPE=no" in manifest["command"]) == (not MEDIAPIPE.exists())
-    folder = tmp_path / "without"
-    shutil.copytree(whole / "build", folder / "build")
-    next(folder.rglob("ringnet.json")).unlink()
-    assert run("flame", folder).returncode == 0
-    manifest = json.loads((results(folder) / "manifest.json").read_text())
+    next(copy.rglob("ringnet.json")).unlink()
+    assert run("flame", copy).returncode == 0
+    manifest = json.loads((results(copy) / "manifest.json").read_text())
     assert manifest["command"].endswith("PROTOCOL=paper RINGNET=no")
-    table = pd.read_csv(results(folder) / "table.csv").set_index(["method", "metric"])
+    table = pd.read_csv(results(copy) / "table.csv").set_index(["method", "metric"])
     assert table.loc[("ringnet", "mse"), "note"] == "left out (RINGNET=no)"
 
 
 def test_every_scan_is_accounted_for(work):
     counted = json.loads((work / "scans.json").read_text())["scans"]
-    assert sum(counted.values()) == SMOKE.scans
+    assert sum(counted.values()) == TINY.scans
     with np.load(work / "scans.npz", allow_pickle=False) as scans:
-        assert len({*scans["name"]}) == SMOKE.scans
+        assert len({*scans["name"]}) == TINY.scans
         assert {*scans["condition"]} >= {"neutral", "smile", "surprise"}
         assert counted["used"] == (scans["status"] == "used").sum()
     assert not (work / "scans").exists()
@@ -104,21 +89,20 @@ def test_the_test_set_holds_detected_views_and_found_landmarks(work):
     assert np.abs(test.cameras.yaw).max() < 40
 
 
-def test_views_are_centred_in_training_too_but_not_by_the_released_protocol(whole, work, tmp_path):
+def test_views_are_centred_in_training_too_but_not_by_the_released_protocol(work, tmp_path):
     """Min-max scaling of both axes together sees where the origin is."""
     assert np.abs(load_dataset(work / "train.npz").views.mean(1)).max() < 1e-3
     assert run("frames", tmp_path, "--protocol", "released").returncode == 0
-    released = tmp_path / "build" / "openhead" / "flame-smoke-released-seed0" / "train.npz"
+    released = tmp_path / "build" / "openhead" / "flame-tiny-released-seed0" / "train.npz"
     assert np.abs(load_dataset(released).views.mean(1)).max() > 5  # mm
 
 
-def test_a_test_set_of_uncentred_views_is_refused(whole, work, tmp_path):
-    shutil.copytree(whole / "build", tmp_path / "build")
-    copy = tmp_path / "build" / work.relative_to(whole / "build") / "test.npz"
-    old = load_dataset(copy)
-    save_dataset(copy, replace(old, description={k: v for k, v in old.description.items()
+def test_a_test_set_of_uncentred_views_is_refused(copy):
+    path = runs.work(copy, "flame") / "test.npz"
+    old = load_dataset(path)
+    save_dataset(path, replace(old, description={k: v for k, v in old.description.items()
                                                  if k != "views"}))  # fmt: skip
-    done = run("flame", tmp_path)
+    done = run("flame", copy)
     assert done.returncode == 2 and "made by an earlier version" in done.stderr
 
 
@@ -127,7 +111,7 @@ def test_table_stands_beside_the_papers(whole):
     assert table.loc[("ours", "mse"), "paper_mean"] == 1.5e-3
     assert table.loc[("ringnet", "mse"), "paper_mean"] == 1.34e-3
     assert "exceeds 51" in table.loc[("mediapipe", "depth_corr"), "note"]
-    assert "retrained, 6 steps" in table.loc[("ringnet", "mse"), "note"]
+    assert "retrained, 2 steps" in table.loc[("ringnet", "mse"), "note"]
     measured = {"mean_shape", "linear", "zhao", "true_landmarks", "model_fit", "ringnet", "ours"}
     for method in measured:
         assert table.loc[(method, "mse"), "mean"] > 0
@@ -166,13 +150,13 @@ def test_a_stopped_search_of_scans_goes_on(whole, work, tmp_path):
     folder = tmp_path / "build" / "openhead" / work.name
     folder.mkdir(parents=True)
     command = (
-        "from experiments.run import Run; from experiments.presets import SMOKE;"
+        "from experiments.run import Run; from experiments.presets import TINY;"
         "from experiments.tracks.flame.scans import register_scans; from pathlib import Path;"
-        f"run = Run('openhead', SMOKE, 'flame', build=Path({str(tmp_path / 'build')!r}));"
-        "register_scans(run, 2)"
+        f"run = Run('openhead', TINY, 'flame', build=Path({str(tmp_path / 'build')!r}));"
+        "register_scans(run, 1)"
     )
     subprocess.run([sys.executable, "-c", command], cwd=ROOT, check=True)
-    (folder / "scans" / "002.npz").stat()
+    (folder / "scans" / "001.npz").stat()
     done = run("scans", tmp_path)
     assert done.returncode == 0, done.stderr
     for name in ("views", "landmarks"):
@@ -210,14 +194,14 @@ def write_keras2(path, network):
                 group[name] = array
 
 
-def test_the_authors_weights_join_under_the_names_of_their_files(whole, tmp_path):
+def test_the_authors_weights_join_under_the_names_of_their_files(copy, tmp_path):
     nets = build_autoencoder(51, seed=3), build_dissimilarity_net("released", seed=3)
     for name, network in zip(AUTHORS_FILES["flame"], nets, strict=True):
         write_keras2(tmp_path / name, network)
     for stage in ("predictions", "flame"):
-        done = run(stage, whole, "--authors", str(tmp_path))
+        done = run(stage, copy, "--authors", str(tmp_path))
         assert done.returncode == 0, done.stderr
-    table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
+    table = pd.read_csv(results(copy) / "table.csv").set_index(["method", "metric"])
     assert table.loc[("authors_weights", "mse"), "mean"] > 0
     assert table.loc[("authors_weights", "n_parameters"), "mean"] == 21801
 

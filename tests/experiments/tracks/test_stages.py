@@ -6,13 +6,15 @@ import shutil
 
 import pandas as pd
 import pytest
-from faults import ROOT, run
+import runs
+from places import SHARED
+from runs import run
 
-RELEASED = ROOT.parent / "shared" / "released" / "bfm"
+RELEASED = SHARED / "released" / "bfm"
 
 
 def results(folder):
-    return folder / "results" / "smoke" / "openhead" / "bfm"
+    return runs.results(folder, "bfm")
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +36,7 @@ def test_everything_is_written(whole):
 def test_manifest_says_what_made_the_results(whole):
     manifest = json.loads((results(whole) / "manifest.json").read_text())
     assert (
-        manifest["command"]
-        == "make reproduce-bfm MODEL=openhead PRESET=smoke SEED=0 PROTOCOL=paper"
+        manifest["command"] == "make reproduce-bfm MODEL=openhead PRESET=tiny SEED=0 PROTOCOL=paper"
     )
     stages = [record["stage"] for record in manifest["stages"]]
     assert stages == ["faces", "images", "networks", "predictions", "mobileface"]
@@ -50,7 +51,7 @@ def test_table_has_every_method_with_a_number_or_a_reason(whole):
                 "mobileface", "ours", "ours_released", "ours_stable"]  # fmt: skip
     assert [*mse.index[mse["mean"].notna()]] == measured
     assert mse.loc["authors_weights", "note"].startswith("their weight files were not given")
-    assert "20 steps of 16 images" in mse.loc["mobileface", "note"]
+    assert "2 steps of 16 images" in mse.loc["mobileface", "note"]
     assert mse.loc["ours", "paper_mean"] == 1.4e-4
     assert mse.loc["linear", "mean"] < mse.loc["mean_shape", "mean"]
 

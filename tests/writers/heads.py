@@ -1,0 +1,36 @@
+"""Drawn heads for detectors, and how far a detector's landmarks lie off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.datasets.images import make_scene, render
+from data_gen.models.openhead import load_openhead
+from data_gen.views.projections import Cameras, project
+
+CANTHI = [19, 28]  # of the 51 inner landmarks
+
+
+NOSE_TIP = 13
+
+
+def drawn_heads(size=256):
+    """Five open heads, yaw -20 to 20 degrees, and their 51 inner landmarks in pixels."""
+    model = load_openhead()
+    faces = make_dataset(model, 5, np.random.default_rng(4), scheme="ibug51")
+    angles = {name: np.zeros(5) for name in Cameras.__dataclass_fields__}
+    angles |= {"yaw": np.linspace(-20, 20, 5), "projection": np.zeros(5, int)}
+    cameras = Cameras(**angles)
+    views = np.float32(project(faces.landmarks.astype(float), cameras))
+    scene = make_scene(model, "ibug51", size, margin=2.0)
+    faces = replace(faces, cameras=cameras, views=views)
+    return render(scene, faces, range(5), np.random.default_rng(0))
+
+
+def nme(found, truth):
+    """Mean distance of each face's landmarks, in distances of its outer canthi: `(n,)`."""
+    canthi = truth[:, CANTHI[0]] - truth[:, CANTHI[1]]
+    return np.linalg.norm(found - truth, axis=2).mean(1) / np.linalg.norm(canthi, axis=1)
