@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepmds_keras.metrics import depth_corr_across_faces
 from experiments.published import published
-
-if TYPE_CHECKING:
-    from experiments.scoring.scores import Scores
 
 _REPORT = frozenset({"report"})
 _TERMINAL = _REPORT | {"terminal"}
@@ -34,7 +30,7 @@ class Metric:
             power of ten in which the paper prints the metric there.
         better: `"higher"`, `"lower"`, or empty: neither.
         per_face: `(n,)` values of the faces of `Scores`; a subset has their mean but for NaN.
-        per_subset: A number from the `Scores` of those faces of a subset that were found.
+        per_subset: A number from the `scores.Scores` of those faces of a subset that were found.
         derived: Id of another metric and a function of its value on each subset. `metrics.csv`
             holds the other metric only.
         in_paper: Whether the paper prints it. Such a metric has two columns, paper and here, and is
@@ -50,8 +46,8 @@ class Metric:
     legend: str
     scale: str = ""
     better: str = ""
-    per_face: Callable[[Scores], np.ndarray] | None = None
-    per_subset: Callable[[Scores], float] | None = None
+    per_face: Callable[..., np.ndarray] | None = None
+    per_subset: Callable[..., float] | None = None
     derived: tuple[str, Callable[[np.ndarray], np.ndarray]] | None = None
     in_paper: bool = False
     decimals: int | None = None
