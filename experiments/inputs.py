@@ -14,8 +14,6 @@ from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.weights import checkpoint_files
-from experiments.methods import DEEP_MDS
 from experiments.records import load_record
 from experiments.run import Run
 
@@ -174,14 +172,3 @@ def load_shape_gram(run: Run) -> np.ndarray:
     """`(K, K)` mean product of two components' offsets over all coordinates of the mesh, mm²."""
     arrays, _ = read_arrays(run.work / "landmark_model.npz")
     return arrays["shape_gram"]
-
-
-def load_histories(run: Run) -> dict[str, dict[str, dict]]:
-    """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
-    return {
-        method: {
-            network: read_arrays(path)[1]["history"]
-            for network, path in checkpoint_files(run.networks, *DEEP_MDS[method]).items()
-        }
-        for method in DEEP_MDS
-    }

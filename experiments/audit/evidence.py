@@ -15,6 +15,7 @@ from data_gen.models.registry import load_model
 from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from experiments.inputs import Faces, load_faces
+from experiments.methods import load
 from experiments.run import Run
 from experiments.scoring.scores import Scores, load_predictions, score
 from experiments.streams import Stream
@@ -82,11 +83,9 @@ class Inputs:
         return np.sort(rng.choice(len(self.test.views), n, replace=False))
 
     def method(self, method: str):
-        """A method of the table, trained: what has `predict`. See `predictions.fitted`."""
+        """A method of the table, trained: what has `predict`."""
         if method not in self._methods:
-            from experiments.tracks.predictions import fitted
-
-            model = fitted(self.run, self.train, method)
+            model = load(self.run, method)
             if hasattr(model, "solver"):
                 # As scikit-learn to rounding, and many sweeps sooner.
                 model.set_params(solver="batched", n_jobs=1)

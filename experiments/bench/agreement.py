@@ -13,9 +13,8 @@ from deepmds_keras.alignment import align
 from deepmds_keras.embedding import SOLVERS, embed
 from experiments.bench.material import WEIGHTS, Material
 from experiments.inputs import load_faces
-from experiments.methods import DEEP_MDS
+from experiments.methods import DEEP_MDS, load
 from experiments.run import SCHEMES, Run
-from experiments.tracks.predictions import fitted
 
 COLUMNS = (
     "model", "experiment", "method", "n_faces", "largest_stress_difference",
@@ -30,9 +29,9 @@ def cases(material: Material) -> Iterator[tuple[str, str, str, np.ndarray]]:
     n = material.run.preset.bench_compared_faces
     yield material.model.name, "shipped weights", WEIGHTS, material.matrices[:n]
     for run in trained_runs(material.run):
-        train, test = load_faces(run.trained, "train"), load_faces(run, "test")
+        test = load_faces(run, "test")
         for method in DEEP_MDS:
-            matrices = fitted(run, train, method).dissimilarities(test.views[:n])
+            matrices = load(run, method).dissimilarities(test.views[:n])
             yield run.model, run.track, method, np.abs(matrices)
 
 

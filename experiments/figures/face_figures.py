@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,13 @@ from experiments.figures.examples import write_examples
 from experiments.figures.qualitative import Photos, qualitative
 from experiments.figures.style import save
 from experiments.inputs import Faces
+from experiments.methods import METHODS
 from experiments.scoring.scores import Scores, landmark_errors
+
+
+def drawn_of(scores: Mapping[str, Scores]) -> dict[str, Scores]:
+    """Scores of the methods that figures show, in the order of the tables."""
+    return {m.id: scores[m.id] for m in METHODS.values() if m.drawn and m.id in scores}
 
 
 def draw_faces(
@@ -25,8 +31,6 @@ def draw_faces(
     scores: Mapping[str, Scores],
     faces: np.ndarray,
     titles: Sequence[str],
-    *,
-    not_shown: Container[str],
     photos: Photos | None = None,
 ) -> None:
     """Write some test faces as a figure, and as numbers.
@@ -40,10 +44,9 @@ def draw_faces(
         scores: Method id to scores on the test faces.
         faces: Numbers of the faces.
         titles: Their names.
-        not_shown: Methods that the figure leaves out.
         photos: Of these faces, to be drawn in place of their views.
     """
-    shown = {method: own for method, own in scores.items() if method not in not_shown}
+    shown = {method: own for method, own in scores.items() if METHODS[method].pictured}
     figure = qualitative(
         test.views[faces],
         frontal[faces],
@@ -63,10 +66,10 @@ def draw_landmark_errors(
     scheme: LandmarkScheme,
     test: Faces,
     scores: Mapping[str, Scores],
-    mapped: Sequence[str],
+    track: str,
 ) -> None:
-    """Write the figure of the errors by landmark; of `mapped`, as far as run, as whole faces."""
+    """Write the figure of the errors by landmark, some of them as whole faces."""
     errors = landmark_errors(scores)
-    maps = [method for method in mapped if method in errors]
+    maps = [method for method in errors if track in METHODS[method].mapped]
     figure = error_per_landmark(errors, scheme, test.shapes.mean(0), maps)
     save(figure, folder / "figures", "error_per_landmark")

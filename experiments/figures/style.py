@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from deepmds_keras.io.atomic import write_bytes
+from experiments.methods import METHODS
 
 RC = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
@@ -41,37 +42,15 @@ INK = "#333333"
 PNG_DPI = 160
 _LARGEST = 300_000  # bytes of a picture that is committed
 
-# Okabe and Ito's palette (https://jfly.uni-koeln.de/color/), whose hues stay apart for colour-blind
-# readers; the added ones differ from their neighbours in lightness and marker. Grey is the truth's.
-_LOOKS = {
-    "mean_shape": ("#8C6D31", "s"),
-    "linear": ("#222222", "D"),
-    "zhao": ("#0072B2", "^"),
-    "zhao_authors": ("#56B4E9", "v"),
-    "zhao_frontal": ("#1F3A93", "d"),
-    "aldrian": ("#009E73", "*"),
-    "ours": ("#D55E00", "o"),
-    "ours_released": ("#E69F00", "h"),
-    "ours_stable": ("#8C1C13", "p"),
-    "authors_weights": ("#CC79A7", "X"),
-    "mobileface": ("#7B1FA2", "<"),
-    "ringnet": ("#5F6B7A", ">"),
-    "mediapipe": ("#00727A", "H"),
-    "mediapipe_corrected": ("#2AA198", "8"),
-    "model_fit": ("#6A7B00", "P"),
-    "true_landmarks": ("#777777", "o"),
-    "scan_landmarks": ("#777777", "s"),
-}
-
 
 def colour(method: str) -> str:
     """Colour of a method id, the same in every figure."""
-    return _LOOKS.get(method, (INK, "o"))[0]
+    return METHODS[method].colour if method in METHODS else INK
 
 
 def marker(method: str) -> str:
     """Marker of a method id, so that no figure depends on colour alone."""
-    return _LOOKS.get(method, (INK, "o"))[1]
+    return METHODS[method].marker if method in METHODS else "o"
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from experiments.markup.markdown import Table
-from experiments.methods import BY_ID, title
+from experiments.methods import METHODS, title
 from experiments.metrics import METRICS
 from experiments.report import wording
 from experiments.report.experiment import Experiment
@@ -101,5 +101,5 @@ def _recorded(record: dict, prefix: str = "") -> list[str]:
 def _plain(value: str | float) -> str:
     """A cell of a CSV file: the name of a method or metric, or a number."""
     if isinstance(value, str):
-        return title(value) if value in BY_ID else metric_head(value)
+        return title(value) if value in METHODS else metric_head(value)
     return f"{value:,}" if isinstance(value, int) else scientific(value)

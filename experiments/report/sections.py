@@ -54,7 +54,7 @@ def faces(experiments: list[Experiment]) -> dict[str, dict]:
 
 def colour_of(text: str) -> str | None:
     """Return the colour of a cell that names a method or a verdict, as CSS has it."""
-    method = next((method.id for method in METHODS if method.title == text), None)
+    method = next((method.id for method in METHODS.values() if method.title == text), None)
     return colour(method) if method else COLOURS.get(verdict_of(text))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from experiments.methods import BY_ID, DEEP_MDS, title
+from experiments.methods import METHODS, title
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
     NOTHING,
@@ -16,13 +16,13 @@ from experiments.scoring.numbers import (
 )
 
 _OURS, _CONSTANT, _PERFECT = "ours", "mean_shape", "zhao_true_depth"
-_SAME_METHOD = (*DEEP_MDS, "authors_weights")
+_SAME_METHOD = tuple(method.id for method in METHODS.values() if method.deep_mds)
 _EASIER_VIEWS = ("zhao_frontal",)
 
 
 def methods_of(rows: pd.DataFrame) -> list[str]:
     """Of rows by method those of methods; others say how far apart two truths are, or the like."""
-    said = rows["note"].fillna("") + "; " + rows.index.map(lambda m: BY_ID[m].description)
+    said = rows["note"].fillna("") + "; " + rows.index.map(lambda m: METHODS[m].description)
     return [*rows.index[~said.str.contains(r"(?:^|; )no method")]]
 
 

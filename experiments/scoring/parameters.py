@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import keras
 import pandas as pd
 
-from deepmds_keras.baselines.mobileface import build_mobileface_net
-from deepmds_keras.baselines.ringnet_net import build_ringnet
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, count_trainable
+from deepmds_keras.networks import count_trainable
 from experiments.inputs import load_landmark_model
 from experiments.methods import METHODS, title
 from experiments.published import printed
@@ -17,31 +14,6 @@ from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import NOTHING
 from experiments.scoring.tables import to_csv
 
-# Which pair features the dissimilarity net of a method takes.
-_VARIANTS = {
-    "ours": "paper",
-    "ours_stable": "paper",
-    "ours_released": "released",
-    "authors_weights": "released",
-}
-
-_RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
-
-# Time of one prediction in the number of landmarks n, derived from the algorithms: the widths of
-# Zhao's net and of the ends of our autoencoder grow with n; embedding starts from an eigenvalue
-# problem and then sorts all pairs in each of t steps; k is the number of model components.
-_COMPLEXITY = {
-    "mean_shape": "O(n)",
-    "linear": "O(n^2)",
-    "zhao": "O(n^2)",
-    "zhao_authors": "O(n^2)",
-    "zhao_frontal": "O(n^2)",
-    "aldrian": "O(t (n k^2 + k^3))",
-    "mobileface": "O(n k)",
-    "ringnet": "O(1)",
-    "mediapipe": "O(1)",
-    **dict.fromkeys(_VARIANTS, "O(n^3 + t n^2 log n)"),
-}
 _LEGEND = (
     "Paper: quoted from Kamyab and Azimifar, trainable parameters. Total: with the moving "
     "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
@@ -78,12 +50,12 @@ def parameter_table(
     quoted = printed("parameters", "n_parameters")
     quoted_times = printed("parameters", "time_complexity")
     rows = []
-    for method in METHODS:
-        if method.id not in _COMPLEXITY:
+    for method in METHODS.values():
+        if method.complexity is None:
             continue
         trainable = total = counts.get(method.id)
-        nets = _networks(method.id, n_landmarks, n_coefficients)
-        if nets:
+        if method.networks:
+            nets = method.networks(n_landmarks, n_coefficients)
             total = sum(net.count_params() for net in nets)
             trainable = count_trainable(*nets)
         time = times.get(method.id)
@@ -94,7 +66,7 @@ def parameter_table(
                 "total": "" if total is None else f"{total:.0f}",
                 "paper": quoted.get(method.paper, ""),
                 "complexity_paper": quoted_times.get(method.paper, ""),
-                "complexity": _COMPLEXITY[method.id],
+                "complexity": method.complexity,
                 "ms_per_face": "" if time is None else f"{time:.3g}",
             }
         )
@@ -113,16 +85,6 @@ def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
     table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
     write_text(folder / "table.csv", to_csv(table))
     write_text(folder / "table.tex", latex(table))
-
-
-def _networks(method: str, n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
-    if method == "mobileface":
-        return [build_mobileface_net(n_coefficients)]
-    if method == "ringnet":
-        return [build_ringnet(*_RINGNET)]
-    if method in _VARIANTS:
-        return [build_autoencoder(n_landmarks), build_dissimilarity_net(_VARIANTS[method])]
-    return []
 
 
 def _values(metrics: pd.DataFrame, metric: str) -> dict[str, float]:

@@ -14,6 +14,7 @@ from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.inputs import Faces
+from experiments.methods import METHODS
 from experiments.metrics import METRICS
 from experiments.records import load_record
 from experiments.run import Run
@@ -23,7 +24,9 @@ from experiments.streams import Stream
 def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
     """Arrays and description of the predictions of every method whose stage is complete."""
     methods = load_record(run, "predictions")["methods"]
-    for name in ("mobileface", "mediapipe", run.ringnet_stage):
+    others = {method.stage for method in METHODS.values()} - {"predictions", None}
+    for name in sorted(others):
+        name = run.ringnet_stage if name == "ringnet" else name
         if (run.work / f"{name}.json").exists():
             methods = methods + load_record(run, name).get("methods", [name])
     return {method: load_prediction(run, method) for method in methods}

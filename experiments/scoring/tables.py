@@ -62,14 +62,14 @@ def summarise(
     measured = grouped.agg(
         mean=("value", "mean"), std=("value", "std"), n_subsets=("subset", "count")
     )
-    ours = {method.paper: method.id for method in METHODS if method.paper} | dict(beside)
+    ours = {method.paper: method.id for method in METHODS.values() if method.paper} | dict(beside)
     quoted = quoted.assign(method=quoted["method"].map(ours)).set_index(["method", "metric"])
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
         title(method)
     columns = [metric.id for metric in metrics_of(experiment)]
     cells = pd.MultiIndex.from_product(
-        [[method.id for method in METHODS if method.id in present], columns],
+        [[method for method in METHODS if method in present], columns],
         names=["method", "metric"],
     )
     table = measured.reindex(cells).join(quoted)
@@ -123,7 +123,7 @@ def wilcoxon_tests(
     for metric in (metric.id for metric in METRICS.values() if metric.in_paper):
         rows = metrics[(metrics["metric"] == metric) & metrics["subset"].notna()]
         subsets = rows.pivot(index="subset", columns="method", values="value")
-        subsets = subsets[[m.id for m in METHODS if m.id in subsets]]
+        subsets = subsets[[method for method in METHODS if method in subsets]]
         tests.append(("subsets", metric, {m: subsets[m].to_numpy() for m in subsets}))
     tests += [("faces", metric, dict(values)) for metric, values in per_face.items()]
     frames = []

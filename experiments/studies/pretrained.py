@@ -26,11 +26,11 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
 from experiments.arguments import parse_run
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.recipes import fit_deep_mds
 from experiments.records import write_text
 from experiments.run import SCHEMES, Run
 from experiments.running import stage
 from experiments.streams import Stream
-from experiments.tracks.recipes import fit
 
 # Standard deviation of the errors in the views, mm. No detector finds the 72: they come from fits
 # of face models to photos.
@@ -49,7 +49,7 @@ def train(run: Run, views: np.ndarray, shapes: np.ndarray) -> DeepMDS:
         dissimilarity_steps=run.preset.dissimilarity_steps,
         seed=run.seed,
     )
-    fit(model, views, shapes)
+    fit_deep_mds(model, views, shapes)
     model.history_ = {}  # the curves would be a third of the file
     return model
 

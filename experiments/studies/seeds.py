@@ -21,7 +21,7 @@ from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
 from experiments.manifest import clear_results, write_manifest
-from experiments.methods import DEEP_MDS, title
+from experiments.methods import DEEP_MDS, METHODS, load, title
 from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import stage
@@ -30,7 +30,7 @@ from experiments.scoring.tables import to_csv
 from experiments.tracks.bfm.faces import make_faces
 from experiments.tracks.networks import train_chain
 
-METHODS = ("ours", "ours_stable")
+_COMPARED = ("ours", "ours_stable")
 
 
 def run_seed(run: Run) -> list[tuple[str, str, float]]:
@@ -42,12 +42,12 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
     from experiments.tracks.predictions import predict
 
     with parallel_config("loky"):  # training ends with this process, on this machine
-        jobs = min(len(METHODS), effective_n_jobs(run.jobs))
-        Parallel(jobs)(delayed(train_chain)(run, (method,), os.getpid()) for method in METHODS)
+        jobs = min(len(_COMPARED), effective_n_jobs(run.jobs))
+        Parallel(jobs)(delayed(train_chain)(run, (method,), os.getpid()) for method in _COMPARED)
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
-    for method in METHODS:
-        predict(run, train, test, method)
+    for method in _COMPARED:
+        predict(run, test, METHODS[method])
         scores = score(load_prediction(run, method)[0]["shapes"], test)
         values = {
             "mse": scores.mse.mean(),
@@ -64,9 +64,8 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
     """Mean squared errors of the autoencoder on the training faces, by statistics."""
     from deepmds_keras.networks import forward
     from experiments.studies.batchnorm import with_statistics_of
-    from experiments.tracks.recipes import load_deep_mds
 
-    model = load_deep_mds(run, train, method)
+    model = load(run, method)
     network, history = model.autoencoder_, model.history_["autoencoder"]
     flat = train.views.reshape(len(train.views), -1)
     anew = forward(with_statistics_of(network, flat), flat).reshape(train.views.shape)
@@ -87,7 +86,7 @@ def autoencoder_histories(run: Run, metrics: pd.DataFrame) -> dict[str, dict[int
     """Losses of the autoencoder by schedule and seed, as `batchnorm_lag` draws them."""
     errors = metrics.set_index(["method", "metric", "seed"])["value"]
     found = {}
-    for method in METHODS:
+    for method in _COMPARED:
         variant, schedule = DEEP_MDS[method]
         found[schedule] = {}
         for seed in metrics["seed"].unique():

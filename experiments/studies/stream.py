@@ -9,14 +9,12 @@ from deepmds_keras.io.checksums import sha256_of
 from experiments.arguments import parse_run
 from experiments.figures.errors import error_distribution
 from experiments.figures.style import save
-from experiments.inputs import load_faces
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.methods import title
+from experiments.methods import load, title
 from experiments.records import write_text
 from experiments.running import one_core, stage
 from experiments.scoring.tables import to_csv
 from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
-from experiments.tracks.predictions import fitted
 
 _QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
 
@@ -38,14 +36,12 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = run.experiment_results("stream")
     with stage(run, "stream") as record:
-        train = load_faces(run, "train")
         stream = run.work.absolute() / "stream"
         networks = networks_file(stream)
         # Without a number of processes: by its bytes the method is known.
-        fitted(run, train, OURS).set_params(n_jobs=None).save(networks)
+        load(run, OURS).set_params(n_jobs=None).save(networks)
         with one_core():  # the regression's last bits depend on the threads
-            beside = {method: fitted(run, train, method) for method in BESIDE}
-        del train
+            beside = {method: load(run, method) for method in BESIDE}
         sizes = run.preset.streamed_faces, run.preset.faces_per_file
         shards = Shards(stream, *sizes, sha256_of([networks]))
         record["processes_mb"] = make_shards(run, shards, beside)

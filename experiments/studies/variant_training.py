@@ -10,13 +10,13 @@ from deepmds_keras.orientation import front_landmark
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
 from experiments.inputs import Faces, load_faces
+from experiments.methods import load
 from experiments.progress import EpochBar
 from experiments.records import write_json
 from experiments.run import Run
 from experiments.running import quiet_tensorflow
 from experiments.scoring.scores import score, subsets
 from experiments.studies.variants import Variant
-from experiments.tracks.recipes import load_deep_mds
 
 _AUTOENCODER_BATCH = 16
 _METHODS = {"constant": "ours", "cosine": "ours_stable"}
@@ -75,8 +75,7 @@ def _encoder(run: Run, variant: Variant, train: Faces, seed: int) -> keras.Model
         view = keras.Input((2 * train.views.shape[1],), name="view")
         return keras.Model(view, keras.layers.Identity(name="same_view")(view))
     if variant.faces is None:
-        method = _METHODS[variant.schedule]
-        return load_deep_mds(run, load_faces(run, "train"), method).autoencoder_
+        return load(run, _METHODS[variant.schedule]).autoencoder_
     epochs = run.preset.autoencoder_epochs
     # As many steps as on all faces, so that only the number of faces differs.
     steps = run.preset.train_faces // _AUTOENCODER_BATCH

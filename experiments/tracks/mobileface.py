@@ -9,9 +9,9 @@ import tensorflow as tf
 
 from experiments.arguments import parse_run
 from experiments.inputs import load_crops, load_images
+from experiments.methods import METHODS, load
 from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
-from experiments.tracks.recipes import mobileface, train_mobileface
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -23,12 +23,11 @@ def main(arguments: list[str] | None = None) -> None:
         # A damaged file is to be reported before the long work.
         if run.track == "celeba":
             test = load_crops(run)
-            trained = run.trained
-            model = mobileface(trained).restore(trained.network_file("mobileface"))
+            model = load(run, "mobileface")
         else:
             test = load_images(run, "test")
-            model = train_mobileface(run)
+            model = METHODS["mobileface"].train(run)
         record["final_rms_error_mm"] = {
             mode: round(losses[-1] ** 0.5, 6) for mode, losses in model.history_.items()
         }
-        write_prediction(run, "mobileface", model, test)
+        write_prediction(run, METHODS["mobileface"], model, test)

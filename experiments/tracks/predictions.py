@@ -4,81 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 
-from deepmds_keras.baselines.aldrian import Aldrian
-from deepmds_keras.baselines.linear import Linear
-from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.io.archives import write_arrays
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from experiments.arguments import parse_run
-from experiments.inputs import Faces, load_faces, load_landmark_model
-from experiments.methods import DEEP_MDS
+from experiments.inputs import Faces, load_faces
+from experiments.methods import Method, load, methods_of
 from experiments.progress import Bar
-from experiments.run import AUTHORS_FILES, Run
+from experiments.run import Run
 from experiments.running import on_one_core, one_core, stage
-from experiments.tracks.recipes import load_deep_mds, zhao
 
-# Beside `DEEP_MDS`, and the methods that see images, which have stages of their own.
-_METHODS = {
-    "bfm": ("mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian"),
-    "flame": ("mean_shape", "linear", "zhao"),
-    "celeba": ("mean_shape", "linear", "zhao", "aldrian"),
-}
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
 
-def fitted(run: Run, train: Faces, method: str):
-    """A method of the table, ready to predict.
-
-    Args:
-        run: The run, whose networks are those of `run.trained`.
-        train: Training faces of that run.
-        method: Its id.
-    """
-    run = run.trained
-    if method in DEEP_MDS:
-        return load_deep_mds(run, train, method)
-    if method.startswith("zhao"):
-        name = "zhao_authors" if method == "zhao_frontal" else method
-        return zhao(run).restore(run.network_file(name))
-    if method == "aldrian":
-        return Aldrian(*load_landmark_model(run))
-    if method == "authors_weights":
-        return authors_weights(run)
-    return {"mean_shape": MeanShape, "linear": Linear}[method]().fit(train.views, train.shapes)
-
-
-def authors_weights(run: Run) -> DeepMDS:
-    """The authors' released networks."""
-    files = (Path(run.authors, name) for name in AUTHORS_FILES[run.track])
-    model = DeepMDS.from_released(*files, n_landmarks=len(load_scheme(run.scheme)))
-    return model.set_params(n_jobs=run.jobs)
-
-
-def methods_of(run: Run) -> list[str]:
-    """Methods that can be run here, in the order of the table."""
-    methods = [*_METHODS[run.track], *DEEP_MDS]
-    return methods + ["authors_weights"] * (run.authors is not None)
-
-
-def predict(run: Run, train: Faces, test: Faces, method: str) -> None:
+def predict(run: Run, test: Faces, method: Method) -> None:
     """Write the predictions of one method, unless they are there."""
-    if run.prediction_file(method).exists():
-        return
-    model = fitted(run, train, method)
-    views = normalise(test.shapes[..., :2]) if method == "zhao_frontal" else test.views
-    write_prediction(run, method, model, views)
+    if not run.prediction_file(method.id).exists():
+        write_prediction(run, method, load(run, method.id), method.sees(test))
 
 
-def write_prediction(run: Run, method: str, model, inputs) -> None:
+def write_prediction(run: Run, method: Method, model, inputs) -> None:
     """Write what a trained method makes of its inputs, views or images: one of each test face."""
-    with Bar(total=len(inputs), desc=method, unit="face") as bar:
+    with Bar(total=len(inputs), desc=method.id, unit="face") as bar:
         if isinstance(model, DeepMDS):
             arrays = {
                 "shapes": model.predict(inputs, progress=bar.update),
@@ -86,22 +36,22 @@ def write_prediction(run: Run, method: str, model, inputs) -> None:
             }
         else:
             chunks = []
-            for chunk in _predicted(run, model, inputs):
+            for chunk in _predicted(run, method, model, inputs):
                 chunks.append(chunk)
                 bar.update(len(chunk))
             arrays = {"shapes": np.concatenate(chunks)}
     described = {
-        "method": method,
+        "method": method.id,
         "n_parameters": int(model.n_parameters),
         "ms_per_face": milliseconds_per_face(model, inputs[: run.preset.timed_faces]),
     }
-    write_shapes(run, method, arrays, described)
+    write_shapes(run, method.id, arrays, described)
 
 
-def _predicted(run: Run, model, inputs) -> Iterator[np.ndarray]:
+def _predicted(run: Run, method: Method, model, inputs) -> Iterator[np.ndarray]:
     starts = range(0, len(inputs), _FACES_PER_CHUNK)
     chunks = (inputs[start : start + _FACES_PER_CHUNK] for start in starts)
-    if not isinstance(model, Aldrian):  # done at once, or by networks, which stay in this process
+    if not method.one_by_one:  # done at once, or by networks, which stay in this process
         return map(model.predict, chunks)
     tasks = (delayed(on_one_core)(model.predict, chunk) for chunk in chunks)
     return Parallel(run.jobs if len(starts) > 1 else 1, return_as="generator")(tasks)
@@ -131,9 +81,11 @@ def milliseconds_per_face(model, inputs: np.ndarray) -> float:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "predictions") as record:
-        if run.authors is not None:
-            authors_weights(run)  # an unusable file is to be reported before the long work
-        train, test = load_faces(run.trained, "train"), load_faces(run, "test")
-        record["methods"] = methods_of(run)
-        for method in record["methods"]:
-            predict(run, train, test, method)
+        methods = methods_of(run, "predictions")
+        for method in methods:
+            if method.needs is not None:
+                load(run, method.id)  # an unusable file is to be reported before the long work
+        test = load_faces(run, "test")
+        record["methods"] = [method.id for method in methods]
+        for method in methods:
+            predict(run, test, method)

@@ -1,4 +1,4 @@
-"""What both tracks write of their scores: metrics, tables and the picture of the table."""
+"""What every track reads of its networks' training, and writes of its scores."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.weights import checkpoint_files
 from experiments.figures.style import save
 from experiments.figures.summary import summary
 from experiments.manifest import clear_results
+from experiments.methods import DEEP_MDS, notes
 from experiments.records import write_text
 from experiments.run import Run
 from experiments.scoring.scores import Scores, per_face
@@ -22,7 +25,7 @@ def write_results(
     folder: Path,
     metrics: pd.DataFrame,
     scores: dict[str, Scores],
-    notes: Mapping[str, str],
+    remarks: Mapping[str, str] = {},
     beside: Mapping[str, str] = {},
 ) -> None:
     """Write `metrics.csv`, the tables and `figures/summary`, in the place of an earlier run's.
@@ -31,8 +34,10 @@ def write_results(
         run: The run.
         folder: Of the results.
         metrics, scores: As from `scores.evaluate`.
-        notes, beside: As for `tables.summarise`.
+        remarks: Notes on methods beside those of their rows.
+        beside: As for `tables.summarise`.
     """
+    found = {method: own.found for method, own in scores.items()}
     clear_results(folder)
     write_text(folder / "metrics.csv", to_csv(metrics))
     table = write_tables(
@@ -40,8 +45,19 @@ def write_results(
         metrics,
         experiment=run.track,
         subset_size=run.preset.subset_size,
-        notes=notes,
+        notes=notes(run, found) | dict(remarks),
         per_face=per_face(scores),
         beside=beside,
     )
     save(summary(table, len(load_scheme(run.scheme))), folder / "figures", "summary")
+
+
+def load_histories(run: Run) -> dict[str, dict[str, dict]]:
+    """Losses of `DEEP_MDS` by method, network and epoch, from the files of the networks."""
+    return {
+        method: {
+            network: read_arrays(path)[1]["history"]
+            for network, path in checkpoint_files(run.networks, *settings).items()
+        }
+        for method, settings in DEEP_MDS.items()
+    }

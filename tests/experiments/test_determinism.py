@@ -8,10 +8,9 @@ import runs
 
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from experiments.inputs import load_faces
-from experiments.methods import DEEP_MDS
+from experiments.methods import DEEP_MDS, load
 from experiments.presets import TINY
 from experiments.run import Run
-from experiments.tracks.predictions import fitted
 
 
 @pytest.fixture
@@ -19,13 +18,12 @@ def batched(whole_bfm, tmp_path):
     """The BFM experiment with the predictions of the batched solver in place of scikit-learn's."""
     shutil.copytree(whole_bfm.folder / "build", tmp_path / "build")
     run = Run("openhead", TINY, build=tmp_path / "build", jobs=1)
-    train, test = load_faces(run, "train"), load_faces(run, "test")
+    test = load_faces(run, "test")
     for method in DEEP_MDS:
         path = run.prediction_file(method)
         arrays, described = read_arrays(path)
-        predicted = np.float32(
-            fitted(run, train, method).set_params(solver="batched").predict(test.views)
-        )
+        model = load(run, method).set_params(solver="batched")
+        predicted = np.float32(model.predict(test.views))
         assert np.abs(predicted - arrays["shapes"]).max() < 1e-3
         write_arrays(path, arrays | {"shapes": predicted}, described)
     return tmp_path

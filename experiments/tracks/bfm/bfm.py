@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -14,52 +13,24 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
-from experiments.figures.face_figures import draw_faces, draw_landmark_errors
+from experiments.figures.face_figures import draw_faces, draw_landmark_errors, drawn_of
 from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.inputs import (
     Faces,
     image_files,
     load_faces,
-    load_histories,
-    load_landmark_model,
 )
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.methods import DEEP_MDS
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.parameters import write_parameter_table
 from experiments.scoring.scores import Scores, evaluate, load_predictions
-from experiments.tracks.bfm.released_evaluator import BESIDE, NOTE, TRUE_DEPTH, ZHAO, as_released
-from experiments.tracks.results import write_results
+from experiments.tracks.bfm.released_evaluator import BESIDE, REMARKS, as_released
+from experiments.tracks.results import load_histories, write_results
 
 _STAGES = ("faces", "images", "networks", "predictions", "mobileface")
-# Drawn in the figures; the others differ from these in training or test views only.
-_DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
-_MAPPED = ("mean_shape", "linear", "zhao", "ours", "ours_stable")  # their errors as whole faces
-_NOT_SHOWN = ("ours_released",)  # beside whole faces: to the eye they are those of `ours`
 _RENDERS = 24
-
-
-def notes(run: Run, methods: Container[str]) -> dict[str, str]:
-    """What a reader must know of a method, or why it has no number of ours."""
-    found = {}
-    if "mobileface" in methods:
-        steps = run.preset.mobileface_epochs * run.preset.mobileface_steps
-        of_all = (
-            "as many as in the released code" if steps == 100_000 else "the released code: 100,000"
-        )
-        found["mobileface"] = (
-            f"trained for {steps:,} steps of 16 images ({of_all}) to find "
-            f"{len(load_landmark_model(run)[1])} coefficients of the face model"
-        )
-    else:
-        found["mobileface"] = "left out (MOBILEFACE=no)"
-    if "authors_weights" not in methods:
-        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
-    if run.evaluator == "released":
-        found |= dict.fromkeys((*ZHAO, TRUE_DEPTH), NOTE)
-    return found
 
 
 def draw(
@@ -72,7 +43,7 @@ def draw(
     """Write every figure, and the faces of the qualitative one as numbers."""
     figures = folder / "figures"
     scheme = load_scheme(run.scheme)
-    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    drawn = drawn_of(scores)
     mobileface = None
     if "mobileface" in scores:
         files, first = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
@@ -83,10 +54,8 @@ def draw(
 
     titles, faces = typical_faces(test, scores["ours"].mse)
     frontal = predictions["ours"]["frontal"]
-    draw_faces(
-        folder, "qualitative", scheme, test, frontal, drawn, faces, titles, not_shown=_NOT_SHOWN
-    )
-    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
+    draw_faces(folder, "qualitative", scheme, test, frontal, drawn, faces, titles)
+    draw_landmark_errors(folder, scheme, test, drawn, run.track)
 
     cameras = test.cameras
     poses = pd.DataFrame(
@@ -127,8 +96,8 @@ def main(arguments: list[str] | None = None) -> None:
             predictions = as_released(predictions, test.shapes)
         shapes = {method: arrays["shapes"] for method, arrays in predictions.items()}
         metrics, scores = evaluate(run, test, shapes, descriptions)
-        beside = BESIDE if released else {}
-        write_results(run, folder, metrics, scores, notes(run, scores), beside)
+        remarks, beside = (REMARKS, BESIDE) if released else ({}, {})
+        write_results(run, folder, metrics, scores, remarks, beside)
         if not released:  # the other figures and tables are of the methods, however scored
             draw(run, test, scores, predictions, folder)
             parameters = run.model_results / "parameters"

@@ -9,10 +9,11 @@ ZHAO = ("zhao", "zhao_authors", "zhao_frontal")
 TRUE_DEPTH = "zhao_true_depth"
 # The authors give the net frontal views, so that the paper's number stands beside those.
 BESIDE = {"zhao": "zhao_frontal"}
-NOTE = (
+_NOTE = (
     "scored as the released evaluator does: the true x and y, joined to the predicted depth of the "
     "face before, rescaled by itself to [0, 1]"
 )
+REMARKS = dict.fromkeys((*ZHAO, TRUE_DEPTH), _NOTE)
 
 
 def as_released(predictions: dict[str, dict], truth: np.ndarray) -> dict[str, dict]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +13,13 @@ from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
-from experiments.figures.face_figures import draw_faces, draw_landmark_errors
+from experiments.figures.face_figures import draw_faces, draw_landmark_errors, drawn_of
 from experiments.figures.fits import FittedPhoto, fits
 from experiments.figures.qualitative import Photos
 from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.inputs import USED, Faces, crop_files, load_faces, of_used
 from experiments.manifest import records_of, write_manifest
-from experiments.methods import DEEP_MDS
 from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
@@ -30,28 +28,9 @@ from experiments.tracks.celeba.photo_sources import photo_source
 from experiments.tracks.results import write_results
 
 _TRUE, _FIT = "true_landmarks", "model_fit"
-_DRAWN = ("mean_shape", "linear", "zhao", "aldrian", "mobileface", *DEEP_MDS, "authors_weights")
-_MAPPED = ("mean_shape", "linear", "zhao", "mobileface", "ours")
-_NOT_SHOWN = ("ours_released",)  # in the picture: to the eye those of `ours`
 _YAWS = (-18.0, 0.0, 18.0)  # degrees: a face about each is shown
 _PHOTO = 112  # pixels of a side of a photo in a picture
 _RENDERS = 24
-
-
-def notes(run: Run, methods: Container[str]) -> dict[str, str]:
-    """What a reader must know of a method, or why it has no number of ours."""
-    found = {}
-    if _FIT in methods:
-        found[_FIT] = (
-            "no method here: what the paper takes for the truth, scored against the true one"
-        )
-    if "mobileface" not in methods:
-        found["mobileface"] = "left out (MOBILEFACE=no)"
-    else:
-        found["mobileface"] = "trained on renders before an empty background, as on the BFM track"
-    if "authors_weights" not in methods:
-        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
-    return found
 
 
 def shown_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
@@ -98,15 +77,13 @@ def draw(
 ) -> None:
     """Write the figures, and some faces as numbers."""
     figures, scheme = folder / "figures", load_scheme(run.scheme)
-    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    drawn = drawn_of(scores)
     titles, faces = shown_faces(test, scores["ours"].mse)
     shown_photos = photos_of(run, photos, faces)
     squares = [crop(p.image, p.projected, _PHOTO, MARGIN) for p in shown_photos]
-    draw_faces(
-        folder, "celeba", scheme, test, frontal, drawn, faces, titles,
-        not_shown=_NOT_SHOWN, photos=Photos(*map(np.stack, zip(*squares, strict=True))),
-    )  # fmt: skip
-    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
+    shown = Photos(*map(np.stack, zip(*squares, strict=True)))
+    draw_faces(folder, "celeba", scheme, test, frontal, drawn, faces, titles, shown)
+    draw_landmark_errors(folder, scheme, test, drawn, run.track)
 
     distances = None
     if truth is not None:
@@ -140,14 +117,14 @@ def main(arguments: list[str] | None = None) -> None:
         here = shapes | {_TRUE: truth} if known else shapes
         folders = [run.experiment_results("celeba")]
         metrics, scores = evaluate(run, test, here, descriptions)
-        write_results(run, folders[0], metrics, scores, notes(run, here))
+        write_results(run, folders[0], metrics, scores)
         frontal = loaded["ours"][0]["frontal"]
         draw(run, test, photos, scores, frontal, truth if known else None, folders[0])
         if known:
             folders.append(run.experiment_results("celeba-true-landmarks"))
             with_fit = shapes | {_FIT: fitted}
             metrics, scores = evaluate(run, test.against(truth), with_fit, descriptions)
-            write_results(run, folders[1], metrics, scores, notes(run, with_fit))
+            write_results(run, folders[1], metrics, scores)
         stages = [load_record(run.trained, "networks")]
         stages = [*records_of(run, ("photos", "predictions", "mobileface")), *stages]
         for folder in folders:

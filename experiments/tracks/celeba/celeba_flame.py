@@ -21,11 +21,10 @@ from experiments.figures.gallery import gallery
 from experiments.figures.style import save
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, load_faces
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.methods import load
 from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
-from experiments.tracks.predictions import fitted
-from experiments.tracks.recipes import released_ringnet, ringnet
 
 _METHODS = ("zhao", "ours", "ours_stable")  # beside those that see the photo
 _PHOTO = 224  # pixels of a side of a photo in the picture
@@ -74,23 +73,17 @@ def shapes_of(
     flame: Run, photos: list[Path], images: list[np.ndarray], landmarks: np.ndarray
 ) -> dict[str, np.ndarray]:
     """What every method that can be run makes of the faces: `(n, 51, 3)`, NaN where none found."""
-    train = load_faces(flame, "train")
     views = normalise(centre(landmarks * (1, -1)))
-    shapes = {name: fitted(flame, train, name).predict(views) for name in _METHODS}
+    shapes = {name: load(flame, name).predict(views) for name in _METHODS}
     if (flame.work / f"{flame.ringnet_stage}.json").exists():
-        licensed = flame.ringnet is not None
-        size = CROP_SIZE if licensed else IMAGE_SIZE
-        if licensed:
-            net = released_ringnet(flame)
-        else:
-            net = ringnet(flame).restore(flame.network_file("ringnet"))
+        size = IMAGE_SIZE if flame.ringnet is None else CROP_SIZE
         squares = [crop(*pair, size, CROP_MARGIN)[0]
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip
-        shapes["ringnet"] = net.predict(np.stack(squares))
+        shapes["ringnet"] = load(flame, "ringnet").predict(np.stack(squares))
     python = flame.mediapipe or MEDIAPIPE_PYTHON
     if Path(python).exists():
         shapes["mediapipe_corrected"] = landmarks51(detect(photos, python))
-    mean = train.shapes.mean(0).astype(float)
+    mean = load_faces(flame, "train").shapes.mean(0).astype(float)
     return {name: upright(own, mean) for name, own in shapes.items()}
 
 

@@ -14,7 +14,7 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_condition
-from experiments.figures.face_figures import draw_faces, draw_landmark_errors
+from experiments.figures.face_figures import draw_faces, draw_landmark_errors, drawn_of
 from experiments.figures.ground_truth import Example, ground_truth
 from experiments.figures.qualitative import Photos
 from experiments.figures.style import save
@@ -24,31 +24,16 @@ from experiments.inputs import (
     Faces,
     crop_files,
     load_faces,
-    load_histories,
     of_used,
 )
 from experiments.manifest import records_of, write_manifest
-from experiments.methods import DEEP_MDS
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
-from experiments.tracks.results import write_results
+from experiments.tracks.results import load_histories, write_results
 
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
 _TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
-_DRAWN = (
-    "mean_shape",
-    "linear",
-    "zhao",
-    _FIT,
-    "ringnet",
-    "mediapipe",
-    "mediapipe_corrected",
-    *DEEP_MDS,
-    "authors_weights",
-)
-_MAPPED = ("mean_shape", "linear", "zhao", "mediapipe_corrected", "ours")
-_NOT_SHOWN = ("ours_released", "mediapipe")  # in the picture: to the eye they are their neighbours
 _SHOWN_FACES = 4
 _CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it in the pictures
 
@@ -56,31 +41,6 @@ _CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
     """What is known of every scan beside the test set, see `scans.examine`; also of the unused."""
     return read_arrays(run.work / "scans.npz")[0]
-
-
-def notes(run: Run, scores: dict[str, Scores]) -> dict[str, str]:
-    """What a reader must know of a method, or why it has no number of ours."""
-    found = {}
-    for method in ("mediapipe", "mediapipe_corrected"):
-        if method in scores:
-            lost = int(np.isnan(scores[method].mse).sum())
-            found[method] = (
-                f"no face found in {lost:,} of {len(scores[method].mse):,} photos (N/A), which are "
-                "left out"
-            )
-    if "mediapipe" not in scores:
-        found["mediapipe"] = "left out (MEDIAPIPE=no)"
-    if "ringnet" not in scores:
-        found["ringnet"] = "left out (RINGNET=no)"
-    elif run.ringnet is None:
-        steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
-        found["ringnet"] = (
-            f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
-            "paper's is the published one"
-        )
-    if "authors_weights" not in scores:
-        found["authors_weights"] = "their weight files were not given (AUTHORS=folder)"
-    return found
 
 
 def draw(
@@ -94,7 +54,7 @@ def draw(
     """Write the figures that are of the methods and of the test set, and faces as numbers."""
     figures = folder / "figures"
     scheme = load_scheme(run.scheme)
-    drawn = {method: scores[method] for method in _DRAWN if method in scores}
+    drawn = drawn_of(scores)
     ringnet = None
     if "ringnet" in scores and run.ringnet is None:
         # The other record, of the landmarks' error alone, is in another unit.
@@ -106,11 +66,8 @@ def draw(
     files = crop_files(run, len(test.views))
     photos = Photos(*map(np.stack, zip(*(small_photo(files, k) for k in faces), strict=True)))
     titles = [conditions[k].replace("_", " ") for k in faces]
-    draw_faces(
-        folder, "casia", scheme, test, frontal, drawn, faces, titles,
-        not_shown=_NOT_SHOWN, photos=photos,
-    )  # fmt: skip
-    draw_landmark_errors(folder, scheme, test, drawn, _MAPPED)
+    draw_faces(folder, "casia", scheme, test, frontal, drawn, faces, titles, photos)
+    draw_landmark_errors(folder, scheme, test, drawn, run.track)
     if len({*conditions}) > 1:
         rows = [
             pd.DataFrame({"method": method, "condition": conditions, "mse": own.mse})
@@ -185,14 +142,14 @@ def main(arguments: list[str] | None = None) -> None:
         here = shapes if truth is None else shapes | {_TRUE: truth}
         folder = run.experiment_results("flame")
         metrics, scores = evaluate(run, test, here, descriptions)
-        write_results(run, folder, metrics, scores, notes(run, scores))
+        write_results(run, folder, metrics, scores)
         draw(run, test, scans, scores, loaded["ours"][0]["frontal"], folder)
         folders = [folder]
         if truth is not None:
             folders.append(run.experiment_results("flame-true-landmarks"))
             true_test = test.against(truth)
             metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
-            write_results(run, folders[1], metrics, scores, notes(run, scores))
+            write_results(run, folders[1], metrics, scores)
         records = records_of(run, (*_STAGES, run.ringnet_stage))
         for own in folders:
             write_manifest(run, "reproduce-flame", records, own)

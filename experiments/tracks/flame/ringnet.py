@@ -10,9 +10,9 @@ from data_gen.datasets.image_files import ImageFiles
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.arguments import parse_run
 from experiments.inputs import load_crops
+from experiments.methods import METHODS, load
 from experiments.running import stage
 from experiments.tracks.predictions import write_prediction
-from experiments.tracks.recipes import released_ringnet, train_ringnet
 
 
 def shrunk(images: ImageFiles) -> np.ndarray:
@@ -32,10 +32,10 @@ def main(arguments: list[str] | None = None) -> None:
         test = load_crops(run)  # a damaged file is to be reported before the long work
         record["methods"] = ["ringnet"]
         if run.ringnet is not None:
-            write_prediction(run, "ringnet", released_ringnet(run), test)
+            write_prediction(run, METHODS["ringnet"], load(run, "ringnet"), test)
         else:
-            model = train_ringnet(run)
+            model = METHODS["ringnet"].train(run)
             record["final_losses"] = {
                 mode: round(losses[-1], 6) for mode, losses in model.history_.items()
             }
-            write_prediction(run, "ringnet", model, shrunk(test))
+            write_prediction(run, METHODS["ringnet"], model, shrunk(test))

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from deepmds_keras.io.errors import InputError
-from experiments.methods import BY_ID, METHODS, title
+from experiments.methods import METHODS, title
 from experiments.metrics import METRICS
 from experiments.published import PUBLISHED, printed, published
 from experiments.scoring.numbers import as_quoted
@@ -99,7 +99,7 @@ def test_doubtful_numbers_carry_a_note():
 
 
 def test_every_quoted_method_is_one_of_ours(rows):
-    assert {*rows["method"]} - {""} == {m.paper for m in METHODS if m.paper}
+    assert {*rows["method"]} - {""} == {m.paper for m in METHODS.values() if m.paper}
 
 
 def test_unknown_names_are_refused():
@@ -107,4 +107,4 @@ def test_unknown_names_are_refused():
         published("lfw")
     with pytest.raises(InputError, match=r"must be one of mean_shape, .* Received 'ouers'"):
         title("ouers")
-    assert len(BY_ID) == len(METHODS) == len({m.title for m in METHODS})
+    assert len(METHODS) == len({m.title for m in METHODS.values()})

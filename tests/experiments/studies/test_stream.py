@@ -9,13 +9,13 @@ import runs
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.io.archives import read_arrays
-from experiments.inputs import as_seen, load_faces
+from experiments.inputs import as_seen
 from experiments.manifest import files_of, read_manifest
+from experiments.methods import load
 from experiments.presets import TINY
 from experiments.run import Run
 from experiments.scoring.scores import score
 from experiments.studies.shards import Shards
-from experiments.tracks.predictions import fitted
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_its_numbers_are_those_of_the_method(folder):
     table = pd.read_csv(results(folder) / "table.csv").set_index(["method", "metric"])
     assert (table["n_faces"] == 25).all()
     for method in ("mean_shape", "ours"):
-        fit = fitted(run, train, method)
+        fit = load(run, method)
         errors = np.concatenate([score(fit.predict(own.views), own).mse for own in parts])
         row = table.loc[method, "mse"]
         assert row["mean"] == pytest.approx(errors.mean(), rel=1e-4)

@@ -1,0 +1,265 @@
+"""How the compared methods are trained and, once they are, loaded.
+
+Nothing of TensorFlow or scikit-learn is imported before a method is asked for: the registry of the
+methods, which the figures and the report read too, names these functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_gen.datasets.dataset import load_dataset
+from data_gen.models.flame import read_flame
+from data_gen.models.flame_embedding import embedding_near
+from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.photos import IMAGE_SIZE
+from experiments.inputs import (
+    load_faces,
+    load_images,
+    load_landmark_model,
+    load_rings,
+    load_shape_gram,
+)
+from experiments.progress import EpochBar
+from experiments.run import AUTHORS_FILES, Run
+
+if TYPE_CHECKING:
+    import keras
+    import numpy as np
+
+    from deepmds_keras.baselines.aldrian import Aldrian
+    from deepmds_keras.baselines.linear import Linear
+    from deepmds_keras.baselines.mean_shape import MeanShape
+    from deepmds_keras.baselines.mobileface import MobileFace
+    from deepmds_keras.baselines.ringnet import RingNet
+    from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
+    from deepmds_keras.baselines.zhao import Zhao
+    from deepmds_keras.pipeline import DeepMDS
+
+# The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
+_ZHAO_AUTHORS_FACES = 3000
+_RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
+
+
+@contextmanager
+def _trained_by(run: Run, stage: str) -> Iterator[None]:
+    """Name the stage to run where what it trains cannot be restored."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(
+            f"{error} Run the stage {stage} (make reproduce-{run.track}) to train it."
+        ) from None
+
+
+def load_mean_shape(run: Run) -> MeanShape:
+    """Return the mean of the training shapes."""
+    from deepmds_keras.baselines.mean_shape import MeanShape
+
+    train = load_faces(run, "train")
+    return MeanShape().fit(train.views, train.shapes)
+
+
+def load_linear(run: Run) -> Linear:
+    """Return the regression, which is solved in closed form: there is nothing to keep."""
+    from deepmds_keras.baselines.linear import Linear
+
+    train = load_faces(run, "train")
+    return Linear().fit(train.views, train.shapes)
+
+
+def load_aldrian(run: Run) -> Aldrian:
+    """Return the fit of the run's face model."""
+    from deepmds_keras.baselines.aldrian import Aldrian
+
+    return Aldrian(*load_landmark_model(run))
+
+
+# The paper's method
+
+
+def _deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
+    from deepmds_keras.pipeline import DeepMDS
+
+    return DeepMDS(
+        len(load_scheme(run.scheme)),
+        variant,
+        schedule=schedule,
+        autoencoder_epochs=run.preset.autoencoder_epochs,
+        dissimilarity_epochs=run.preset.dissimilarity_epochs,
+        dissimilarity_steps=run.preset.dissimilarity_steps,
+        seed=run.seed,
+        n_jobs=run.jobs,
+    )
+
+
+def fit_deep_mds(model: DeepMDS, views: np.ndarray, shapes: np.ndarray, **options) -> DeepMDS:
+    """`DeepMDS.fit`, with a progress bar for each network."""
+    epochs = {
+        "autoencoder": model.autoencoder_epochs,
+        "dissimilarity_net": model.dissimilarity_epochs,
+    }
+    bars: dict[str, EpochBar] = {}
+
+    def progress(name: str, losses: dict[str, float]) -> None:
+        if name not in bars:
+            bars[name] = EpochBar(f"{name} {model.variant} {model.schedule}", epochs[name])
+        bars[name].losses(losses)
+        if bars[name].n == epochs[name]:
+            bars[name].close()
+
+    return model.fit(views, shapes, progress=progress, **options)
+
+
+def train_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
+    """Train both networks; a data set has centred its views already if they are to be."""
+    model, train = _deep_mds(run, variant, schedule), load_faces(run, "train")
+    return fit_deep_mds(model, train.views, train.shapes, checkpoint=run.networks)
+
+
+def load_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
+    """Return the method as trained, for views that need not be centred on the FLAME track."""
+    centred = run.track == "flame" and run.protocol == "paper"
+    model = _deep_mds(run, variant, schedule).set_params(centre_views=centred)
+    with _trained_by(run, "networks"):
+        return model.restore(run.networks, load_faces(run, "train").shapes)
+
+
+def load_authors_weights(run: Run) -> DeepMDS:
+    """Return the authors' released networks."""
+    from deepmds_keras.pipeline import DeepMDS
+
+    files = (Path(run.authors, name) for name in AUTHORS_FILES[run.track])
+    model = DeepMDS.from_released(*files, n_landmarks=len(load_scheme(run.scheme)))
+    return model.set_params(n_jobs=run.jobs)
+
+
+def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -> list[keras.Model]:
+    """Build both networks, to count their parameters."""
+    from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+
+    return [build_autoencoder(n_landmarks), build_dissimilarity_net(variant)]
+
+
+# Zhao's net
+
+
+def _zhao(run: Run) -> Zhao:
+    from deepmds_keras.baselines.zhao import Zhao
+
+    return Zhao(
+        len(load_scheme(run.scheme)),
+        epochs=run.preset.zhao_epochs,
+        steps_per_epoch=run.preset.zhao_steps,
+        seed=run.seed,
+    )
+
+
+def train_zhao(run: Run, name: str) -> Zhao:
+    """Train `"zhao"` on the views of everybody else, `"zhao_authors"` as the authors did."""
+    train = load_faces(run, "train")
+    points = train.posed if name == "zhao" else train.shapes[:_ZHAO_AUTHORS_FACES]
+    with EpochBar(name, run.preset.zhao_epochs) as bar:
+        return _zhao(run).fit(points, checkpoint=run.network_file(name), progress=bar.losses)
+
+
+def load_zhao(run: Run, name: str) -> Zhao:
+    """Return the net as trained."""
+    with _trained_by(run, "networks"):
+        return _zhao(run).restore(run.network_file(name))
+
+
+# MobileFace, which sees images
+
+
+def _mobileface(run: Run) -> MobileFace:
+    from deepmds_keras.baselines.mobileface import MobileFace
+
+    return MobileFace(
+        *load_landmark_model(run),
+        load_shape_gram(run),
+        standardise="batch" if run.protocol == "released" else "face",
+        epochs=run.preset.mobileface_epochs,
+        steps_per_epoch=run.preset.mobileface_steps,
+        seed=run.seed,
+    )
+
+
+def train_mobileface(run: Run) -> MobileFace:
+    """Train on the run's images."""
+    images = load_images(run, "train")
+    with EpochBar("mobileface", run.preset.mobileface_epochs) as bar:
+        return _mobileface(run).fit(
+            images,
+            load_dataset(run.work / "train.npz").identity[: len(images)],
+            checkpoint=run.network_file("mobileface"),
+            progress=bar.losses,
+        )
+
+
+def load_mobileface(run: Run) -> MobileFace:
+    """Return the net as trained."""
+    with _trained_by(run, "mobileface"):
+        return _mobileface(run).restore(run.network_file("mobileface"))
+
+
+def mobileface_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
+    """Build the network, to count its parameters."""
+    from deepmds_keras.baselines.mobileface import build_mobileface_net
+
+    return [build_mobileface_net(n_coefficients)]
+
+
+# RingNet, which sees photos
+
+
+def _ringnet(run: Run) -> RingNet:
+    from deepmds_keras.baselines.ringnet import RingNet
+
+    arrays, _ = read_arrays(run.work / "landmark_model.npz")
+    return RingNet(
+        arrays["mean"],
+        arrays["identity_basis_times_sd"],
+        arrays["expression_basis"],
+        image_size=IMAGE_SIZE,
+        epochs=run.preset.ringnet_epochs,
+        steps_per_epoch=run.preset.ringnet_steps,
+        seed=run.seed,
+    )
+
+
+def train_ringnet(run: Run) -> RingNet:
+    """Train on the run's images of people."""
+    with EpochBar("ringnet", run.preset.ringnet_epochs) as bar:
+        return _ringnet(run).fit(
+            *load_rings(run), checkpoint=run.network_file("ringnet"), progress=bar.sums
+        )
+
+
+def load_ringnet(run: Run) -> RingNet | ReleasedRingNet:
+    """Return the licensed RingNet if it was given, or ours as trained."""
+    if run.ringnet is None:
+        with _trained_by(run, "ringnet"):
+            return _ringnet(run).restore(run.network_file("ringnet"))
+    if run.data is None:
+        raise InputError(
+            "DATA= must be the folder of FLAME, on whose mesh the licensed RingNet has its "
+            "landmarks. Received none."
+        )
+    from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
+
+    embedding = embedding_near(run.data)
+    corners = read_flame(run.data).triangles[embedding.triangles]
+    return ReleasedRingNet(run.ringnet, corners, embedding.weights)
+
+
+def ringnet_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
+    """Build the published network, to count its parameters."""
+    from deepmds_keras.baselines.ringnet_net import build_ringnet
+
+    return [build_ringnet(*_RINGNET)]

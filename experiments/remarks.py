@@ -1,0 +1,43 @@
+"""What a reader of a table must know of a method in this run, beside what its row says.
+
+Functions of the run, and of `(n,)` bool: whether the method found each test face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.inputs import load_landmark_model
+from experiments.run import Run
+
+
+def of_mobileface(run: Run, found: np.ndarray) -> str:
+    if run.track == "celeba":
+        return "trained on renders before an empty background, as on the BFM track"
+    steps = run.preset.mobileface_epochs * run.preset.mobileface_steps
+    of_all = "as many as in the released code" if steps == 100_000 else "the released code: 100,000"
+    return (
+        f"trained for {steps:,} steps of 16 images ({of_all}) to find "
+        f"{len(load_landmark_model(run)[1])} coefficients of the face model"
+    )
+
+
+def of_ringnet(run: Run, found: np.ndarray) -> str:
+    if run.ringnet is not None:
+        return ""
+    steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
+    return (
+        f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
+        "paper's is the published one"
+    )
+
+
+def of_mediapipe(run: Run, found: np.ndarray) -> str:
+    lost = int((~found).sum())
+    return f"no face found in {lost:,} of {len(found):,} photos (N/A), which are left out"
+
+
+def of_model_fit(run: Run, found: np.ndarray) -> str:
+    if run.track == "flame":
+        return ""
+    return "no method here: what the paper takes for the truth, scored against the true one"
