@@ -308,12 +308,6 @@ def test_summary_writes_both_numbers_and_a_dash_where_there_is_none():
     assert depth[2] == "71.940 ± 0.002"
 
 
-def test_no_two_methods_look_the_same():
-    looks = {(style.colour(m), style.marker(m)) for m in PAPER_METHODS}
-    assert len(looks) == len(PAPER_METHODS)
-    assert len({style.colour(m) for m in PAPER_METHODS}) == len(PAPER_METHODS)
-
-
 @pytest.mark.skipif(not OPEN_HEAD.exists(), reason="the open head is not in ../shared")
 def test_eleven_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
     rng = np.random.default_rng(0)
