@@ -7,6 +7,7 @@ import sys
 
 import pandas as pd
 import pytest
+import runs
 from matplotlib.text import Text
 from PIL import Image
 
@@ -15,7 +16,7 @@ from experiments.figures import style
 from experiments.inputs import load_faces
 from experiments.method import Method
 from experiments.methods import METHODS, load, methods_of
-from experiments.presets import SMOKE
+from experiments.presets import TINY
 from experiments.report import report
 from experiments.run import Run
 from experiments.tracks import predictions
@@ -71,11 +72,10 @@ def test_a_row_is_all_that_a_method_needs(whole_bfm, tmp_path, monkeypatch, writ
     monkeypatch.setitem(METHODS, MADE_UP.id, MADE_UP)
     for name in ("build", "results"):
         shutil.copytree(whole_bfm.folder / name, tmp_path / name)
-    results = ["--preset", SMOKE.name, "--results", str(tmp_path / "results")]
+    results = ["--preset", TINY.name, "--results", str(tmp_path / "results")]
     for stage in (predictions, bfm):
         stage.main([*results, "--build", str(tmp_path / "build"), "--jobs", "1"])
-    folder = tmp_path / "results" / SMOKE.name / "openhead"
-
+    folder = runs.results(tmp_path, "")
     for name in ("metrics.csv", "table.csv"):
         rows = pd.read_csv(folder / "bfm" / name).set_index(["method", "metric"]).sort_index()
         column = "value" if name == "metrics.csv" else "mean"
@@ -93,7 +93,7 @@ def test_a_row_is_all_that_a_method_needs(whole_bfm, tmp_path, monkeypatch, writ
 def test_loading_never_trains(whole_bfm, tmp_path):
     """The error names the stage to run."""
     shutil.copytree(whole_bfm.folder / "build", tmp_path / "build")
-    run = Run("openhead", SMOKE, build=tmp_path / "build", jobs=1)
+    run = Run("openhead", TINY, build=tmp_path / "build", jobs=1)
     before = {path: path.stat().st_mtime_ns for path in run.networks.iterdir()}
     trained = [m.id for m in METHODS.values() if m.train and "bfm" in m.tracks]
     for method in trained:
@@ -108,7 +108,7 @@ def test_loading_never_trains(whole_bfm, tmp_path):
 
 
 def test_methods_that_share_a_network_are_trained_in_one_process():
-    of = {track: chains(Run("openhead", SMOKE, track=track)) for track in ("bfm", "flame")}
+    of = {track: chains(Run("openhead", TINY, track=track)) for track in ("bfm", "flame")}
     for own in of.values():
         assert len(own) == 2  # as many processes as the smallest machine has cores
         assert own[0] == ["ours", "ours_released"]  # of one autoencoder
@@ -117,7 +117,7 @@ def test_methods_that_share_a_network_are_trained_in_one_process():
 
 def test_a_method_is_run_where_its_row_says():
     def ids(**parameters):
-        run = Run("openhead", SMOKE, **parameters)
+        run = Run("openhead", TINY, **parameters)
         return [method.id for method in methods_of(run, "predictions")]
 
     assert "aldrian" in ids() and "aldrian" not in ids(track="flame")

@@ -53,7 +53,6 @@ def test_a_stream_holds_each_face_once(folder):
 def test_its_numbers_are_those_of_the_method(folder):
     """Also by scikit-learn's solver and in a process with other settings of TensorFlow."""
     run = Run("openhead", TINY, build=folder / "build", jobs=1)
-    train = load_faces(run, "train")
     parts = [as_seen(load_dataset(path)) for path in files(folder)[:3]]
     table = pd.read_csv(results(folder) / "table.csv").set_index(["method", "metric"])
     assert (table["n_faces"] == 25).all()
