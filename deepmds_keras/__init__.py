@@ -9,6 +9,7 @@ from importlib import import_module
 _HOME = {
     "DeepMDS": "pipeline",
     "InputError": "io.errors",
+    "LandmarkLifter": "lifting",
     "align": "alignment",
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",

@@ -1,0 +1,179 @@
+"""Camera and posterior step of the lifting network, written once for NumPy and for Keras.
+
+Every function takes `xp`, NumPy or `keras.ops`, first. Arrays are float32 batches with the
+landmarks last: views `(n, 2, L)`, shapes `(n, 3, L)`, coefficients of the basis `(n, r)`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Precision of the prior on turn (3), log scale, perspective and shift (2); only the one on the
+# perspective says something, the others keep what landmarks leave open where it is.
+_CAMERA_PRECISION = np.float32([1e-3, 1e-3, 1e-3, 1e-3, 4.0, 1e-3, 1e-3])
+_PERSPECTIVE = 4
+_MOST_PERSPECTIVE = 1.0
+_LEAST_DISTANCE = 0.4  # of a landmark from a perspective camera, the face's being 1
+_LONGEST_STEP = 0.5  # of the log scale
+_RIDGE = 1e-4
+_TINY = 1e-12
+
+
+class Camera(NamedTuple):
+    """Sees a landmark `S`, at `P = rotation S`, at `scale P_xy / (1 - perspective P_z) + shift`."""
+
+    rotation: Any  # (n, 3, 3)
+    scale: Any  # (n, 1)
+    perspective: Any  # (n, 1), 0 for an orthographic camera
+    shift: Any  # (n, 2)
+
+
+class Sight(NamedTuple):
+    """A shape as a camera sees it, and the derivatives, all in standard deviations of the noise."""
+
+    posed: Any  # (n, 3, L): the shape as it is turned
+    near: Any  # (n, 1, L): one over the distance from the camera
+    certainty: Any  # (n, 1, L): one over the standard deviation, 0 for what is not seen
+    seen: Any  # (n, 2, L): the image
+    residual: Any  # (n, 2 L): view less image
+    along: Any  # (n, 1, L): by what is moved in the image plane
+    across: Any  # (n, 2, L): by what is moved towards the viewer
+
+
+def starting_camera(xp, views, visible, mean) -> Camera:
+    """The scaled orthographic camera nearest to the affine one that sees the mean shape best."""
+    homogeneous = xp.concatenate([mean, xp.ones_like(mean[:1])], 0)
+    weighted = visible[:, None] * homogeneous
+    scatter = weighted @ xp.transpose(homogeneous) + _RIDGE * np.eye(4, dtype=np.float32)
+    affine = views @ xp.transpose(weighted, (0, 2, 1)) @ xp.linalg.inv(scatter)
+    a, b = affine[:, 0, :3], affine[:, 1, :3]
+    aa, bb, ab = _dot(xp, a, a), _dot(xp, b, b), _dot(xp, a, b)
+    # The inverse square root of a symmetric 2 x 2 matrix has a closed form.
+    root = xp.sqrt(xp.maximum(aa * bb - ab * ab, _TINY))
+    a, b = (bb + root) * a - ab * b, (aa + root) * b - ab * a
+    a, b = (x / xp.sqrt(_dot(xp, x, x) + _TINY) for x in (a, b))
+    rotation = xp.stack([a, b, xp.cross(a, b)], 1)
+    scale = xp.sqrt(aa + bb + 2 * root) / 2
+    return Camera(rotation, scale, 0 * scale, affine[:, :, 3])
+
+
+def look(xp, camera: Camera, shapes, views, visible, variance) -> Sight:
+    """See a shape; `variance` `(n, L)` is that of the noise of a coordinate."""
+    posed = camera.rotation @ shapes
+    perspective = camera.perspective[:, :, None]
+    near = 1 / xp.maximum(1 - perspective * posed[:, 2:], _LEAST_DISTANCE)
+    certainty = (visible / xp.sqrt(variance))[:, None]
+    along = camera.scale[:, :, None] * near * certainty
+    seen = along * posed[:, :2]
+    residual = (views - camera.shift[:, :, None]) * certainty - seen
+    across = perspective * near * seen
+    return Sight(posed, near, certainty, seen, _flat(xp, residual), along, across)
+
+
+def project(xp, camera: Camera, sight: Sight, offsets):
+    """Offsets of the landmarks as they are seen: `(n, 3 L)` → `(n, 2 L)`."""
+    moved = camera.rotation @ xp.reshape(offsets, (-1, *sight.posed.shape[1:]))
+    return _flat(xp, sight.along * moved[:, :2] + sight.across * moved[:, 2:])
+
+
+def back_project(xp, camera: Camera, sight: Sight, shifts):
+    """Do the transpose of `project`: `(n, 2 L)` → `(n, 3 L)`."""
+    shifts = xp.reshape(shifts, (-1, *sight.across.shape[1:]))
+    depth = sight.across[:, :1] * shifts[:, :1] + sight.across[:, 1:] * shifts[:, 1:]
+    moved = xp.concatenate([sight.along * shifts, depth], 1)
+    return _flat(xp, xp.transpose(camera.rotation, (0, 2, 1)) @ moved)
+
+
+def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: int):
+    """Step to the code and camera of the highest posterior, the image taken for linear in both.
+
+    The code is standard normal. The seven parameters of the camera are eliminated exactly, the
+    code is found by conjugate gradients, which begin with what the view tells most about.
+
+    Args:
+        basis: `(r, 3 L)` offsets of the landmarks for a coefficient of 1.
+        code: `(n, r)` coefficients that the shape seen has.
+        n_iterations: Of the conjugate gradients.
+
+    Returns:
+        The new code and camera.
+    """
+    jacobian = _camera_jacobian(xp, sight)
+    precision = jacobian @ xp.transpose(jacobian, (0, 2, 1)) + np.diag(_CAMERA_PRECISION)
+    covariance = xp.linalg.inv(precision)
+    solver = covariance @ jacobian
+    prior = _CAMERA_PRECISION[_PERSPECTIVE] * camera.perspective * covariance[:, _PERSPECTIVE]
+    transposed = xp.transpose(basis)
+
+    def camera_step(shifts):
+        return (solver @ shifts[:, :, None])[:, :, 0]
+
+    def seen_by(step):
+        return (step[:, None] @ jacobian)[:, 0]
+
+    def to_code(shifts):
+        return back_project(xp, camera, sight, shifts) @ transposed
+
+    change = camera_step(sight.residual) - prior
+    left = to_code(sight.residual - seen_by(change)) - code
+    direction, size = left, _dot(xp, left, left)
+    step = 0 * left
+    for last in [False] * (n_iterations - 1) + [True]:
+        shifts = project(xp, camera, sight, direction @ basis)
+        image = to_code(shifts - seen_by(camera_step(shifts))) + direction
+        length = size / (_dot(xp, direction, image) + _TINY)
+        step = step + length * direction
+        if not last:
+            left = left - length * image
+            size, before = _dot(xp, left, left), size
+            direction = left + size / (before + _TINY) * direction
+    change = change - camera_step(project(xp, camera, sight, step @ basis))
+    return code + step, _move(xp, camera, change)
+
+
+def _camera_jacobian(xp, sight: Sight):
+    """How the image moves with turn, log scale, perspective and shift: `(n, 7, 2 L)`."""
+    x, y, depth = sight.posed[:, 0:1], sight.posed[:, 1:2], sight.posed[:, 2:3]
+    nothing = 0 * depth
+    swing = sight.along * depth
+    rows = [
+        sight.across[:, :1] * y,
+        sight.across[:, 1:] * y - swing,
+        swing - sight.across[:, :1] * x,
+        -sight.across[:, 1:] * x,
+        -sight.seen[:, 1:],
+        sight.seen[:, :1],
+        sight.seen,
+        sight.near * depth * sight.seen,
+        sight.certainty,
+        nothing,
+        nothing,
+        sight.certainty,
+    ]
+    return xp.reshape(xp.concatenate(rows, 1), (-1, 7, 2 * depth.shape[2]))
+
+
+def _move(xp, camera: Camera, change) -> Camera:
+    """The camera after a step `(n, 7)`, of which the turn is Cayley's of half the vector."""
+    half = change[:, :3] / 2
+    x, y, z = half[:, 0:1], half[:, 1:2], half[:, 2:3]
+    nothing = 0 * x
+    turn = xp.concatenate([nothing, -z, y, z, nothing, -x, -y, x, nothing], 1)
+    turn = xp.reshape(turn, (-1, 3, 3))
+    turned = turn @ camera.rotation
+    length = _dot(xp, half, half)[:, :, None]
+    rotation = camera.rotation + 2 / (1 + length) * (turned + turn @ turned)
+    growth = xp.exp(xp.clip(change[:, 3:4], -_LONGEST_STEP, _LONGEST_STEP))
+    perspective = camera.perspective + change[:, _PERSPECTIVE : _PERSPECTIVE + 1]
+    perspective = xp.clip(perspective, -_MOST_PERSPECTIVE, _MOST_PERSPECTIVE)
+    return Camera(rotation, camera.scale * growth, perspective, camera.shift + change[:, 5:])
+
+
+def _dot(xp, a, b):
+    return xp.sum(a * b, -1, keepdims=True)
+
+
+def _flat(xp, array):
+    return xp.reshape(array, (-1, array.shape[1] * array.shape[2]))

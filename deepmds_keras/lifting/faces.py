@@ -1,0 +1,132 @@
+"""Faces that the lifting network is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepmds_keras.checks import check_faces
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.lifting.views import LEAST_VISIBLE, prepare_views, standardise
+from deepmds_keras.normalisation import centre, normalise
+
+_HELD_OUT = 10  # one in so many of the faces given
+_MOST_HELD_OUT = 1000
+_FACES_OF_BASIS = 10_000
+_SPLIT, _BASIS, _CHECK, _TRAINING = range(4)  # streams of random numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """What `prepare_views` makes of views, and the shapes seen: float32, landmarks last.
+
+    Attributes:
+        views: `(n, 2, L)` centred, of unit root mean square radius, 0 where not visible.
+        visible: `(n, L)` 1 or 0.
+        sd: `(n, L)` standard deviation of the errors of a coordinate.
+        shapes: `(n, 3, L)` centred, in the unit of `normalise`.
+    """
+
+    views: np.ndarray
+    visible: np.ndarray
+    sd: np.ndarray
+    shapes: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, faces) -> Faces:
+        return Faces(*(array[faces] for array in vars(self).values()))
+
+
+def read_faces(views, shapes, landmark_sd, n_landmarks: int) -> Faces:
+    """Faces of views `(n, L, 2)` and true shapes `(n, L, 3)`, both in any scale and place.
+
+    Raises:
+        InputError: As for `prepare_views`, or unequal numbers of faces.
+    """
+    seen = prepare_views(
+        views, n_landmarks, landmark_sd=0.0 if landmark_sd is None else landmark_sd
+    )
+    shapes = centre(normalise(check_faces(shapes, "shapes", 3, n_landmarks)))
+    if len(seen.views) != len(shapes):
+        raise InputError(
+            f"views and shapes must be of the same faces. Received {len(seen.views)} views and "
+            f"{len(shapes)} shapes."
+        )
+    return Faces(seen.views, seen.visible, seen.sd, np.float32(np.swapaxes(shapes, 1, 2)))
+
+
+def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator) -> Faces:
+    """The faces with errors added to their landmarks, and some of these hidden.
+
+    Args:
+        faces: Any number of them.
+        missing: Largest share that is hidden; each face gets one up to it, six landmarks stay.
+        noise: Largest standard deviation of the errors; each face gets one up to it.
+        rng: Source of the random numbers, of which as many are drawn whatever the other options.
+    """
+    n, n_landmarks = faces.visible.shape
+    share = missing * rng.random((n, 1))
+    turn = rng.random((n, n_landmarks))
+    added = noise * rng.random((n, 1))
+    errors = added[:, None] * rng.standard_normal(faces.views.shape)
+    if not missing and not noise:
+        return faces
+    hidden = np.minimum(share * n_landmarks, faces.visible.sum(1, keepdims=True) - LEAST_VISIBLE)
+    places = np.where(faces.visible > 0, turn, 2).argsort(1).argsort(1)
+    visible = np.where(places < np.floor(hidden), 0, faces.visible)
+    views, _, radius = standardise(faces.views + errors, visible)
+    sd = np.sqrt(faces.sd**2 + added**2) / radius
+    return Faces(np.float32(views), np.float32(visible), np.float32(sd), faces.shapes)
+
+
+class GivenFaces:
+    """Faces in memory, some of them held out.
+
+    Attributes:
+        number: Of the faces.
+        shapes: `(n, 3, L)` of which the network begins with the principal components.
+        held_out: Faces to check the network on, disturbed as those in training.
+    """
+
+    def __init__(self, faces: Faces, missing: float, noise: float, seed: int):
+        self.number = len(faces)
+        self._disturb = lambda part, rng: disturb(part, missing, noise, rng)
+        self._seed = seed
+        order = np.random.default_rng([seed, _SPLIT]).permutation(len(faces))
+        n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
+        # Of fewer than ten faces none can be spared.
+        self._training = faces[order[n_held_out:]]
+        checked = faces[order[:n_held_out]] if n_held_out else faces
+        self.held_out = self._disturb(checked, np.random.default_rng([seed, _CHECK]))
+        self.shapes = self._training.shapes
+
+    def block(self, index: int, n: int) -> Faces:
+        """`n` faces in random order, every one as often as any other."""
+        from deepmds_keras.training import face_order  # which imports TensorFlow
+
+        faces = face_order(len(self._training), n, self._seed, index)
+        rng = np.random.default_rng([self._seed, _TRAINING, index])
+        return self._disturb(self._training[faces], rng)
+
+
+class SampledFaces:
+    """Faces that a function samples, none of them twice; attributes as of `GivenFaces`."""
+
+    number = None
+
+    def __init__(self, sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int):
+        def draw(n, *stream):
+            rng = np.random.default_rng([seed, *stream])
+            return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
+
+        self._draw = draw
+        self.held_out = draw(_MOST_HELD_OUT, _CHECK)
+        self.shapes = draw(_FACES_OF_BASIS, _BASIS).shapes
+
+    def block(self, index: int, n: int) -> Faces:
+        """`n` new faces."""
+        return self._draw(n, _TRAINING, index)

@@ -1,0 +1,167 @@
+"""The lifting network: its weights, and what comes out of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deepmds_keras.lifting.equations import (
+    Camera,
+    back_project,
+    look,
+    posterior_step,
+    starting_camera,
+)
+
+UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
+_N_STATE = 8  # what the hidden units see beside the code
+_LEAST_VARIANCE = 1e-8
+_FIRST_FLOOR = -4.0  # log standard deviation that exact landmarks are taken to have at first
+
+
+class Size(NamedTuple):
+    """How large a network is.
+
+    Attributes:
+        rank: Coefficients of the code.
+        hidden: Units that correct the code.
+        spread: Units that predict the standard deviation.
+        iterations: Of the conjugate gradients, in each of the steps.
+    """
+
+    rank: int
+    hidden: int
+    spread: int
+    iterations: tuple[int, ...]
+
+
+SIZES = {"small": Size(48, 48, 16, (2, 4)), "large": Size(96, 256, 64, (4, 8))}
+
+
+class Lift(NamedTuple):
+    """What comes out: float32 arrays with the landmarks last."""
+
+    shapes: np.ndarray  # (n, 3, L), centred
+    log_sd: np.ndarray  # (n, 3, L), log of the standard deviation in UNITs
+    camera: Camera
+
+
+def initial_weights(shapes: np.ndarray, size: Size, seed: int) -> dict[str, np.ndarray]:
+    """Weights by which the network is a fit of the principal components of the shapes.
+
+    Args:
+        shapes: `(n, 3, L)` centred shapes.
+        size: Of the network; of small sets of faces the rank is less.
+        seed: Of the kernels.
+    """
+    n, _, n_landmarks = shapes.shape
+    flat = shapes.reshape(n, -1).astype(float)
+    mean = flat.mean(0)
+    covariance = (flat - mean).T @ (flat - mean) / n
+    values, vectors = np.linalg.eigh(covariance)
+    rank = min(size.rank, n - 1, len(values))
+    basis = (vectors * np.sqrt(values.clip(0))).T[::-1][:rank]
+    rest = (np.diag(covariance) - (basis**2).sum(0)).clip(_LEAST_VARIANCE)
+    known = {
+        "mean": mean.reshape(3, -1),
+        "basis": basis / UNIT,
+        "log_rest": np.log(rest).reshape(3, -1) / 2,
+        "log_floor": np.full(len(size.iterations) + 1, _FIRST_FLOOR),
+    }
+    rng = np.random.default_rng(seed)
+    for name, shape in _shapes(n_landmarks, rank, size).items():
+        if name.endswith("hidden_kernel"):
+            known[name] = rng.standard_normal(shape) / np.sqrt(shape[0])
+        known.setdefault(name, np.zeros(shape))
+    return {name: np.float32(array) for name, array in known.items()}
+
+
+def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) -> None:
+    """Check that weights are of a network of this size.
+
+    Raises:
+        ValueError: One is missing, not of numbers, or of another shape.
+    """
+    rank = len(weights["basis"])
+    needed = _shapes(n_landmarks, rank, size)
+    for name in {**needed, **weights}:
+        array = weights.get(name, np.empty(0, object))
+        if array.dtype.kind != "f" or array.shape != needed.get(name):
+            raise ValueError(f"{name} has shape {array.shape}, not {needed.get(name)}")
+
+
+def _shapes(n_landmarks: int, rank: int, size: Size) -> dict[str, tuple[int, ...]]:
+    return {
+        "mean": (3, n_landmarks),
+        "basis": (rank, 3 * n_landmarks),
+        "log_rest": (3, n_landmarks),
+        "log_floor": (len(size.iterations) + 1,),
+        "hidden_kernel": (rank + _N_STATE, size.hidden),
+        "hidden_bias": (size.hidden,),
+        "code_kernel": (size.hidden, rank),
+        "spread_hidden_kernel": (rank + _N_STATE, size.spread),
+        "spread_hidden_bias": (size.spread,),
+        "spread_kernel": (size.spread, 3 * n_landmarks),
+        "spread_bias": (3 * n_landmarks,),
+        "spread_unseen": (n_landmarks,),
+    }
+
+
+def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x) -> Lift:
+    """Shapes, standard deviations and cameras of views.
+
+    Args:
+        xp: NumPy or `keras.ops`.
+        weights: Arrays as from `initial_weights`.
+        iterations: Of a `Size`.
+        views: `(n, 2, L)` centred views of unit root mean square radius, 0 where not visible.
+        visible: `(n, L)` 1 or 0.
+        sd: `(n, L)` standard deviation of the errors of a coordinate, in the unit of the views.
+        stop_gradient: Applied to what the standard deviation is told from, so that to learn it
+            leaves the shapes as they are.
+    """
+    mean, basis = weights["mean"], weights["basis"] * UNIT
+    n_landmarks = mean.shape[1]
+    rest = xp.exp(2 * weights["log_rest"])
+    rest_mean = xp.mean(rest, 0)
+    floor = xp.exp(2 * weights["log_floor"])
+    noise = sd * sd
+    camera = starting_camera(xp, views, visible, mean)
+    shapes = 0 * views[:, :1] + mean
+    code = 0 * views[:, 0, :1] + np.zeros(basis.shape[0], np.float32)
+
+    def seen(i):
+        variance = noise + floor[i] + camera.scale * camera.scale * rest_mean
+        return look(xp, camera, shapes, views, visible, variance)
+
+    def with_code():
+        return mean + xp.reshape(code @ basis, (-1, 3, n_landmarks))
+
+    for i, n_iterations in enumerate(iterations):
+        code, camera = posterior_step(xp, camera, seen(i), basis, code, n_iterations)
+        shapes = with_code()
+    sight = seen(len(iterations))
+    share = xp.mean(visible, 1, keepdims=True)
+    misfit = xp.mean(sight.residual * sight.residual, 1, keepdims=True) / share
+    mean_noise = xp.sum(noise * visible, 1, keepdims=True) / (share * n_landmarks)
+    state = [
+        code,
+        camera.rotation[:, 2],
+        camera.perspective,
+        xp.log(camera.scale),
+        xp.log(misfit + 1e-6),
+        xp.log(mean_noise + floor[-1]) / 2,
+        share,
+    ]
+    state = xp.concatenate(state, 1)
+    hidden = state @ weights["hidden_kernel"] + weights["hidden_bias"]
+    code = code + hidden / (1 + xp.exp(-hidden)) @ weights["code_kernel"]
+    # What the basis does not span: every coordinate of a landmark is taken to be off by itself.
+    trusted = back_project(xp, camera, sight, sight.residual)
+    shapes = with_code() + rest * xp.reshape(trusted, (-1, 3, n_landmarks))
+    spread = stop_gradient(state) @ weights["spread_hidden_kernel"]
+    spread = xp.tanh(spread + weights["spread_hidden_bias"])
+    log_sd = spread @ weights["spread_kernel"] + weights["spread_bias"]
+    unseen = ((1 - visible) * weights["spread_unseen"])[:, None]
+    return Lift(shapes, xp.reshape(log_sd, (-1, 3, n_landmarks)) + unseen, camera)

@@ -1,0 +1,323 @@
+"""The lifter: what it recovers, what must not change it, files, stops and errors."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+
+from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
+from deepmds_keras.baselines.linear import Linear
+from deepmds_keras.lifting import equations, training
+from deepmds_keras.lifting.faces import Faces, disturb, read_faces
+from deepmds_keras.lifting.layer import build_lifting_net
+from deepmds_keras.lifting.network import SIZES, initial_weights, lift
+from deepmds_keras.normalisation import centre
+from deepmds_keras.weights import read_arrays
+
+L = 12
+ROOT = Path(__file__).parents[3]
+
+
+def sample_faces(n, rng):
+    """Views of turned faces of a linear model, shapes, and the errors of the landmarks."""
+    model = np.random.default_rng(5)
+    mean, basis = model.normal(size=(L, 3)), 0.15 * model.normal(size=(4, L, 3))
+    shapes = mean + np.tensordot(rng.standard_normal((n, 4)), basis, 1)
+    turned = shapes @ Rotation.from_euler("yx", rng.uniform(-40, 40, (n, 2)), True).as_matrix()
+    near = 1 / (1 - rng.uniform(0, 0.08, (n, 1, 1)) * turned[..., 2:])
+    return near * turned[..., :2] + 0.005 * rng.standard_normal((n, L, 2)), shapes, 0.005
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    """The file that a run killed in its second block leaves."""
+    return tmp_path_factory.mktemp("training") / "killed.npz"
+
+
+@pytest.fixture(scope="module")
+def lifter(checkpoint):
+    running = checkpoint.with_name("running.npz")
+
+    def keep_the_first(losses):
+        if not checkpoint.exists():
+            shutil.copy(running, checkpoint)
+
+    lifter = LandmarkLifter(L, steps=150, batch_size=32, learning_rate=3e-3, missing=0.3)
+    return lifter.fit(sample_faces, checkpoint=running, progress=keep_the_first)
+
+
+@pytest.fixture(scope="module")
+def faces():
+    return sample_faces(300, np.random.default_rng(1))[:2]
+
+
+def error(shapes, truth):
+    truth = normalise(truth)
+    return metrics.mse(align(shapes, truth), truth).mean()
+
+
+def test_it_beats_ridge_and_the_mean_on_turned_faces(lifter, faces):
+    views, shapes = faces
+    ridge = Linear().fit(*map(normalise, sample_faces(5000, np.random.default_rng(2))[:2]))
+    lifted = error(lifter.predict(views), shapes)
+    assert lifted < 0.5 * error(ridge.predict(normalise(views)), shapes)
+    assert lifted < 0.02 * error(np.tile(normalise(shapes).mean(0), (300, 1, 1)), shapes)
+
+
+def test_the_prediction_is_in_the_unit_of_normalise_and_centred(lifter, faces):
+    shapes = lifter.predict(faces[0])
+    assert np.abs(shapes.mean(1)).max() < 1e-3
+    assert np.sqrt(np.mean((shapes - centre(normalise(faces[1]))) ** 2)) < 0.03
+
+
+def test_numpy_and_keras_agree(lifter, faces):
+    rng = np.random.default_rng(0)
+    seen = disturb(read_faces(*faces, 0.005, L), missing=0.4, noise=0.05, rng=rng)
+    assert 0.6 < seen.visible.mean() < 0.9
+    inputs = seen.views, seen.visible, seen.sd
+    iterations = SIZES["small"].iterations
+    ours = lift(np, lifter.weights_, iterations, *inputs)
+    theirs = np.asarray(build_lifting_net(lifter.weights_, iterations)(inputs))
+    assert ours.shapes.dtype == ours.log_sd.dtype == np.float32
+    assert np.abs(ours.shapes - theirs[:, :3]).max() < 1e-5
+    assert np.abs(ours.log_sd - theirs[:, 3:]).max() < 1e-3
+
+
+def test_posterior_steps_find_coefficients_and_camera_of_exact_views():
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(size=(3, 30)), 0.1 * rng.normal(size=(5, 90))
+    mean -= mean.mean(1, keepdims=True)
+    code = rng.normal(size=(8, 5))
+    shapes = mean + (code @ basis).reshape(8, 3, 30)
+    rotation = Rotation.from_euler("yxz", rng.uniform(-30, 30, (8, 3)), True).as_matrix()
+    true = equations.Camera(rotation, rng.uniform(0.5, 2, (8, 1)), np.full((8, 1), 0.05),
+                            rng.normal(size=(8, 2)))  # fmt: skip
+    ones = np.ones((8, 30))
+    image = equations.look(np, true, shapes, np.zeros((8, 2, 30)), ones, ones).seen
+    views = image + true.shift[:, :, None]
+    camera = equations.starting_camera(np, views, ones, mean)
+    found, seen = np.zeros((8, 5)), mean + 0 * shapes
+    for _ in range(8):
+        sight = equations.look(np, camera, seen, views, ones, 1e-8 * ones)
+        found, camera = equations.posterior_step(np, camera, sight, basis, found, 5)
+        seen = mean + (found @ basis).reshape(8, 3, 30)
+    assert np.abs(found - code).max() < 1e-3
+    assert np.abs(camera.rotation - rotation).max() < 1e-3
+    assert np.abs(camera.perspective - 0.05).max() < 1e-3
+
+
+def test_derivatives_are_those_of_the_image():
+    rng = np.random.default_rng(0)
+    shapes = rng.normal(size=(1, 3, 9))
+    camera = equations.Camera(Rotation.random(1, random_state=0).as_matrix(), np.full((1, 1), 2.0),
+                              np.full((1, 1), 0.1), rng.normal(size=(1, 2)))  # fmt: skip
+    views, visible = rng.normal(size=(1, 2, 9)), np.ones((1, 9))
+    variance = rng.random((1, 9)) + 0.5
+
+    def residual(camera, shapes=shapes):
+        return equations.look(np, camera, shapes, views, visible, variance).residual
+
+    sight = equations.look(np, camera, shapes, views, visible, variance)
+    jacobian = equations._camera_jacobian(np, sight)[0]
+    for i, row in enumerate(jacobian):
+        change = 1e-6 * np.eye(7)[None, i]
+        moved = residual(equations._move(np, camera, change))
+        assert np.allclose((residual(camera) - moved) / 1e-6, row, atol=1e-4), i
+    offsets = rng.normal(size=(1, 27))
+    moved = residual(camera, shapes + 1e-6 * offsets.reshape(1, 3, 9))
+    seen = equations.project(np, camera, sight, offsets)
+    assert np.allclose((residual(camera) - moved) / 1e-6, seen, atol=1e-4)
+    back = equations.back_project(np, camera, sight, views.reshape(1, -1))
+    assert np.isclose((back * offsets).sum(), (views.reshape(1, -1) * seen).sum())
+
+
+def test_scale_place_and_a_turn_in_the_plane_change_nothing(lifter, faces):
+    views = faces[0][:20]
+    shapes, sd = lifter.predict(views, landmark_sd=0.01, return_std=True)
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    moved, sd_moved = lifter.predict(
+        170 * views @ turn + [4000, -90], landmark_sd=1.7, return_std=True
+    )
+    assert np.abs(shapes - moved).max() < 1e-4
+    assert np.allclose(sd, sd_moved, rtol=1e-2)
+
+
+def test_what_is_missing_does_not_matter(lifter, faces):
+    views = faces[0][:20].copy()
+    visible = np.random.default_rng(0).random((20, L)) < 0.7
+    visible[:, :6] = True
+    expected = lifter.predict(views, visible=visible, return_std=True)
+    for anything in (0.0, 1e6, np.nan):
+        views[~visible] = anything
+        found = lifter.predict(views, visible=visible, return_std=True)
+        assert all(map(np.array_equal, found, expected))
+    assert np.array_equal(lifter.predict(views), expected[0])
+
+
+def test_landmarks_that_are_said_to_be_bad_count_less(lifter, faces):
+    views = faces[0].copy()
+    views[:, 3] += 0.5
+    sd = np.full((300, L), 0.005)
+    naive = error(lifter.predict(views, landmark_sd=sd), faces[1])
+    sd[:, 3] = 1.0
+    assert error(lifter.predict(views, landmark_sd=sd), faces[1]) < 0.1 * naive
+
+
+def test_standard_deviations_are_those_of_the_errors(lifter, faces):
+    shapes, sd = lifter.predict(faces[0], return_std=True)
+    assert sd.shape == shapes.shape and (sd > 0).all()
+    off = np.abs(shapes - centre(normalise(faces[1]))) / sd
+    assert 0.6 < (off < 1).mean() < 0.78
+    assert 0.92 < (off < 2).mean() < 0.985
+
+
+def test_pose_sees_the_shapes_where_the_landmarks_are(lifter, faces):
+    views, _ = faces
+    pose = lifter.pose(100 * views + 7)
+    seen = (pose.project(lifter.predict(views)) - 7) / 100
+    assert np.sqrt(np.mean((seen - views) ** 2)) < 0.03
+    assert np.allclose(pose.rotation @ np.swapaxes(pose.rotation, 1, 2), np.eye(3), atol=1e-5)
+    assert np.allclose(np.linalg.det(pose.rotation), 1, atol=1e-5)
+    assert pose.scale.shape == pose.perspective.shape == (300,)
+
+
+def test_one_face_and_a_batch_give_the_same(lifter, faces):
+    assert np.allclose(lifter.predict(faces[0][7]), lifter.predict(faces[0])[7:8], atol=1e-5)
+
+
+@pytest.mark.parametrize(("size", "most"), [("small", 27_323), ("large", 250_000)])
+def test_sizes_at_72_landmarks(size, most):
+    shapes = np.random.default_rng(0).normal(size=(500, 3, 72))
+    lifter = LandmarkLifter(size=size)
+    lifter.weights_ = initial_weights(shapes, SIZES[size], 0)
+    assert lifter.n_parameters <= most
+    network = build_lifting_net(lifter.weights_, SIZES[size].iterations)
+    assert network.count_params() == lifter.n_parameters
+
+
+def test_saved_and_loaded_predict_the_same(lifter, faces, tmp_path):
+    lifter.save(tmp_path / "lifter.npz")
+    loaded = LandmarkLifter.load(tmp_path / "lifter.npz")
+    assert loaded.get_params() == lifter.get_params()
+    assert loaded.history_ == lifter.history_
+    assert loaded.n_parameters == lifter.n_parameters
+    assert np.array_equal(loaded.predict(faces[0]), lifter.predict(faces[0]))
+    copy = clone(lifter)
+    assert copy.get_params() == lifter.get_params()
+    assert not hasattr(copy, "weights_")
+
+
+def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
+    path = tmp_path / "lifter.npz"
+    lifter.save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"lifter.npz must be an npz written by save"):
+        LandmarkLifter.load(path)
+    with pytest.raises(InputError, match="was not written by LandmarkLifter.save"):
+        LandmarkLifter.load(ROOT / "deepmds_keras/pretrained/openhead-bfm72.npz")
+    with pytest.raises(InputError, match="name must be one of"):
+        LandmarkLifter.pretrained("none")
+
+
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
+    resumed = clone(lifter).fit(sample_faces, checkpoint=checkpoint)
+    assert resumed.history_ == lifter.history_
+    assert len(resumed.history_["train"]) == 2
+    for name, array in lifter.weights_.items():
+        assert np.array_equal(array, resumed.weights_[name]), name
+    with pytest.raises(InputError, match="killed.npz is of another run; delete it"):
+        clone(lifter).set_params(seed=4).fit(sample_faces, checkpoint=checkpoint)
+
+
+def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypatch):
+    views, shapes, sd = sample_faces(60, np.random.default_rng(4))
+    errors, now, path = iter([2.0, 1.0, 3.0]), [], tmp_path / "checkpoint.npz"
+    monkeypatch.setattr(training, "STEPS_PER_BLOCK", 10)
+    monkeypatch.setattr(training, "_error", lambda *_: next(errors))
+    lifter = LandmarkLifter(L, steps=25, batch_size=8)
+    lifter.fit(views, shapes, landmark_sd=sd, checkpoint=path,
+               progress=lambda _: now.append(read_arrays(path)[0]["now/basis"]))  # fmt: skip
+    assert lifter.history_["held_out"] == [2, 1, 3]
+    assert np.array_equal(lifter.weights_["basis"], now[1])
+    assert not np.array_equal(now[1], now[2])
+
+
+def test_disturbed_faces_keep_six_landmarks_and_tell_of_their_noise():
+    rng = np.random.default_rng(0)
+    views = np.float32(rng.normal(size=(400, 2, L)))
+    known = Faces(views, np.ones((400, L), "f"), np.zeros((400, L), "f"), views)
+    hidden = disturb(known, 0.99, 0.0, rng)
+    assert hidden.visible.sum(1).min() == 6 and hidden.visible.sum(1).max() == L
+    assert not (hidden.views * (1 - hidden.visible[:, None])).any()
+    noisy = disturb(known, 0.0, 0.5, rng)
+    assert 0.1 < noisy.sd.mean() < 0.3 and np.ptp(noisy.sd, axis=1).max() == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda v: v[:, :11], r"views must have shape \(n >= 1, 12, 2\). Received \(3, 11, 2\)"),
+        (lambda v: v.astype(str), "views must hold numbers"),
+        (lambda v: np.where(np.arange(L)[:, None] < 5, v, np.nan),
+         "at least 6 visible landmarks. Received 5 in face 0"),
+        (lambda v: v * [1, 0], "6 visible landmarks that are not on one line. Received a straight"),
+        (lambda v: v * 0, "not on one line. Received a straight line or a point in face 0"),
+        (lambda v: np.where(np.arange(3)[:, None, None] == 1, np.inf, v), "infinity in face 1"),
+    ],
+)  # fmt: skip
+def test_unusable_views_are_named(lifter, faces, change, message):
+    with pytest.raises(InputError, match=message):
+        lifter.predict(change(faces[0][:3]))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"visible": np.ones((3, L))}, "visible must be bool of shape"),
+        ({"visible": np.ones((2, L), bool)}, r"visible must be bool of shape \(3, 12\)"),
+        ({"landmark_sd": -1}, "landmark_sd must be finite and not negative"),
+        ({"landmark_sd": [1, 2]}, r"landmark_sd must be one number, \(3,\) or \(3, 12\)"),
+    ],
+)
+def test_unusable_options_are_named(lifter, faces, options, message):
+    with pytest.raises(InputError, match=message):
+        lifter.predict(faces[0][:3], **options)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"size": "huge"}, "size must be one of small, large. Received 'huge'"),
+        ({"n_landmarks": 5}, "n_landmarks must be at least 6"),
+        ({"steps": 0}, "steps must be positive"),
+        ({"missing": 1}, "missing must be in"),
+        ({"noise": -1}, "noise must be finite"),
+    ],
+)
+def test_unusable_parameters_are_named(parameters, message):
+    with pytest.raises(InputError, match=message):
+        LandmarkLifter(**parameters).fit(sample_faces)
+
+
+def test_unequal_numbers_of_faces_and_untrained_lifters_are_refused(faces):
+    with pytest.raises(InputError, match="Received 300 views and 299 shapes"):
+        LandmarkLifter(L).fit(faces[0], faces[1][1:])
+    with pytest.raises(InputError, match="not trained: call fit, load or pretrained first"):
+        LandmarkLifter(L).predict(faces[0])
+
+
+def test_a_saved_lifter_predicts_without_tensorflow(lifter, tmp_path):
+    lifter.save(tmp_path / "lifter.npz")
+    code = (
+        "import sys, numpy; from deepmds_keras import LandmarkLifter\n"
+        f"lifter = LandmarkLifter.load({str(tmp_path / 'lifter.npz')!r})\n"
+        f"lifter.predict(numpy.random.default_rng(0).random((3, {L}, 2)))\n"
+        "sys.exit(bool({'tensorflow', 'keras'} & {*sys.modules}))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
