@@ -278,7 +278,7 @@ class DeepMDS(BaseEstimator):
                 a number of landmarks that no scheme has.
         """
         # These weights come without the shapes that they were trained on.
-        tip = load_scheme(scheme_of(n_landmarks)).names.index("nose_tip")
+        tip = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model = cls(n_landmarks, "released")
         model._build()
         weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)

@@ -11,7 +11,9 @@ import numpy as np
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
 
-SCHEMES = ("bfm72", "ibug68", "ibug51")
+# Of each scheme the table, and the number of its first landmark there.
+_TABLES = {"bfm72": ("bfm72", 1), "ibug68": ("ibug68", 1), "ibug51": ("ibug68", 18)}
+SCHEMES = tuple(_TABLES)
 _FOLDER = Path(__file__).parent
 
 
@@ -45,8 +47,8 @@ def load_vertices(scheme: str) -> LandmarkVertices:
         raise InputError(
             f"landmark scheme must be one of {', '.join(SCHEMES)}. Received {scheme!r}."
         )
-    rows = _rows("bfm72.csv" if scheme == "bfm72" else "ibug68.csv")
-    rows = rows[17:] if scheme == "ibug51" else rows
+    table, first = _TABLES[scheme]
+    rows = [row for row in _rows(f"{table}.csv") if int(row["number"]) >= first]
     models = [column for column in rows[0] if column != "number"]
     anchors = {
         model: {i: int(row[model]) for i, row in enumerate(rows) if row[model]} for model in models

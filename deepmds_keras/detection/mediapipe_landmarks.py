@@ -134,8 +134,11 @@ def landmarks51(points: np.ndarray, which: str = "corrected") -> np.ndarray:
 @cache
 def _table() -> dict[str, np.ndarray]:
     """Choice to `(51,)` 0-based numbers of FaceMesh's points."""
-    rows = read_table(FOLDER / "mediapipe51.csv")
-    return {which: np.array([int(row[which]) for row in rows]) for which in CHOICES}
+    rows = read_table(FOLDER / "mediapipe_ibug68.csv")
+    return {
+        which: np.array([int(row[column]) for row in rows])
+        for which, column in zip(CHOICES, ("number", "authors"), strict=True)
+    }
 
 
 def _detect(

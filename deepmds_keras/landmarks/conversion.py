@@ -8,12 +8,8 @@ from itertools import groupby
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
-from deepmds_keras.landmarks import FOLDER, load_scheme
+from deepmds_keras.landmarks import load_scheme, load_schemes
 
-SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}
-SCHEMES = tuple(SIZES)
-WITH_IRISES = 478  # points of FaceMesh when it refines the eyes: the 468, then ten of the irises
 MISSING = ("raise", "nan")
 
 
@@ -23,14 +19,13 @@ def convert(
     """Landmarks in the order of another scheme.
 
     Points are picked, never moved: coordinates, unit and axes stay those of the source. Points that
-    two schemes share are those of `ibug68` that both have: of `ibug51` its number, of `mediapipe`
-    the list in `mediapipe51.csv` (column `corrected`), of `bfm72` the pairs in `bfm72_ibug68.csv`.
+    two schemes share are those of `ibug68` that both have, see `LandmarkScheme.ibug68`.
 
     Args:
         landmarks: `(n, L, d)` or `(L, d)`, `d` 2 or 3; `L` as `source` has it, or 478 points of
-            MediaPipe, whose last ten are left out.
-        source: One of `SCHEMES`, which the landmarks are in.
-        target: One of `SCHEMES`, which they are wanted in.
+            MediaPipe, whose last ten, of the irises, are left out.
+        source: Name of the scheme that the landmarks are in.
+        target: Name of the scheme that they are wanted in.
         missing: What becomes of landmarks that the source lacks: `"raise"` refuses, `"nan"` gives
             NaN.
 
@@ -41,15 +36,16 @@ def convert(
         InputError: Unknown scheme or choice, landmarks of another shape, or the source lacks some
             and `missing` is `"raise"`.
     """
+    schemes = load_schemes()
     for name, value, choices in (
-        ("source", source, SCHEMES),
-        ("target", target, SCHEMES),
+        ("source", source, schemes),
+        ("target", target, schemes),
         ("missing", missing, MISSING),
     ):
         if value not in choices:
             raise InputError(f"{name} must be one of {', '.join(choices)}. Received {value!r}.")
     landmarks = np.asarray(landmarks)
-    sizes = (SIZES[source], WITH_IRISES) if source == "mediapipe" else (SIZES[source],)
+    sizes = schemes[source].sizes
     if not (
         landmarks.ndim in (2, 3)
         and landmarks.shape[-2] in sizes
@@ -66,7 +62,7 @@ def convert(
     picks = _picks(source, target)
     lacking = picks < 0
     if missing == "raise" and lacking.any():
-        numbers = np.array(_numbers(target))[lacking]
+        numbers = np.array(schemes[target].numbers)[lacking]
         raise InputError(
             f'{target} must have all its landmarks in {source}, or missing must be "nan". '
             f"Received landmarks without {lacking.sum()} of the {len(picks)}: {_ranges(numbers)}."
@@ -77,51 +73,43 @@ def convert(
 
 
 def scheme_of(n_landmarks: int) -> str:
-    """The scheme that has so many landmarks: 51, 68, 72, or MediaPipe's 468 or 478.
+    """Return the name of the scheme that has so many landmarks, or takes so many.
 
     Raises:
-        InputError: No scheme has.
+        InputError: None has.
     """
-    for name, size in SIZES.items():
-        if n_landmarks == size:
-            return name
-    if n_landmarks == WITH_IRISES:
-        return "mediapipe"
-    choices = ", ".join(f"{size} ({name})" for name, size in SIZES.items())
-    raise InputError(
-        f"A face must have {choices} or {WITH_IRISES} (mediapipe with irises) landmarks. "
-        f"Received {n_landmarks}."
-    )
+    names = {size: name for name, scheme in load_schemes().items() for size in scheme.sizes}
+    if n_landmarks not in names:
+        *others, last = (f"{size} ({name})" for size, name in names.items())
+        raise InputError(
+            f"A face must have {', '.join(others)} or {last} landmarks. Received {n_landmarks}."
+        )
+    return names[n_landmarks]
+
+
+def face_sizes() -> tuple[int, ...]:
+    """Return the numbers of landmarks that a face may have, of any scheme, ascending."""
+    return tuple(sorted({n for scheme in load_schemes().values() for n in scheme.sizes}))
+
+
+def said_sizes() -> str:
+    """Return those numbers as text."""
+    *others, last = map(str, face_sizes())
+    return f"{', '.join(others)} or {last}"
 
 
 @cache
 def _picks(source: str, target: str) -> np.ndarray:
     """`(M,)` positions in the source of the landmarks of the target, -1 where it has none."""
+    found, wanted = load_scheme(source), load_scheme(target)
     if source == target:
-        picks = np.arange(SIZES[target])
+        picks = np.arange(len(wanted))
     else:
-        found, wanted = _ibug_positions(source), _ibug_positions(target)
-        picks = np.full(SIZES[target], -1)
-        for number in found.keys() & wanted.keys():
-            picks[wanted[number]] = found[number]
+        picks = np.full(len(wanted), -1)
+        for number in found.ibug68.keys() & wanted.ibug68.keys():
+            picks[wanted.ibug68[number]] = found.ibug68[number]
     picks.flags.writeable = False  # shared by all calls
     return picks
-
-
-def _ibug_positions(name: str) -> dict[int, int]:
-    """iBUG landmark number, 1-based, to the 0-based position of that point in a scheme."""
-    if name == "bfm72":
-        rows = read_table(FOLDER / "bfm72_ibug68.csv")
-        return {int(row["ibug68"]): int(row["bfm72"]) - 1 for row in rows}
-    if name == "mediapipe":
-        rows = read_table(FOLDER / "mediapipe51.csv")
-        return {int(row["number"]): int(row["corrected"]) for row in rows}
-    return {number: i for i, number in enumerate(load_scheme(name).numbers)}
-
-
-def _numbers(name: str) -> tuple[int, ...]:
-    """Landmark numbers as the authors of a scheme count them: MediaPipe's from 0."""
-    return tuple(range(SIZES[name])) if name == "mediapipe" else load_scheme(name).numbers
 
 
 def _ranges(numbers: np.ndarray, most: int = 6) -> str:

@@ -26,17 +26,18 @@ def check_upright(landmarks: np.ndarray, scheme: str, name: str) -> None:
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
-        scheme: One of `conversion.SCHEMES`.
+        scheme: Name of their scheme.
         name: Of the file or argument, for the message.
 
     Raises:
         InputError: The landmarks are not of the scheme's shape, or not upright: the message says
             in which of the three ways and what to do; of several faces it names the first.
     """
-    scheme, given = ("ibug51" if scheme == "mediapipe" else scheme), scheme
-    faces = convert(landmarks, given, scheme)[..., :2]
-    faces = faces[None] if faces.ndim == 2 else faces
     groups = np.array(load_scheme(scheme).groups)
+    judged = scheme if {*_PARTS} <= {*groups} else "ibug51"  # in which a part may be unknown: NaN
+    faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
+    faces = faces[None] if faces.ndim == 2 else faces
+    groups = np.array(load_scheme(judged).groups)
     right, left, mouth = (faces[:, groups == part].mean(1) for part in _PARTS)
     size = np.sqrt(np.square(faces - faces.mean(1, keepdims=True)).sum(2).mean(1))
     across, down = left - right, mouth - (right + left) / 2

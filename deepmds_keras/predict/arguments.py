@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepmds_keras import __version__
+from deepmds_keras.landmarks.conversion import said_sizes
 from deepmds_keras.predict.detection import DETECTORS
 from deepmds_keras.predict.outputs import FORMATS
 
@@ -72,8 +73,8 @@ def parse(arguments: list[str] | None = None) -> Options:
     )
     add = predict.add_argument
     add("sources", nargs="+", metavar="SOURCE",
-        help="photo, folder of photos, or landmarks (csv, npy, pts, json) of 51, 68, 72, 468 or "
-        "478 points")  # fmt: skip
+        help="photo, folder of photos, or landmarks (csv, npy, pts, json) of "
+        f"{said_sizes()} points")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, metavar="LIST",

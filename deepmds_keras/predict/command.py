@@ -19,7 +19,13 @@ from deepmds_keras.landmarks.uprightness import check_upright
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import SCHEME, faces_in_photos, find_detector
-from deepmds_keras.predict.estimation import describe_model, estimate, hash_weights, load_model
+from deepmds_keras.predict.estimation import (
+    PRETRAINED,
+    describe_model,
+    estimate,
+    hash_weights,
+    load_model,
+)
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import FORMATS, write_outputs
@@ -163,14 +169,14 @@ def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | 
 
 
 def _read(options: Options, source: Path) -> np.ndarray | InputError:
-    """Landmarks of a file, in one of the two schemes that there are weights for."""
+    """Landmarks of a file, in a scheme that there are weights for."""
     try:
         landmarks = read_landmarks(source, y_up=options.y_up)
         scheme = scheme_of(landmarks.shape[1])
         check_upright(landmarks, scheme, str(source))
         if options.smooth and len(landmarks) > 1:
             landmarks = gaussian_filter1d(landmarks, options.smooth, axis=0, mode="nearest")
-        landmarks = convert(landmarks, scheme, "bfm72" if scheme == "bfm72" else SCHEME)
+        landmarks = convert(landmarks, scheme, scheme if scheme in PRETRAINED else SCHEME)
         return check_points(landmarks, str(source), 2)
     except InputError as error:
         return error

@@ -13,7 +13,6 @@ import deepmds_keras
 from deepmds_keras.camera import HeadPose, head_poses
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import SIZES
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.weights import pretrained_path
 
@@ -52,15 +51,16 @@ def estimate(
         InputError: The model cannot be read or takes other landmarks.
     """
     estimator = load_model(model or PRETRAINED[found.scheme])
-    if estimator.n_landmarks != SIZES[found.scheme]:
+    scheme = load_scheme(found.scheme)
+    if estimator.n_landmarks != len(scheme):
         raise InputError(
             f"{found.source} must have {estimator.n_landmarks} landmarks a face for the model "
-            f"{model}. Received {SIZES[found.scheme]}."
+            f"{model}. Received {len(scheme)}."
         )
     views = found.landmarks * (1, -1)
     shapes = estimator.set_params(n_jobs=jobs).predict(views, progress=progress)
     if interocular is not None:
-        right, left = map(load_scheme(found.scheme).names.index, _CORNERS)
+        right, left = map(scheme.index, _CORNERS)
         apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
         shapes = shapes * (interocular / apart)[:, None, None]
     return [

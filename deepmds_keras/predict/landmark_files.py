@@ -13,13 +13,11 @@ import pandas as pd
 
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks.conversion import face_sizes, said_sizes
 
-N_LANDMARKS = (51, 68, 72, 468, 478)
 _TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow
 _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
 SUFFIXES = tuple(_MAX_BYTES)
-_ROWS = tuple(2 * n for n in N_LANDMARKS)  # coordinates of a face in one row
-_COUNTS = f"{', '.join(map(str, N_LANDMARKS[:-1]))} or {N_LANDMARKS[-1]}"
 # Columns of one landmark a row; x and y of our own output are those of the 3D shape.
 _PAIRS = (("image_x", "image_y"), ("x", "y"))
 _COORDINATE = re.compile(r"([xy])_?(\d{1,4})")
@@ -28,7 +26,7 @@ _MATLAB_ORIGIN = 0.5  # whose first pixel has its middle at (1, 1), ours at (0.5
 
 @np.errstate(over="ignore", invalid="ignore")  # what is no finite number is refused
 def read_landmarks(path: str | Path, *, y_up: bool = False) -> np.ndarray:
-    """2D landmarks of one or more faces, all with the same L of `N_LANDMARKS` points.
+    """2D landmarks of one or more faces, all with the same L, one of `face_sizes`.
 
     x and y must be in the same unit: MediaPipe's, which are fractions of the width and of the
     height, must be multiplied by these before they are written. A third coordinate is ignored.
@@ -129,12 +127,12 @@ def _as_faces(path: Path, array: np.ndarray) -> np.ndarray:
     if shape[-1:] in ((2,), (3,)) and len(shape) in (2, 3):
         _check_count(path, shape[-2])
         faces = array.reshape(-1, *shape[-2:])[..., :2]
-    elif len(shape) in (1, 2) and shape[-1] in _ROWS:
+    elif len(shape) in (1, 2) and shape[-1] in _row_lengths():
         faces = array.reshape(-1, shape[-1] // 2, 2)
     else:
         raise InputError(
             f"{path} must have shape (landmarks, 2), (faces, landmarks, 2) or (faces, 2 x "
-            f"landmarks), with {_COUNTS} landmarks. Received {shape}."
+            f"landmarks), with {said_sizes()} landmarks. Received {shape}."
         )
     if not len(faces):
         raise InputError(f"{path} must hold at least one face. Received none.")
@@ -222,9 +220,9 @@ def _first_row(path: Path) -> tuple[int, str]:
 
 def _unnamed_columns(path: Path, n: int) -> tuple[list[int], list[int]]:
     """Columns of the x and of the y: one each, or one for each landmark of a face."""
-    if n not in (2, *_ROWS):
+    if n not in (2, *_row_lengths()):
         raise InputError(
-            f"{path} must have 2 columns, 2 for each of {_COUNTS} landmarks, or a header that "
+            f"{path} must have 2 columns, 2 for each of {said_sizes()} landmarks, or a header that "
             f"names x and y. Received {n} columns without a header."
         )
     return [*range(0, n, 2)], [*range(1, n, 2)]
@@ -278,8 +276,13 @@ def _numbers(path: Path, table: pd.DataFrame, first_line: int) -> np.ndarray:
 
 
 def _check_count(path: Path, n: int, where: str = "") -> None:
-    if n not in N_LANDMARKS:
-        raise InputError(f"{path} must have {_COUNTS} landmarks a face. Received {n}{where}.")
+    if n not in face_sizes():
+        raise InputError(f"{path} must have {said_sizes()} landmarks a face. Received {n}{where}.")
+
+
+def _row_lengths() -> tuple[int, ...]:
+    """Coordinates of a face in one row."""
+    return tuple(2 * n for n in face_sizes())
 
 
 def _is_number(text: str) -> bool:

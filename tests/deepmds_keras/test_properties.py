@@ -19,11 +19,12 @@ from deepmds_keras.alignment import is_mirrored
 from deepmds_keras.camera import head_pose
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.landmarks.conversion import face_sizes
 from deepmds_keras.metrics import depth_corr, mse, wilcoxon_table
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.orientation import face_front
 from deepmds_keras.predict.faces import Face
-from deepmds_keras.predict.landmark_files import N_LANDMARKS, read_landmarks
+from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import write_outputs
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -417,7 +418,7 @@ def views(n_landmarks):
 @st.composite
 def some_views(draw):
     """Views that are accepted, of any number of landmarks that is."""
-    n = draw(st.sampled_from(N_LANDMARKS))
+    n = draw(st.sampled_from(face_sizes()))
     faces = draw(views(n)) + np.random.default_rng(n).normal(size=(n, 2))
     try:
         return check_points(faces, "views", 2)

@@ -9,12 +9,12 @@ from places import SHARED
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.openhead import load_openhead, read_openhead
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.landmarks import SCHEMES, load_scheme
+from deepmds_keras.landmarks import load_scheme, load_schemes
 
-SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51}
+SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}
 
 
-@pytest.fixture(params=SCHEMES)
+@pytest.fixture(params=[name for name, scheme in load_schemes().items() if scheme.names])
 def scheme(request):
     return load_scheme(request.param)
 
@@ -24,6 +24,13 @@ def test_scheme_has_its_number_of_landmarks_each_named_once(scheme):
     assert len(scheme) == len(scheme.names) == len(scheme.groups) == len(scheme.mirror) == n
     assert len(set(scheme.names)) == n
     assert list(scheme.numbers) == sorted(set(scheme.numbers))
+
+
+def test_no_two_schemes_are_taken_for_each_other_by_their_number_of_landmarks():
+    schemes = load_schemes()
+    assert {name: len(scheme) for name, scheme in schemes.items()} == SIZES
+    sizes = [size for scheme in schemes.values() for size in scheme.sizes]
+    assert len({*sizes}) == len(sizes)
 
 
 def test_mirror_is_an_involution_that_swaps_right_and_left(scheme):
@@ -112,7 +119,7 @@ def test_basel_names_come_in_mirrored_pairs():
 
 
 def test_unknown_scheme_is_refused():
-    with pytest.raises(InputError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
+    with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe. Received 'bfm73'"):
         load_scheme("bfm73")
     with pytest.raises(InputError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
         load_vertices("bfm73")

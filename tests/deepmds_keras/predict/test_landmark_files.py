@@ -8,7 +8,8 @@ import pytest
 from writers.landmark_files import DEPTH, FACES, LAYOUTS, ONE, long_rows, pts, table, written
 
 from deepmds_keras import InputError
-from deepmds_keras.predict.landmark_files import N_LANDMARKS, read_landmarks
+from deepmds_keras.landmarks.conversion import face_sizes
+from deepmds_keras.predict.landmark_files import read_landmarks
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -19,7 +20,7 @@ def test_every_layout_gives_the_same_numbers(tmp_path, layout):
     np.testing.assert_allclose(points, expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("n", N_LANDMARKS)
+@pytest.mark.parametrize("n", face_sizes())
 def test_every_number_of_landmarks_is_read_as_array_and_as_rows(tmp_path, n):
     faces = np.random.default_rng(n).uniform(size=(2, n, 2))
     assert np.array_equal(read_landmarks(written(tmp_path, "f.npy", faces)), faces)
