@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepmds_keras import __version__
+from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.landmarks.conversion import said_sizes
-from deepmds_keras.predict.detection import DETECTORS
 from deepmds_keras.predict.outputs import FORMATS
 
 _DESCRIPTION = """\
@@ -81,7 +81,9 @@ def parse(arguments: list[str] | None = None) -> Options:
         help=f"some of {', '.join(FORMATS)} (default: csv,json,ply,obj; of many faces in one file "
         "csv,npz)")  # fmt: skip
     add("--view", action="store_true", help="write an HTML page too, on which faces can be turned")
-    add("--detector", choices=DETECTORS, default="dlib", help="(default: dlib)")
+    add("--detector", choices=DETECTORS, default="dlib",
+        help=", ".join(f"{name} ({row.terms})" for name, row in DETECTORS.items())
+        + " (default: dlib)")  # fmt: skip
     add("--mediapipe-python", metavar="PATH",
         help="interpreter of the environment with MediaPipe (default: the variable "
         "DEEPMDS_MEDIAPIPE_PYTHON, or .venv-mediapipe/bin/python)")  # fmt: skip

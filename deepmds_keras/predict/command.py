@@ -13,12 +13,13 @@ from scipy.ndimage import gaussian_filter1d
 from tqdm import tqdm
 
 from deepmds_keras.checks import check_points
+from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.uprightness import check_upright
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.arguments import Options
-from deepmds_keras.predict.detection import SCHEME, faces_in_photos, find_detector
+from deepmds_keras.predict.detection import SCHEME, faces_in_photos
 from deepmds_keras.predict.estimation import (
     PRETRAINED,
     describe_model,
@@ -123,7 +124,7 @@ def _ready(
     if len(given) == len(todo):
         return options, todo
     try:
-        python = find_detector(options.detector, options.mediapipe_python)
+        python = DETECTORS[options.detector].find(options.mediapipe_python)
     except InputError as error:
         if not given:
             raise
