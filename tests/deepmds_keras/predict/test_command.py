@@ -343,7 +343,7 @@ def test_a_folder_that_takes_no_results_is_said_before_the_work(tmp_path, run, l
     good = save(tmp_path / "b.npy", landmarks)
     status, said, (line,) = run(points, good, "--format", "csv")
     assert status == 1
-    assert "a.csv must be a file that can be written" in line
+    assert "a.csv must be a file to write" in line
     assert (tmp_path / "out" / "b.csv").is_file()
 
 

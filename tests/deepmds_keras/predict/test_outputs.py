@@ -203,7 +203,7 @@ def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path):
 
 def test_a_file_that_cannot_be_written_leaves_what_there_was(tmp_path):
     (tmp_path / "run.csv" / "kept").mkdir(parents=True)
-    with pytest.raises(InputError, match="run.csv must be a file that can be written"):
+    with pytest.raises(InputError, match="run.csv must be a file to write"):
         written(tmp_path, "csv", make_face())
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
     (tmp_path / "file").touch()
