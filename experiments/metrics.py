@@ -54,6 +54,11 @@ class Metric:
     shown: frozenset[str] = _ALL
     tracks: tuple[str, ...] | None = None
 
+    def definition(self, n: int | str = "the number of landmarks") -> str:
+        """What it is, with n landmarks, and which values are better."""
+        better = f", {self.better} is better" if self.better else ""
+        return self.legend.format(n=n) + better
+
     def is_of(self, track: str) -> bool:
         """Whether it is measured on a track."""
         return self.tracks is None or track in self.tracks
@@ -81,7 +86,7 @@ METRICS = {
         Metric(
             id="mse_mm2",
             head="MSE (mm²)",
-            legend="the same in square millimetres",
+            legend="the same mean square in square millimetres",
             better="lower",
             per_face=lambda scores: scores.mse * scores.unit_mm**2,
             shown=_REPORT,

@@ -11,13 +11,16 @@ from matplotlib.ticker import NullFormatter
 
 from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
+from experiments.metrics import METRICS
+from experiments.published import unit_of
 from experiments.scoring.numbers import as_quoted, plus_minus
+from experiments.scoring.typesetting import head_of, n_landmarks
 
 _MSE_UNIT = 1e-4
 
 
 @styled
-def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
+def summary(table: pd.DataFrame, experiment: str) -> Figure:
     """MSE and missing depth correlation of every method, filled ours, hollow the paper's.
 
     The depth correlation is a trace, whose greatest value is the number of landmarks; what is
@@ -26,8 +29,9 @@ def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
     Args:
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`,
             `paper_std`; NaN where there is no number.
-        n_landmarks: Landmarks of a face.
+        experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
     """
+    most = n_landmarks(experiment)
     methods = list(dict.fromkeys(table["method"]))
     figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
     panels = figure.subplots(
@@ -36,19 +40,21 @@ def summary(table: pd.DataFrame, n_landmarks: int = 72) -> Figure:
     figure.get_layout_engine().set(w_pad=0.03, wspace=0)
     mse = table[table["metric"] == "mse"].set_index("method")
     depth_corr = table[table["metric"] == "depth_corr"].set_index("method")
-    lost = n_landmarks - depth_corr["paper_mean"]
+    lost = most - depth_corr["paper_mean"]
     # The paper prints values above the greatest one for the FLAME landmarks: in the text only.
-    missing = depth_corr.assign(
-        mean=n_landmarks - depth_corr["mean"], paper_mean=lost.where(lost >= 0)
-    )
+    missing = depth_corr.assign(mean=most - depth_corr["mean"], paper_mean=lost.where(lost >= 0))
     for axes, rows, name in (
         (panels[0], mse, "MSE (squared normalised units)"),
-        (panels[2], missing, f"{n_landmarks} − depth correlation (no unit)"),
+        (panels[2], missing, f"{most} − depth correlation (no unit)"),
     ):
         _markers(axes, rows.reindex(methods))
         axes.set_xlabel(f"{name}\n← better")
-    _numbers(panels[1], mse.reindex(methods), _MSE_UNIT, "MSE ($10^{-4}$)")
-    _numbers(panels[3], depth_corr.reindex(methods), 1.0, "Depth correlation")
+    for axes, rows, metric in (
+        (panels[1], mse, METRICS["mse"]),
+        (panels[3], depth_corr, METRICS["depth_corr"]),
+    ):
+        unit = unit_of(experiment, metric.id)
+        _numbers(axes, rows.reindex(methods), unit, head_of(metric, experiment))
     panels[0].set_yticks(range(len(methods)), [title(method) for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     figure.legend(

@@ -6,11 +6,11 @@ import pandas as pd
 
 from experiments.markup.markdown import Notes, Table
 from experiments.methods import title
-from experiments.metrics import METRICS, metrics_of
+from experiments.metrics import METRICS
 from experiments.published import unit_of
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import NOTHING, as_quoted, difference, minus, plus_minus, power
-from experiments.scoring.typesetting import head_of
+from experiments.scoring.typesetting import columns_of, head_of
 
 _OF_PAPER = "in the paper, "
 _OF_CELL = ["mean", "std", "paper_mean", "paper_std"]
@@ -46,7 +46,7 @@ def criteria_table(experiment: Experiment) -> Table:
 
 def other_criteria_table(experiment: Experiment) -> Table:
     """What else is measured of every method."""
-    shown = [metric for metric in metrics_of(experiment.track) if "report" in metric.shown]
+    shown = columns_of(experiment.table(), experiment.track, "report")
     known = [metric.id for metric in shown if not metric.in_paper]
     notes, rows = Notes(), []
     for method, cells in _by_method(experiment):

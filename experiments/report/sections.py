@@ -8,6 +8,7 @@ from experiments.figures.style import colour
 from experiments.manifest import MANIFEST
 from experiments.markup.markdown import Table, markdown
 from experiments.methods import METHODS, title
+from experiments.metrics import METRICS
 from experiments.report import method_tables, overview, report_tables, wording
 from experiments.report.experiment import Experiment
 from experiments.report.summaries import summary
@@ -31,6 +32,7 @@ def report(model: str, experiments: list[Experiment], elsewhere: dict[str, str])
         sizes=overview.sizes(experiments),
         not_run=overview.not_run(model, experiments, elsewhere),
         empty_cells=overview.empty_cells(experiments),
+        metrics=[metric for metric in METRICS.values() if "report" in metric.shown],
         sections=[_section(own, experiments) for own in experiments],
         environment=overview.environment(experiments),
     )

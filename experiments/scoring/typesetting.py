@@ -27,7 +27,7 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
     Raises:
         InputError: Unknown experiment.
     """
-    metrics = _shown(experiment, "latex")
+    metrics = columns_of(table, experiment, "latex")
     cells = _cells(table, experiment, metrics)
     columns = "l" + "r" * (cells.shape[1] - 1)
     return tabular(cells, columns, _remarks(table, experiment, metrics))
@@ -42,7 +42,7 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     Raises:
         InputError: Unknown experiment.
     """
-    metrics = _shown(experiment, "terminal")
+    metrics = columns_of(table, experiment, "terminal")
     blocks = [
         _block(_cells(table, experiment, [m for m in metrics if m.in_paper == in_paper]))
         for in_paper in (True, False)
@@ -55,25 +55,21 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     return "\n".join([*blocks, *remarks, ""])
 
 
+def columns_of(table: pd.DataFrame, experiment: str, output: str) -> list[Metric]:
+    """Metrics that an output shows, but for those registered after the table was made."""
+    made = {*table["metric"]}
+    return [m for m in metrics_of(experiment) if output in m.shown and m.id in made]
+
+
 def head_of(metric: Metric, experiment: str) -> str:
     """Name of a metric, with its unit, in the tables of an experiment."""
-    return metric.head + metric.scale.format(
-        n=_n_landmarks(experiment), power=power(unit_of(experiment, metric.id))
-    )
+    n, unit = n_landmarks(experiment), unit_of(experiment, metric.id)
+    return metric.head + metric.scale.format(n=n, power=power(unit))
 
 
-def legend_of(metric: Metric, experiment: str) -> str:
-    """Definition of a metric in an experiment."""
-    better = f", {metric.better} is better" if metric.better else ""
-    return metric.legend.format(n=_n_landmarks(experiment)) + better
-
-
-def _n_landmarks(experiment: str) -> int:
+def n_landmarks(experiment: str) -> int:
+    """Landmarks of a face in an experiment."""
     return len(load_scheme(SCHEMES[experiment]))
-
-
-def _shown(experiment: str, output: str) -> list[Metric]:
-    return [metric for metric in metrics_of(experiment) if output in metric.shown]
 
 
 def _cells(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> pd.DataFrame:
@@ -114,7 +110,8 @@ def _block(cells: pd.DataFrame) -> str:
 
 def _remarks(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> list[str]:
     """What each column is, over how many faces, then the notes of the cells shown."""
-    remarks = [f"{head_of(m, experiment)}: {legend_of(m, experiment)}." for m in metrics]
+    n = n_landmarks(experiment)
+    remarks = [f"{head_of(m, experiment)}: {m.definition(n)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates()
     remarks += [
         f"Here: mean (± s.d.) over {n} random subsets of {size} test faces."

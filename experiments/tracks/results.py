@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas as pd
 
 from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures.style import save
 from experiments.figures.summary import summary
@@ -49,7 +48,7 @@ def write_results(
         per_face=per_face(scores),
         beside=beside,
     )
-    save(summary(table, len(load_scheme(run.scheme))), folder / "figures", "summary")
+    save(summary(table, run.track), folder / "figures", "summary")
 
 
 def load_histories(run: Run) -> dict[str, dict[str, dict]]:

@@ -134,7 +134,7 @@ def headline_table():
 
 
 def draw_summary(rng):
-    return summary(headline_table())
+    return summary(headline_table(), "bfm")
 
 
 def draw_small_qualitative(rng):
@@ -298,14 +298,14 @@ def test_lag_is_drawn_as_root_mean_square_error_by_epoch():
 
 
 def test_summary_writes_both_numbers_and_a_dash_where_there_is_none():
-    figure = summary(headline_table())
+    figure = summary(headline_table(), "bfm")
     mse = texts(figure.axes[1])
     depth = texts(figure.axes[3])
     assert mse == [
-        *("this work", "0.030 ± 0.001", "1.50 ± 0.02", "–"),
-        *("published", "–", "1.400 ± 0.005", "0.600 ± 0.004"),
+        *("this work", "0.0300 ± 0.0010", "1.500 ± 0.020", "–"),
+        *("published", "–", "1.4 ± 0.005", "0.6 ± 0.004"),
     ]
-    assert depth[2] == "71.940 ± 0.002"
+    assert depth[2] == "71.9400 ± 0.0020"
 
 
 @pytest.mark.skipif(not OPEN_HEAD.exists(), reason="the open head is not in ../shared")

@@ -1,6 +1,7 @@
 """A metric that is registered, and nothing else, is in every table."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,16 +9,23 @@ import pytest
 
 from deepmds_keras import normalise
 from experiments.inputs import Faces
+from experiments.manifest import write_manifest
 from experiments.metrics import METRICS, Metric
 from experiments.presets import SMOKE
-from experiments.report.experiment import Experiment
-from experiments.report.report_tables import other_criteria_table
+from experiments.report.experiment import load_experiments
+from experiments.report.sections import report as markdown_report
 from experiments.run import Run
+from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import evaluate, score
 from experiments.scoring.typesetting import text
 from experiments.tracks.results import write_results
 
 N, L = 24, 72
+COSTS = {"ours": {"ms_per_face": 2.5, "n_parameters": 27323}}
+STAGE = {
+    "model_sha256": "0" * 64, "stage": "faces", "command": "python -m experiments faces",
+    "started": "2026-01-02T03:04:05+00:00", "seconds": 75.0, "peak_memory_mb": 300,
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -34,6 +42,10 @@ def predictions(faces):
     return found
 
 
+def read_table(folder):
+    return pd.read_csv(folder / "table.csv", dtype={"n_subsets": "Int64", "subset_size": "Int64"})
+
+
 def run_of(tmp_path, track="bfm"):
     return Run("openhead", SMOKE, track, build=tmp_path / "build", results=tmp_path / "results")
 
@@ -42,39 +54,46 @@ def test_a_registered_metric_is_in_every_table(faces, tmp_path, monkeypatch):
     metric = Metric(
         id="largest_mm",
         head="Largest (mm)",
-        legend="largest error of a face's {n} landmarks",
+        legend="largest error of a landmark of the {n}",
         better="lower",
         per_face=lambda scores: scores.distances_mm.max(1),
         decimals=1,
     )
     monkeypatch.setitem(METRICS, metric.id, metric)
-
     run, shapes = run_of(tmp_path), predictions(faces)
     folder = run.experiment_results("bfm")
-    metrics, scores = evaluate(run, faces, shapes, {"ours": {"ms_per_face": 2.5}})
+    metrics, scores = evaluate(run, faces, shapes, COSTS)
     write_results(run, folder, metrics, scores, {})
+    write_manifest(run, "reproduce-bfm", [STAGE], folder)
 
-    distances = np.linalg.norm(scores["ours"].aligned - faces.shapes, axis=2) * 200
-    rows = pd.read_csv(folder / "metrics.csv").query("metric == 'largest_mm'")
-    assert rows.groupby("method")["subset"].count().to_dict() == dict.fromkeys(
-        shapes, SMOKE.n_subsets
-    )
-    ours = rows[rows["method"] == "ours"]["value"]
-    assert distances.max(1).min() < ours.min() < ours.max() < distances.max()
+    values = pd.read_csv(folder / "metrics.csv").query("metric == @metric.id")
+    assert len(values) == len(shapes) * SMOKE.n_subsets
+    largest = 200 * np.linalg.norm(scores["ours"].aligned - faces.shapes, axis=2).max(1)
+    ours = values[values["method"] == "ours"]["value"]
+    assert largest.min() < ours.min() < ours.max() < largest.max()
 
-    table = pd.read_csv(folder / "table.csv", dtype={"n_subsets": "Int64", "subset_size": "Int64"})
-    mean = table.set_index(["method", "metric"]).loc[("ours", "largest_mm"), "mean"]
+    table = read_table(folder)
+    mean = table.set_index(["method", "metric"]).loc[("ours", metric.id), "mean"]
     assert mean == pytest.approx(ours.mean())
-    cell = f"{mean:.1f}"
-    for shown, row in (
-        ((folder / "table.tex").read_text(), "Deep-MDS & "),
-        (text(table, "bfm"), "Deep-MDS "),
-    ):
-        assert "Largest (mm)" in shown and "largest error of a face's 72 landmarks" in shown
-        assert any(row in line and cell in line for line in shown.splitlines())
-    report = other_criteria_table(Experiment(folder, {"files": ["table.csv"]}))
-    rows = report.rows.set_index("Method")
-    assert rows.loc["Deep-MDS", "Largest (mm)"].startswith(cell[:-1])
+    report = markdown_report("openhead", load_experiments(run.model_results), {})
+    shown = {
+        (folder / "table.tex").read_text(): f" {mean:.1f}",
+        text(table, "bfm"): f" {mean:.1f}",
+        report: f"| {plus_minus(mean, ours.std())}",
+    }
+    for output, cell in shown.items():
+        assert "Largest (mm)" in output and "largest error of a landmark of" in output
+        row = r"(?m)^(\| )?Deep-MDS .*" + re.escape(cell)
+        assert re.search(row, output)
+
+
+def test_a_table_made_before_a_metric_was_registered_is_printed(faces, tmp_path, monkeypatch):
+    run = run_of(tmp_path)
+    folder = run.experiment_results("bfm")
+    write_results(run, folder, *evaluate(run, faces, predictions(faces), COSTS), {})
+    before = text(read_table(folder), "bfm")
+    monkeypatch.setitem(METRICS, "new", dataclasses.replace(METRICS["rmse_mm"], id="new"))
+    assert text(read_table(folder), "bfm") == before
 
 
 def test_faces_that_a_method_did_not_find_are_left_out_and_counted(faces, tmp_path):
