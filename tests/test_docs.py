@@ -264,7 +264,7 @@ def messages(tmp_path_factory):
     for name, content in contents.items():
         (folder / name).write_bytes(content)
     (folder / "FaceXModel").mkdir()
-    for name in ("generic_neutral_mesh.obj", "identity000.obj"):
+    for name in ("generic_neutral_mesh.obj", *(f"identity{k:03}.obj" for k in range(100))):
         (folder / "FaceXModel" / name).write_bytes(pointer)
     none = np.zeros((51, 3), int)
     calls = [

@@ -142,6 +142,8 @@ class LandmarkFitter:
         cost = (residuals**2).sum()
         damping, converged, n_iterations = _DAMPING, False, 0
         curvature = None
+        # SciPy's least_squares ends within 3e-4 of the same coefficients after 7 times as long (by
+        # "dogbox" or "lm", by "trf" 300 times): it decomposes the Jacobian with the prior's rows.
         while not converged and n_iterations < self._max_iterations:
             n_iterations += 1
             if curvature is None:

@@ -30,6 +30,7 @@ CANDIDATES = (
     "ict_light.npz",
     "ict-facekit/ict_light.npz",
 )
+N_IDENTITY = 100
 _MM = 10.0  # the files are in centimetres
 _NEUTRAL = "generic_neutral_mesh.obj"
 # Kinds of the arrays of the npz.
@@ -63,12 +64,15 @@ def load_ict(path: str | Path) -> MorphableModel:
 
 def _load_folder(folder: Path) -> MorphableModel:
     neutral_file = folder / _NEUTRAL
-    identity_files = sorted(folder.glob("identity[0-9]*.obj"))
-    expression_files = sorted(
-        set(folder.glob("*.obj")) - set(identity_files) - {neutral_file}, key=lambda file: file.name
-    )
-    if not neutral_file.is_file() or not identity_files:
-        raise InputError(f"{folder}: must hold {_NEUTRAL} and identity000.obj etc. Received less.")
+    identity_files = [folder / f"identity{k:03}.obj" for k in range(N_IDENTITY)]
+    for file in (neutral_file, *identity_files):
+        if not file.is_file():
+            raise InputError(
+                f"{folder}: must hold {_NEUTRAL} and identity000.obj to "
+                f"{identity_files[-1].name}. Received none of the name {file.name}."
+            )
+    others = {neutral_file, *folder.glob("identity[0-9]*.obj")}
+    expression_files = sorted({*folder.glob("*.obj")} - others)
     mean, triangles = _read_obj(neutral_file)
     landmarks = known_landmarks("ict", np.arange(len(mean)))
     _check_official_landmarks(folder / "vertex_indices.json", landmarks)

@@ -21,8 +21,8 @@ LYING = {
     "a byte array of 8 GB": b"\x80\x05\x96" + (1 << 33).to_bytes(8, "little") + b"abc.",
     "a string of 2 GB": b"\x80\x02T\xff\xff\xff\x7fabc.",
     "a string of negative length": b"\x80\x02T\xff\xff\xff\xffabc.",
-    "number 50 million in the memo": b"\x80\x02Nr" + struct.pack("<I", 50_000_000) + b".",
-    "number 50 million in the memo as text": b"Np50000000\n.",
+    "number 50 million in the memo": b"\x80\x02r" + struct.pack("<I", 50_000_000) + b".",
+    "number 50 million in the memo as text": b"p50000000\n.",
 }
 
 

@@ -12,6 +12,7 @@ from places import SHARED
 from writers.models import write_h5, write_ict_folder, write_ict_npz, write_mat, write_obj
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
+from data_gen.models import ict
 from data_gen.models.bfm2009 import load_bfm2009
 from data_gen.models.bfm2017 import load_bfm2017
 from data_gen.models.ict import load_ict
@@ -86,7 +87,7 @@ def ict_arrays():
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return {
         "mean": vertices,
-        "identity": rng.normal(size=(3, 10, 3)).round(4),
+        "identity": rng.normal(size=(100, 10, 3)).round(4),
         "expression": rng.normal(size=(2, 10, 3)).round(4),
         "expression_names": ["browDown_L", "jawOpen"],
         "quads": quads,
@@ -297,9 +298,10 @@ class TestIct:
         for name, vertices in schemes.items():
             np.testing.assert_array_equal(used[model.landmarks[name]], vertices)
 
-    def test_landmarks_of_the_official_folder_are_its_own(self, tmp_path, ict_arrays):
+    def test_landmarks_of_the_official_folder_are_its_own(self, tmp_path, ict_arrays, monkeypatch):
         n = 26719
         ict_arrays |= {"mean": np.random.default_rng(0).normal(size=(n, 3)).round(3)}
+        monkeypatch.setattr(ict, "N_IDENTITY", 1)
         ict_arrays |= {"identity": np.zeros((1, n, 3)), "expression": np.zeros((0, n, 3))}
         ict_arrays["expression_names"] = []
         folder = write_ict_folder(tmp_path, ict_arrays)
@@ -348,11 +350,11 @@ class TestIct:
         with pytest.raises(InputError, match=f"generic_neutral_mesh.obj: .*{message}"):
             load_ict(folder)
 
-    def test_a_folder_without_identities_is_refused(self, tmp_path, ict_arrays):
+    @pytest.mark.parametrize("missing", ["identity000", "identity057", "identity099"])
+    def test_a_folder_without_one_of_its_identities_is_refused(self, tmp_path, ict_arrays, missing):
         folder = write_ict_folder(tmp_path, ict_arrays)
-        for file in folder.glob("identity*.obj"):
-            file.unlink()
-        with pytest.raises(InputError, match="must hold generic_neutral_mesh.obj and identity000"):
+        (folder / f"{missing}.obj").unlink()
+        with pytest.raises(InputError, match=f"identity000.obj to .* the name {missing}.obj"):
             load_ict(folder)
 
     @pytest.mark.parametrize(
@@ -362,7 +364,7 @@ class TestIct:
             ({"vertex_index": np.arange(9)}, r"must be \(V, 3\) and \(V,\)"),
             ({"vertex_index": np.arange(10)[::-1]}, "vertex_index must ascend"),
             ({"triangles": np.array([[0, 1, 10]])}, "must number 10 vertices from 0"),
-            ({"identity": np.zeros((3, 9, 3))}, r"must hold \(10, 3\) numbers a component"),
+            ({"identity": np.zeros((100, 9, 3))}, r"must hold \(10, 3\) numbers a component"),
             ({"expression_names": np.array(["a"])}, "must name 2 expressions. Received 1"),
             ({"mean": np.full((10, 3), "a")}, "mean of type <U1"),
             ({"mean": np.array([[None]], object)}, "an array of objects"),
