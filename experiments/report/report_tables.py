@@ -10,17 +10,9 @@ from experiments.metrics import METRICS
 from experiments.report import wording
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import NOTHING, duration, moment, scientific
-from experiments.studies.ablation import HEADS, rows_of
+from experiments.scoring.parameters import HEADS
+from experiments.studies import ablation
 
-# As in `experiments.scoring.parameters`, which would load Keras.
-_PARAMETERS = {
-    "trainable": "Trainable",
-    "total": "Total",
-    "paper": "Trainable (paper)",
-    "complexity_paper": "Complexity (paper)",
-    "complexity": "Complexity",
-    "ms_per_face": METRICS["ms_per_face"].head,
-}
 # Of a stage's record: what tables have of their own, or nobody asks for.
 _NOT_SHOWN = {"stage", "command", "started", "seconds", "peak_memory_mb", "model", "model_sha256",
               "methods", "processes_mb", "rows", "tables"}  # fmt: skip
@@ -35,8 +27,8 @@ def metric_head(metric: str) -> str:
 def parameters_table(experiment: Experiment) -> Table:
     """The paper's table of parameters and complexity, ours beside it."""
     table = experiment.table()
-    rows = pd.DataFrame({"Method": table["method"].map(title)})
-    for name, head in _PARAMETERS.items():
+    rows = pd.DataFrame({HEADS["method"]: table["method"].map(title)})
+    for name, head in [*HEADS.items()][1:]:
         shown = "{:,.0f}" if name in ("trainable", "total") else "{:.3g}"
         rows[head] = [
             value if isinstance(value, str) else NOTHING if pd.isna(value) else shown.format(value)
@@ -52,7 +44,7 @@ def parameters_table(experiment: Experiment) -> Table:
 
 def ablation_table(experiment: Experiment) -> Table:
     """Losses and errors of every variant: mean and s.d. over its seeds."""
-    rows = pd.DataFrame(rows_of(experiment.table()), columns=[*HEADS.values()])
+    rows = pd.DataFrame(ablation.rows_of(experiment.table()), columns=[*ablation.HEADS.values()])
     return Table("Mean ± s.d. over the seeds.", rows)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
-from deepmds_keras.networks import count_trainable
 from experiments.inputs import load_landmark_model
 from experiments.methods import METHODS, title
+from experiments.metrics import METRICS
 from experiments.published import printed
 from experiments.records import write_text
 from experiments.run import Run
@@ -15,7 +15,7 @@ from experiments.scoring.numbers import NOTHING
 from experiments.scoring.tables import to_csv
 
 _LEGEND = (
-    "Paper: quoted from Kamyab and Azimifar, trainable parameters. Total: with the moving "
+    "Paper: quoted from Kamyab and Azimifar. Total: with the moving "
     "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
     f"model. {NOTHING}: not measured here, or not in the paper."
 )
@@ -24,10 +24,10 @@ HEADS = {
     "method": "Method",
     "trainable": "Trainable",
     "total": "Total",
-    "paper": "Paper",
+    "paper": "Trainable (paper)",
     "complexity_paper": "Complexity (paper)",
     "complexity": "Complexity",
-    "ms_per_face": "ms/face",
+    "ms_per_face": METRICS["ms_per_face"].head,
 }
 
 
@@ -45,6 +45,8 @@ def parameter_table(
         Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
         adds the moving statistics of batch normalisation, which nothing trains.
     """
+    from deepmds_keras.networks import count_trainable  # who only prints a table has no Keras
+
     counts = _values(metrics, "n_parameters")
     times = _values(metrics, "ms_per_face")
     quoted = printed("parameters", "n_parameters")
