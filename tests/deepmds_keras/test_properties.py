@@ -73,6 +73,7 @@ class TestAlign:
     @given(points(), similarities, st.booleans())
     def test_any_similarity_is_undone(self, target, moved, reflection):
         close(align(moved(target), target, reflection=reflection), target)
+        assert not is_mirrored(moved(target), target)
 
     @laws
     @given(points(), similarities)
@@ -213,41 +214,12 @@ apart = points((8, 8)).filter(lambda face: pdist(face).min() > 0.5)
 
 class TestEmbedding:
     @few
-    @given(apart, scales)
-    def test_distances_of_points_give_the_points_back(self, face, factor):
-        distances = factor * pdist(face)
-        found, stress = embed(squareform(distances), return_stress=True)
-        assert stress < 1e-2
-        close(pdist(found), distances, 0.05)
-        close(factor * pdist(embed(squareform(pdist(face)))), pdist(found), 1e-3)
-
-    @few
     @given(apart, st.permutations(range(8)), seeds)
     def test_the_order_of_landmarks_does_not_matter(self, face, order, rng):
         noise = squareform(rng.uniform(0.8, 1.2, 28))
         distances = squareform(pdist(face)) * noise
         found = embed(distances[np.ix_(order, order)])
         close(pdist(found), pdist(embed(distances)[order]), 1e-3)
-
-    @few
-    @given(st.tuples(apart, apart, apart))
-    def test_other_faces_do_not_matter(self, faces):
-        distances = np.array([squareform(pdist(face)) for face in faces])
-        for one, among in zip(distances, embed(distances), strict=True):
-            close(embed(one), among, 1e-6)
-
-    @laws
-    @given(points(), st.sampled_from([np.nan, np.inf, "asymmetric", "negative"]))
-    def test_what_is_no_matrix_of_distances_is_refused(self, face, bad):
-        distances = squareform(pdist(face))
-        if isinstance(bad, str):
-            distances[0, 1] *= -1 if bad == "negative" else 2
-            distances[1, 0] *= -1 if bad == "negative" else 1
-            assume(abs(distances[0, 1]) > 0.2 * distances.max())
-        else:
-            distances[0, 1] = distances[1, 0] = bad
-        with pytest.raises(InputError, match="dissimilarities must"):
-            embed(distances)
 
 
 class TestPairFeatures:

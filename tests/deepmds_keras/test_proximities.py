@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import pdist
 
 from deepmds_keras import InputError, pair_features
 
@@ -22,20 +21,6 @@ def test_released_features_of_one_pair():
     features = pair_features(np.array([[0.2, 0.5], [0.6, 0.4], [0.0, 0.0]]), "released")
     expected = [0.12, 0.2, np.exp(-0.4), np.exp(-0.1), np.hypot(0.4, 0.1)]
     assert np.allclose(features[0], expected)
-
-
-@pytest.mark.parametrize("variant", ["paper", "released"])
-def test_features_do_not_know_which_landmark_is_first(views, variant):
-    backwards = pair_features(views[:, ::-1], variant)
-    first, second = np.triu_indices(7, 1)
-    position = {pair: k for k, pair in enumerate(zip(first, second, strict=True))}
-    mirrored = [position[(6 - j, 6 - i)] for i, j in zip(first, second, strict=True)]
-    assert np.array_equal(backwards[:, mirrored], pair_features(views, variant))
-
-
-def test_pairs_come_in_the_order_of_pdist(views):
-    distances = [pdist(view) for view in np.float32(views)]
-    assert np.allclose(pair_features(views, "released")[..., 4], distances, atol=1e-6)
 
 
 def test_batch_equals_one_by_one(views):

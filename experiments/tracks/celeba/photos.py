@@ -19,7 +19,7 @@ from data_gen.models.registry import load_model
 from data_gen.rendering.crops import crop
 from data_gen.rendering.renderer import MARGIN
 from data_gen.views.projections import Cameras, camera_angles
-from deepmds_keras.detection.dlib_landmarks import shared_detector
+from deepmds_keras.detection.dlib_landmarks import N_LANDMARKS, shared_detector
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.photos import IMAGE_SIZE
@@ -59,7 +59,7 @@ def fitted(photo: PhotoSample, landmark_model: MorphableModel, fitter: EdgeFitte
         "status": np.array("no face found"),
         "image": np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
         "crop_landmarks": np.full((n, 2), np.nan),
-        "detected": np.full((68, 2), np.nan),
+        "detected": np.full((N_LANDMARKS, 2), np.nan),
         "landmarks": np.full((n, 3), np.nan),
         "pixels": np.full((n, 2), np.nan),
         "truth": np.full((n, 3), np.nan) if photo.truth is None else photo.truth,

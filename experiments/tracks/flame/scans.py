@@ -23,6 +23,8 @@ from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.atomic import atomic_write, write_bytes
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import convert
 from experiments.arguments import parse_run
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, USED, in_photos
 from experiments.progress import Bar
@@ -32,7 +34,7 @@ from experiments.streams import Stream
 from experiments.tasks import unordered
 from experiments.tracks.found_faces import save_test_set
 
-_JAW = 17  # leading landmarks of the detector that the paper leaves out
+_FOUND, _KEPT = "ibug68", "ibug51"  # the paper leaves the detector's jaw line out
 _EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
 
 
@@ -99,7 +101,7 @@ def _registered(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | N
     detected = shared_detector().detect(scan.image)
     if detected is None:
         return row, None
-    pixels = detected[_JAW:]
+    pixels = convert(detected, _FOUND, _KEPT)
     row["image"], row["crop_landmarks"] = crop(scan.image, pixels, CROP_SIZE, CROP_MARGIN)
     row["detected"] = pixels
     if scan.truth is not None:
@@ -130,7 +132,7 @@ def _some_points(scan: Scan, found: Registration) -> np.ndarray:
 
 def _refused(name: str, status: str) -> dict:
     """A row of a scan that gives no test face."""
-    unknown = np.full((51, 3), np.nan)
+    unknown = np.full((len(load_scheme(_KEPT)), 3), np.nan)
     return {
         "name": np.array(name),
         "condition": np.array(""),
