@@ -16,7 +16,8 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.rendering.visibility import part_of
 from deepmds_keras.io.errors import InputError
 
-N_LANDMARKS, _N_JAW = 68, 17
+_N_LANDMARKS = len(load_vertices("ibug68").numbers)
+_N_JAW = load_vertices("ibug51").numbers[0] - 1
 # Those of Bas et al.: of the mean squared distance of edges and that of landmarks, in pixels, and
 # of the mean squared coefficient.
 _EDGES, _LANDMARKS, _PRIOR = 0.45, 0.15, 0.40
@@ -239,14 +240,14 @@ def _checked(landmarks: np.ndarray, image: np.ndarray) -> np.ndarray:
         raise InputError(
             f"image must be RGB, uint8 (H, W, 3). Received {image.dtype} {image.shape}."
         )
-    if landmarks.shape != (N_LANDMARKS, 2):
-        raise InputError(f"landmarks must be ({N_LANDMARKS}, 2). Received {landmarks.shape}.")
+    if landmarks.shape != (_N_LANDMARKS, 2):
+        raise InputError(f"landmarks must be ({_N_LANDMARKS}, 2). Received {landmarks.shape}.")
     if not np.isfinite(landmarks).all():
         raise InputError("landmarks must be finite. Received NaN or infinity.")
     n_inside = ((landmarks >= 0) & (landmarks <= image.shape[1::-1])).all(1).sum()
-    if n_inside < N_LANDMARKS / 2:
+    if n_inside < _N_LANDMARKS / 2:
         raise InputError(
             f"landmarks must be pixels of the image, which is {image.shape[1]} x {image.shape[0]}. "
-            f"Received {n_inside} of {N_LANDMARKS} within it."
+            f"Received {n_inside} of {_N_LANDMARKS} within it."
         )
     return landmarks

@@ -22,11 +22,13 @@ class LandmarkVertices:
     """Vertex numbers of an ordered set of L landmarks, which are counted from 0.
 
     Attributes:
+        numbers: `L` landmark numbers as the authors of the scheme count them, from 1.
         vertices: Face model name to `(L,)` 0-based vertex numbers (`ict`: original numbering);
             models on which every landmark is known.
         anchors: Face model name to `{landmark: vertex}`; also the partly known models.
     """
 
+    numbers: tuple[int, ...]
     vertices: dict[str, np.ndarray]
     anchors: dict[str, dict[int, int]]
 
@@ -58,9 +60,10 @@ def load_vertices(scheme: str) -> LandmarkVertices:
         for model, known in anchors.items()
         if len(known) == len(rows)
     }
-    for numbers in vertices.values():
-        numbers.flags.writeable = False  # the cached tables are shared by all callers
-    return LandmarkVertices(vertices, anchors)
+    for known in vertices.values():
+        known.flags.writeable = False  # the cached tables are shared by all callers
+    numbers = tuple(int(row["number"]) for row in rows)
+    return LandmarkVertices(numbers, vertices, anchors)
 
 
 @cache

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.formats.plain_pickle import load_plain_pickle
+from data_gen.landmarks import load_vertices
 from deepmds_keras.io.errors import InputError
 
 SOURCE = "the public repository github.com/TimoBolkart/TF_FLAME"
-# The last 51 of the 68 are the 51.
+# The last landmarks of ibug68 are those of ibug51.
 FILENAMES = ("flame_static_embedding.pkl", "flame_static_embedding_68.pkl")
 _FOLDERS = ("", "data/", "models/", "FLAME/", "flame/", "FLAME2020/", "FLAME2023/", "tf_flame/")
-_N_LANDMARKS = 51
+_SIZES = tuple(len(load_vertices(scheme).numbers) for scheme in ("ibug51", "ibug68"))
 _TOLERANCE = 1e-6
 
 
@@ -92,10 +93,11 @@ def load_embedding(path: str | Path) -> LandmarkEmbedding:
     arrays = load_plain_pickle(file)
     arrays = arrays if isinstance(arrays, dict) else {}
     triangles, weights = (arrays.get(key) for key in ("lmk_face_idx", "lmk_b_coords"))
-    is_known = isinstance(triangles, np.ndarray) and triangles.shape in ((51,), (68,))
-    if not is_known or triangles.dtype.kind not in "iu" or triangles.min() < 0:
+    is_known = isinstance(triangles, np.ndarray) and triangles.ndim == 1
+    is_known = is_known and len(triangles) in _SIZES and triangles.dtype.kind in "iu"
+    if not is_known or triangles.min() < 0:
         raise InputError(
-            f"{file}: lmk_face_idx must be 51 or 68 triangle numbers. Received "
+            f"{file}: lmk_face_idx must be {_SIZES[0]} or {_SIZES[1]} triangle numbers. Received "
             f"{_description(triangles)}."
         )
     if not isinstance(weights, np.ndarray) or weights.shape != (len(triangles), 3):
@@ -111,7 +113,7 @@ def load_embedding(path: str | Path) -> LandmarkEmbedding:
             f"{_description(weights)}."
         )
     return LandmarkEmbedding(
-        triangles[-_N_LANDMARKS:].astype(int), weights[-_N_LANDMARKS:].astype(float)
+        triangles[-_SIZES[0] :].astype(int), weights[-_SIZES[0] :].astype(float)
     )
 
 

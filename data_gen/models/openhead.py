@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data_gen.landmarks import load_vertices
 from data_gen.models.model_files import model_of
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.io.archives import read_npz
@@ -23,8 +24,8 @@ LAYOUT = {
     "expression_basis": ("f", ("E", "V", 3)),
     "expression_names": ("U", ("E",)),
     "triangles": ("i", ("T", 3)),
-    "landmarks72": ("i", (72,)),
-    "landmarks68": ("i", (68,)),
+    "landmarks72": ("i", (len(load_vertices("bfm72").numbers),)),
+    "landmarks68": ("i", (len(load_vertices("ibug68").numbers),)),
     "mirror": ("i", ("V",)),
     "part": ("i", ("V",)),
     "uv": ("f", ("V", 2)),
@@ -50,6 +51,7 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
     """
     path = OPENHEAD if path is None else Path(path)
     arrays = read_openhead(path)
+    of_ibug = arrays["landmarks68"].astype(int)
     return model_of(
         path,
         name="openhead",
@@ -58,8 +60,8 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
         triangles=arrays["triangles"].astype(int),
         landmarks={
             "bfm72": arrays["landmarks72"].astype(int),
-            "ibug68": arrays["landmarks68"].astype(int),
-            "ibug51": arrays["landmarks68"][17:].astype(int),
+            "ibug68": of_ibug,
+            "ibug51": of_ibug[np.array(load_vertices("ibug51").numbers) - 1],
         },
         expression_basis=arrays["expression_basis"].astype(float),
         expression_names=tuple(arrays["expression_names"].tolist()),

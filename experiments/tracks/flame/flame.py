@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
+from data_gen.rendering.crops import crop
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
@@ -19,7 +19,6 @@ from experiments.figures.ground_truth import Example, ground_truth
 from experiments.figures.qualitative import Photos
 from experiments.figures.style import save
 from experiments.inputs import (
-    CROP_SIZE,
     USED,
     Faces,
     crop_files,
@@ -35,7 +34,7 @@ from experiments.tracks.results import load_histories, write_results
 _STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
 _TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
 _SHOWN_FACES = 4
-_CUT, _PHOTO = 32, 112  # pixels left out at each edge of a photo; a side of it in the pictures
+_PHOTO, _MARGIN = 112, 1.4  # of photos in the pictures: pixels of a side, see `crop`
 
 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
@@ -96,10 +95,7 @@ def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray
 
 def small_photo(files: ImageFiles, face: int) -> tuple[np.ndarray, np.ndarray]:
     """The middle of a test photo, `(112, 112, 3)`, and the landmarks in its pixels."""
-    box = (_CUT, _CUT, CROP_SIZE - _CUT, CROP_SIZE - _CUT)
-    photo = Image.fromarray(files[[face]][0]).resize((_PHOTO, _PHOTO), box=box)
-    scale = _PHOTO / (CROP_SIZE - 2 * _CUT)
-    return np.asarray(photo), (files.landmarks(range(face, face + 1))[0] - _CUT) * scale
+    return crop(files[[face]][0], files.landmarks(range(face, face + 1))[0], _PHOTO, _MARGIN)
 
 
 def examples(scans: dict[str, np.ndarray], files: ImageFiles) -> list[Example]:
