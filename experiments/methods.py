@@ -1,4 +1,7 @@
-"""The compared methods: what stages, tables, figures and report know of each is its row here."""
+"""The compared methods: what stages, tables, figures and report know of each is its row here.
+
+A new method is a new row. What trains and loads it goes into `recipes`.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,6 @@ from experiments.method import Method
 from experiments.run import Run
 
 _ALL = ("bfm", "flame", "celeba")
-
-
 # Starts from an eigenvalue problem and then sorts all pairs in each of t steps.
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
