@@ -140,7 +140,7 @@ def test_mediapipe_finds_faces_and_the_corrected_list_fits_better(whole):
 
 def test_show_prints_both_tables(whole):
     shown = run("show", whole).stdout
-    assert "depth corr. (of 51)" in shown
+    assert "Depth correlation (of 51)" in shown
     assert "against the true landmarks" in shown
     assert "65 ± 0.008" in shown
 
