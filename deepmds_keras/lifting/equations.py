@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Precision of the prior on turn (3), log scale, perspective and shift (2); only the one on the
-# perspective says something, the others keep what landmarks leave open where it is.
-_CAMERA_PRECISION = np.float32([1e-3, 1e-3, 1e-3, 1e-3, 4.0, 1e-3, 1e-3])
+# Precision of the prior on turn (3), log scale, perspective and shift (2); that on the perspective
+# is about 0, the others keep what landmarks leave open where it is.
+_CAMERA_PRECISION = np.float32([1, 1, 1, 1, 4, 1, 1])
 _PERSPECTIVE = 4
 _MOST_PERSPECTIVE = 1.0
 _LEAST_DISTANCE = 0.4  # of a landmark from a perspective camera, the face's being 1
@@ -100,41 +100,42 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
     Returns:
         The new code and camera.
     """
-    jacobian = _camera_jacobian(xp, sight)
-    precision = jacobian @ xp.transpose(jacobian, (0, 2, 1)) + np.diag(_CAMERA_PRECISION)
-    covariance = xp.linalg.inv(precision)
-    solver = covariance @ jacobian
+    rows = _camera_rows(xp, sight)
+    jacobian = rows[:, :-1]
+    normal = jacobian @ xp.transpose(rows, (0, 2, 1))
+    covariance = xp.linalg.inv(normal[:, :, :-1] + np.diag(_CAMERA_PRECISION))
     prior = _CAMERA_PRECISION[_PERSPECTIVE] * camera.perspective * covariance[:, _PERSPECTIVE]
     transposed = xp.transpose(basis)
 
-    def camera_step(shifts):
-        return (solver @ shifts[:, :, None])[:, :, 0]
+    def to_code(shifts, change):
+        """Tell the code what is left of shifts when the camera has changed."""
+        left = shifts - (change[:, None] @ jacobian)[:, 0]
+        return back_project(xp, camera, sight, left) @ transposed
 
-    def seen_by(step):
-        return (step[:, None] @ jacobian)[:, 0]
-
-    def to_code(shifts):
-        return back_project(xp, camera, sight, shifts) @ transposed
-
-    change = camera_step(sight.residual) - prior
-    left = to_code(sight.residual - seen_by(change)) - code
+    change = (covariance @ normal[:, :, -1:])[:, :, 0] - prior
+    left = to_code(sight.residual, change) - code
     direction, size = left, _dot(xp, left, left)
     step = 0 * left
     for last in [False] * (n_iterations - 1) + [True]:
         shifts = project(xp, camera, sight, direction @ basis)
-        image = to_code(shifts - seen_by(camera_step(shifts))) + direction
+        matched = (covariance @ (jacobian @ shifts[:, :, None]))[:, :, 0]
+        image = to_code(shifts, matched) + direction
         length = size / (_dot(xp, direction, image) + _TINY)
         step = step + length * direction
+        change = change - length * matched
         if not last:
             left = left - length * image
             size, before = _dot(xp, left, left), size
             direction = left + size / (before + _TINY) * direction
-    change = change - camera_step(project(xp, camera, sight, step @ basis))
     return code + step, _move(xp, camera, change)
 
 
-def _camera_jacobian(xp, sight: Sight):
-    """How the image moves with turn, log scale, perspective and shift: `(n, 7, 2 L)`."""
+def _camera_rows(xp, sight: Sight):
+    """How the image moves with turn, log scale, perspective and shift, and how it should.
+
+    Returns:
+        `(n, 8, 2 L)`, of which the last row is the residual.
+    """
     x, y, depth = sight.posed[:, 0:1], sight.posed[:, 1:2], sight.posed[:, 2:3]
     nothing = 0 * depth
     swing = sight.along * depth
@@ -152,7 +153,8 @@ def _camera_jacobian(xp, sight: Sight):
         nothing,
         sight.certainty,
     ]
-    return xp.reshape(xp.concatenate(rows, 1), (-1, 7, 2 * depth.shape[2]))
+    rows = xp.reshape(xp.concatenate(rows, 1), (-1, 7, 2 * depth.shape[2]))
+    return xp.concatenate([rows, sight.residual[:, None]], 1)
 
 
 def _move(xp, camera: Camera, change) -> Camera:

@@ -36,7 +36,7 @@ class Size(NamedTuple):
     iterations: tuple[int, ...]
 
 
-SIZES = {"small": Size(48, 48, 16, (2, 4)), "large": Size(96, 256, 64, (4, 8))}
+SIZES = {"small": Size(64, 48, 16, (2, 4)), "large": Size(128, 256, 64, (4, 8))}
 
 
 class Lift(NamedTuple):

@@ -38,7 +38,10 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
             or not six visible landmarks that are not on one line.
     """
     points = _check_points(points, n_landmarks)
-    known = ~np.isnan(points).any(2)
+    known = np.ones(points[:, 0].shape, bool)
+    if not np.isfinite(points).all():
+        _refuse(np.isinf(points).any((1, 2)), "views must be finite or NaN", lambda _: "infinity")
+        known = ~np.isnan(points).any(1)
     if visible is not None:
         known &= _check_visible(visible, known.shape)
     counts = known.sum(1)
@@ -47,7 +50,8 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
         f"views must have at least {LEAST_VISIBLE} visible landmarks",
         lambda face: f"{counts[face]}",
     )
-    points = np.swapaxes(points if known.all() else np.where(known[:, :, None], points, 0), 1, 2)
+    if not known.all():
+        points = np.where(known[:, None], points, 0)
     views, middle, radius = standardise(points, known)
     x, y = views[:, 0], views[:, 1]
     xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts
@@ -97,8 +101,7 @@ def _check_points(points, n_landmarks):
         raise InputError(
             f"views must have shape (n >= 1, {n_landmarks}, 2). Received {points.shape}."
         )
-    _refuse(np.isinf(points).any((1, 2)), "views must be finite or NaN", lambda face: "infinity")
-    return points
+    return np.ascontiguousarray(np.swapaxes(points, 1, 2))
 
 
 def _check_visible(visible, shape):

@@ -77,8 +77,8 @@ def test_the_prediction_is_in_the_unit_of_normalise_and_centred(lifter, faces):
 
 def test_numpy_and_keras_agree(lifter, faces):
     rng = np.random.default_rng(0)
-    seen = disturb(read_faces(*faces, 0.005, L), missing=0.4, noise=0.05, rng=rng)
-    assert 0.6 < seen.visible.mean() < 0.9
+    seen = disturb(read_faces(*faces, 0.005, L), missing=0.3, noise=0.05, rng=rng)
+    assert 0.8 < seen.visible.mean() < 0.9
     inputs = seen.views, seen.visible, seen.sd
     iterations = SIZES["small"].iterations
     ours = lift(np, lifter.weights_, iterations, *inputs)
@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_the_image():
         return equations.look(np, camera, shapes, views, visible, variance).residual
 
     sight = equations.look(np, camera, shapes, views, visible, variance)
-    jacobian = equations._camera_jacobian(np, sight)[0]
+    jacobian = equations._camera_rows(np, sight)[0, :-1]
     for i, row in enumerate(jacobian):
         change = 1e-6 * np.eye(7)[None, i]
         moved = residual(equations._move(np, camera, change))
@@ -172,8 +172,8 @@ def test_standard_deviations_are_those_of_the_errors(lifter, faces):
     shapes, sd = lifter.predict(faces[0], return_std=True)
     assert sd.shape == shapes.shape and (sd > 0).all()
     off = np.abs(shapes - centre(normalise(faces[1]))) / sd
-    assert 0.6 < (off < 1).mean() < 0.78
-    assert 0.92 < (off < 2).mean() < 0.985
+    assert 0.55 < (off < 1).mean() < 0.85
+    assert 0.9 < (off < 2).mean() < 0.99
 
 
 def test_pose_sees_the_shapes_where_the_landmarks_are(lifter, faces):
