@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from deepmds_keras.checks import check_points
+from deepmds_keras.io.archives import map_npy
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import face_sizes, said_sizes
 
@@ -86,14 +86,7 @@ def _check_size(path: Path, max_bytes: int) -> None:
 
 
 def _read_npy(path: Path) -> np.ndarray:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of headers written by Python 2
-            # Mapped, so that a header cannot claim more memory than the file has.
-            array = np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # numpy's parser of headers raises many kinds
-        raise InputError(f"{path} must be one array in NumPy's format. {_line(error)}") from None
-    return _as_faces(path, array)
+    return _as_faces(path, map_npy(path))
 
 
 def _read_json(path: Path) -> np.ndarray:
