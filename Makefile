@@ -41,28 +41,16 @@ PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 MEDIAPIPE_VENV ?= .venv-mediapipe
 MEDIAPIPE_READY := $(MEDIAPIPE_VENV)/.ready
-# One folder for everything that would change its arrays; experiments/run.py names it the same.
-SIZES := $(PRESET)-$(PROTOCOL)-seed$(SEED)
-BUILD := build/$(MODEL)/bfm-$(SIZES)
-FLAME := build/$(MODEL)/flame-$(SIZES)$(if $(COMA),-coma)$(if $(CASIA),-casia)
-# CelebA is where it is said to be, or in DATA=.
-CELEBA_DIR := $(or $(CELEBA),$(patsubst %/img_align_celeba,%,$(firstword \
-  $(if $(DATA),$(wildcard $(DATA)/img_align_celeba $(DATA)/*/img_align_celeba)))))
-PHOTOS := build/$(MODEL)/celeba-$(SIZES)$(if $(CELEBA_DIR),-real)
-RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
-       --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS)
 # RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.
-RINGNET_FILE := $(filter-out yes no,$(RINGNET))
-FLAME_FILES := --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
-               --ringnet '$(RINGNET_FILE)' --mediapipe $(MEDIAPIPE_VENV)/bin/python
-RUN_FLAME := $(RUN) --track flame $(FLAME_FILES)
-RUN_CELEBA := $(RUN) --track celeba $(FLAME_FILES) --celeba '$(CELEBA_DIR)' --tf-flame '$(TF_FLAME)'
-# The table is another one by the authors' evaluator, of the same predictions.
-TABLE := $(BUILD)/bfm$(if $(filter released,$(EVALUATOR)),-evaluator-released).json
+RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
+       --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS) \
+       --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
+       --celeba '$(CELEBA)' --tf-flame '$(TF_FLAME)' --ringnet '$(filter-out yes no,$(RINGNET))' \
+       --mediapipe $(MEDIAPIPE_VENV)/bin/python $(if $(FACES),--faces $(FACES)) \
+       $(foreach switch,MOBILEFACE MEDIAPIPE RINGNET,$(if $(filter no,$($(switch))),--without $(switch)))
 # No start-up notices, and sums in one order whatever the processor offers.
 export TF_CPP_MIN_LOG_LEVEL := 3
 export TF_ENABLE_ONEDNN_OPTS := 0
-STAGE := $(PY) -m experiments
 
 help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
@@ -97,103 +85,28 @@ $(MEDIAPIPE_READY): constraints-mediapipe.txt
 	  --only-binary=:all: -r constraints-mediapipe.txt
 	@touch $@
 
-reproduce-bfm: $(TABLE) ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
-	@$(STAGE) show $(RUN)
+# What each is made of, and in which order, is in experiments/stages.py.
+reproduce-bfm: ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
+reproduce-flame: ## the paper's CASIA-3D table, ours beside it   (45 min; 10 with RINGNET=no)
+reproduce-celeba: ## the paper's CelebA table, ours beside it   (10 min after reproduce-bfm)
+ablation: ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
+audit: ## which claims of the paper hold: results/audit/   (3 min after ablation)
+bench: ## speed and memory beside the released way: results/bench/   (18 min)
+stream: ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
+seeds: ## five seeds of ours and ours_stable, their spread    (45 min)
+pretrained: ## train the weights that ship with the package, and measure them
+reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained: | $(READY)
+	@$(PY) -m experiments make $@ $(RUN)
 
-$(BUILD)/faces.json: | $(READY)
-	@$(STAGE) faces $(RUN)
-$(BUILD)/networks.json: $(BUILD)/faces.json
-	@$(STAGE) networks $(RUN)
-$(BUILD)/predictions.json: $(BUILD)/networks.json
-	@$(STAGE) predictions $(RUN)
-$(BUILD)/images.json: $(BUILD)/faces.json
-	@$(STAGE) images $(RUN)
-# Convolutions are oneDNN's here: a step takes three quarters of the time.
-$(BUILD)/mobileface.json: $(BUILD)/images.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) mobileface $(RUN)
-$(TABLE): $(BUILD)/predictions.json $(if $(filter-out no,$(MOBILEFACE)),$(BUILD)/mobileface.json)
-	@$(STAGE) bfm $(RUN)
-
-reproduce-flame: $(FLAME)/flame.json ## the paper's CASIA-3D table, ours beside it   (45 min; 10 with RINGNET=no)
-	@$(STAGE) show $(RUN_FLAME)
-
-$(FLAME)/frames.json: | $(READY)
-	@$(STAGE) frames $(RUN_FLAME)
-$(FLAME)/scans.json: $(CASIA_INDEX) | $(READY)
-	@$(STAGE) scans $(RUN_FLAME)
-$(FLAME)/networks.json: $(FLAME)/frames.json
-	@$(STAGE) networks $(RUN_FLAME)
-$(FLAME)/predictions.json: $(FLAME)/networks.json $(FLAME)/scans.json
-	@$(STAGE) predictions $(RUN_FLAME)
-$(FLAME)/mediapipe.json: $(FLAME)/scans.json | $(MEDIAPIPE_READY)
-	@$(STAGE) mediapipe $(RUN_FLAME)
-$(FLAME)/rings.json: | $(READY)
-	@$(STAGE) rings $(RUN_FLAME)
-$(FLAME)/ringnet.json: $(FLAME)/rings.json $(FLAME)/scans.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) ringnet $(RUN_FLAME)
-$(FLAME)/ringnet-licensed.json: $(FLAME)/scans.json
-	@$(STAGE) ringnet $(RUN_FLAME)
-$(FLAME)/flame.json: $(FLAME)/predictions.json \
-    $(if $(filter-out no,$(MEDIAPIPE)),$(FLAME)/mediapipe.json) \
-    $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json)
-	@$(STAGE) flame $(RUN_FLAME)
-
-reproduce-celeba: $(PHOTOS)/celeba.json $(if $(TF_FLAME),$(PHOTOS)/celeba-flame.json) ## the paper's CelebA table, ours beside it   (10 min after reproduce-bfm)
-	@$(STAGE) show $(RUN_CELEBA)
-
-$(PHOTOS)/photos.json: | $(READY)
-	@$(STAGE) photos $(RUN_CELEBA)
-$(PHOTOS)/predictions.json: $(PHOTOS)/photos.json $(BUILD)/networks.json
-	@$(STAGE) predictions $(RUN_CELEBA)
-$(PHOTOS)/mobileface.json: $(PHOTOS)/photos.json $(BUILD)/mobileface.json
-	@TF_ENABLE_ONEDNN_OPTS=1 $(STAGE) mobileface $(RUN_CELEBA)
-$(PHOTOS)/celeba.json: $(PHOTOS)/predictions.json \
-    $(if $(filter-out no,$(MOBILEFACE)),$(PHOTOS)/mobileface.json)
-	@$(STAGE) celeba $(RUN_CELEBA)
-$(PHOTOS)/celeba-flame.json: $(FLAME)/networks.json \
-    $(if $(filter-out no,$(RINGNET)),$(FLAME)/ringnet$(if $(RINGNET_FILE),-licensed).json) \
-    $(if $(filter-out no,$(MEDIAPIPE)),| $(MEDIAPIPE_READY))
-	@$(STAGE) celeba_flame $(RUN_CELEBA)
-
-ablation: $(BUILD)/networks.json ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
-	@$(STAGE) ablation $(RUN)
-
-$(BUILD)/ablation.json: $(BUILD)/networks.json
-	@$(STAGE) ablation $(RUN)
-
-# Always run: it reads the tables of whatever other targets were run.
-audit: $(TABLE) $(BUILD)/ablation.json ## which claims of the paper hold: results/audit/   (3 min after ablation)
-	@$(STAGE) audit $(RUN) $(FLAME_FILES) --celeba '$(CELEBA_DIR)'
-
-report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
-	@$(STAGE) report --model $(MODEL) --preset $(PRESET)
-
-ifneq ($(AUTHORS),)
-$(PHOTOS)/celeba.json: $(PHOTOS)/predictions/authors_weights.npz
-$(PHOTOS)/predictions/authors_weights.npz: | $(PHOTOS)/predictions.json
-	@$(STAGE) predictions $(RUN_CELEBA)
-$(FLAME)/flame.json: $(FLAME)/predictions/authors_weights.npz
-$(FLAME)/predictions/authors_weights.npz: | $(FLAME)/predictions.json
-	@$(STAGE) predictions $(RUN_FLAME)
-$(TABLE): $(BUILD)/predictions/authors_weights.npz
-$(BUILD)/predictions/authors_weights.npz: | $(BUILD)/predictions.json
-	@$(STAGE) predictions $(RUN)
+ifneq ($(MEDIAPIPE),no)
+reproduce-flame $(if $(TF_FLAME),reproduce-celeba): | $(MEDIAPIPE_READY)
 endif
 
-bench: | $(READY) ## speed and memory beside the released way: results/bench/   (18 min)
-	@$(STAGE) bench $(RUN)
-
-stream: $(BUILD)/networks.json ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
-	@$(STAGE) stream $(RUN) $(if $(FACES),--faces $(FACES))
-
-seeds: | $(READY) ## five seeds of ours and ours_stable, their spread    (45 min)
-	@$(STAGE) seeds $(RUN)
-
-pretrained: | $(READY) ## train the weights that ship with the package, and measure them
-	@$(STAGE) pretrained $(RUN)
+report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
+	@$(PY) -m experiments report --model $(MODEL) --preset $(PRESET)
 
 pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
-	@$(STAGE) pictures
+	@$(PY) -m experiments pictures
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead

@@ -10,11 +10,14 @@ from data_gen.models.registry import MODELS
 from data_gen.views.projections import PROTOCOLS
 from experiments.presets import PRESETS
 from experiments.run import AUTHORS_FILES, EVALUATORS, SCHEMES, Run
+from experiments.stages import SWITCHES
+
+_PATHS = ("data", "coma", "casia", "celeba", "tf_flame", "casia_index")
 
 
 def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     """The command line that every stage shares."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     add = parser.add_argument
@@ -33,6 +36,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
     add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
+    add("--without", choices=SWITCHES, action="append", default=[], help="stages to leave out")
     add("--faces", type=int, help="of make stream, instead of the preset's")
     add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
     add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
@@ -46,12 +50,23 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         if faces < 2:
             parser.error(f"--faces must be at least 2. Received {faces}.")
         values["preset"] = replace(values["preset"], streamed_faces=faces)
-    for name in ("data", "authors", "coma", "casia", "celeba", "tf_flame", "mediapipe", "ringnet"):
+    for name in (*_PATHS, "authors", "mediapipe", "ringnet"):
         values[name] = values[name] or None
+    for name in _PATHS:
+        if values[name] and not Path(values[name]).exists():
+            option = name.replace("_", "-")
+            parser.error(f"--{option} must be a file or folder. Received {values[name]}, which "
+                         "does not exist.")  # fmt: skip
     values["casia_index"] = Path(values["casia_index"]) if values["casia_index"] else None
+    values["without"] = tuple(values["without"])
+    for name in ("coma", "casia", "celeba") if values["data"] else ():
+        values[name] = values[name] or _within(Path(values["data"]), name)
     if values["track"] != "bfm" and values["evaluator"] != "paper":
         parser.error("--evaluator must be paper but for the BFM track: no script of the authors "
                      f"scores another. Received {values['evaluator']}.")  # fmt: skip
+    if values["model"] == "openhead" and values["data"] and Path(values["data"]).is_file():
+        parser.error("--data must be a folder of data sets with --model openhead, which is "
+                     f"embedded. Received the file {values['data']}.")  # fmt: skip
     embedded = values["track"] == "celeba" and values["model"] == "openhead"
     if embedded and values["data"] and values["celeba"] is None:
         parser.error("--data must be a folder that holds CelebA's img_align_celeba, with "
@@ -60,3 +75,20 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         if not Path(values["authors"], name).is_file():
             parser.error(f"--authors must be a folder with {name}. Received {values['authors']}.")
     return Run(**values)
+
+
+def _within(data: Path, dataset: str) -> str | None:
+    """Folder of a data set under its usual name, in the folder of all data."""
+    folders = [data, *sorted(data.glob("*"))]
+    if dataset == "celeba":
+        found = (path for path in folders if (path / "img_align_celeba").is_dir())
+    else:
+        found = (p for p in folders[1:] if p.is_dir() and p.name.lower().startswith(dataset))
+    return next(map(str, found), None)
+
+
+class _Parser(argparse.ArgumentParser):
+    """One whose refusals are one line, as all others."""
+
+    def error(self, message: str):
+        self.exit(2, f"error: {message}\n")

@@ -7,15 +7,16 @@ import os
 import platform
 import shlex
 import subprocess
-from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
 from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
+from experiments.build_key import needs_of
 from experiments.published import PUBLISHED
 from experiments.records import load_record, write_json
 from experiments.run import Run
+from experiments.stages import STAGES, stage_of, stages_to
 
 MANIFEST = "manifest.json"
 
@@ -23,12 +24,6 @@ _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
     "scipy", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
-# Variables by which stages are left out.
-_OPTIONAL = {
-    "reproduce-bfm": {"MOBILEFACE": {"mobileface"}},
-    "reproduce-celeba": {"MOBILEFACE": {"mobileface"}},
-    "reproduce-flame": {"RINGNET": {"ringnet", "ringnet-licensed"}, "MEDIAPIPE": {"mediapipe"}},
-}
 
 
 def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> None:
@@ -40,7 +35,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
     Args:
         run: The run.
         target: Of the Makefile.
-        stages: Records of the stages, in order, as `running.stage` wrote them.
+        stages: Records of the stages, in order, as `records_of` reads them.
         folder: Of the results.
     """
     variables = {
@@ -59,9 +54,10 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "FACES": str(run.preset.streamed_faces) if target == "stream" else None,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
-    stages_run = {record["stage"] for record in stages}
-    for variable, names in _OPTIONAL.get(target, {}).items():
-        if not stages_run & names:
+    done = {record["stage"] for record in stages if record["build"] == run.work.name}
+    own = [stage for goal in stages_to(target) for stage in goal.needed if stage.switch]
+    for variable in {stage.switch for stage in own if stage.track == run.track}:
+        if not done & {stage.name for stage in own if stage.switch == variable}:
             variables[variable] = "no"
     given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
     made = {
@@ -71,8 +67,9 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "protocol": run.protocol,
         "track": run.track,
         "model": run.model,
-        "model_sha256": stages[0]["model_sha256"],
-        "started": stages[0]["started"],
+        "model_sha256": next(r["model_sha256"] for r in stages if "model_sha256" in r),
+        "inputs": {name: own for r in stages for name, own in r.get("inputs", {}).items()},
+        "started": min(record["started"] for record in stages),
         "seconds": round(sum(record["seconds"] for record in stages), 1),
         "stages": stages,
         **environment(),
@@ -127,13 +124,29 @@ def _results(folder: Path) -> dict[str, Path]:
     }
 
 
-def records_of(run: Run, stages: Iterable[str]) -> list[dict]:
-    """Records of those stages that are complete, for the manifest."""
-    done = [name for name in stages if (run.work / f"{name}.json").exists()]
-    records = [load_record(run, name) for name in done]
+def records_of(run: Run, name: str, *, own: bool = True) -> list[dict]:
+    """Records of the stages that one is made from, for the manifest.
+
+    Args:
+        run, name: The stage.
+        own: Whether to add its own, which is complete.
+    """
+    goal = stage_of(run.track, name)
+    found, left = {goal.id} if own else set(), [*needs_of(run, name)]
+    while left:
+        need = left.pop()
+        if need not in found:
+            found.add(need)
+            left += _record(run, need)["needs"]
+    records = [_record(run, stage.id) for stage in STAGES if stage.id in found]
     for record in records:
         record.pop("checksums", None)  # of the images, which nobody else has
     return records
+
+
+def _record(run: Run, stage: str) -> dict:
+    track, name = stage.split("/")
+    return load_record(run.on(track), name)
 
 
 def environment() -> dict:

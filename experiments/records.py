@@ -45,7 +45,7 @@ def load_record(run: Run, name: str) -> dict:
     Raises:
         InputError: It was not done, or its record is damaged.
     """
-    return read_record(run.work / f"{name}.json")
+    return read_record(run.record_file(name))
 
 
 def write_json(path: Path, value: dict) -> None:

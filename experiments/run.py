@@ -18,6 +18,12 @@ AUTHORS_FILES = {
     "celeba": _BFM_FILES,
     "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
 }
+# Data sets of each track, and what folders made of them end with.
+_SUFFIXES = {
+    "bfm": {},
+    "flame": {"coma": "-coma", "casia": "-casia"},
+    "celeba": {"celeba": "-real"},
+}
 _DATASETS = {
     "coma": "CoMA's registered meshes (https://coma.is.tue.mpg.de, after registration)",
     "casia": "CASIA-3D FaceV1 (http://biometrics.idealtest.org, after registration)",
@@ -35,9 +41,8 @@ class Run:
         seed: Of faces, views, initial weights, mini-batches and test subsets.
         protocol: How faces are projected, see `data_gen.views.projections.draw_cameras`.
         data: File or folder of a model that is not embedded, or None.
-        coma, casia: Folders of the data sets CoMA and CASIA-3D, or None: in `data`, if there, and
-            otherwise the open stand-ins.
-        celeba: Folder of the data set CelebA, or None: its stand-in.
+        coma, casia, celeba: Folders of the data sets CoMA, CASIA-3D and CelebA, or None: their
+            open stand-ins.
         tf_flame: Folder of faces with 51 landmarks for a figure, see
             `experiments.tracks.celeba.celeba_flame`, or None.
         casia_index: Table of the scans of CASIA-3D that are used, or None for all.
@@ -46,6 +51,7 @@ class Run:
         mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
             `make setup-mediapipe` makes.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
+        without: Variables of `make` that leave stages out.
         jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
         build: Folder of arrays and weights; results: folder of tables and figures.
     """
@@ -65,6 +71,7 @@ class Run:
     evaluator: str = "paper"
     mediapipe: str | None = None
     ringnet: str | None = None
+    without: tuple[str, ...] = ()
     jobs: int = -1
     build: Path = Path("build")
     results: Path = Path("results")
@@ -83,12 +90,15 @@ class Run:
     @property
     def trained(self) -> Run:
         """The run whose training faces and networks this one tests: itself, or the BFM track's."""
-        return self if self.track != "celeba" else replace(self, track="bfm", celeba=None)
+        return self.on("bfm") if self.track == "celeba" else self
 
-    @property
-    def flame(self) -> Run:
-        """The run of the FLAME track with the same model, sizes and seed."""
-        return replace(self, track="flame", celeba=None)
+    def on(self, track: str) -> Run:
+        """The run of a track with the same model, sizes and seed."""
+        return self if track == self.track else replace(self, track=track, evaluator="paper")
+
+    def record_file(self, stage: str) -> Path:
+        """Record of a stage that is done."""
+        return self.work / f"{self.evaluation if stage == self.track else stage}.json"
 
     @property
     def networks(self) -> Path:
@@ -129,22 +139,19 @@ class Run:
         return self.model_results / f"{name}{protocol}{seed}{self._given}"
 
     def folder_of(self, dataset: str) -> Path | None:
-        """Folder of `"coma"` or `"casia"`: as named, or in `data` under its usual name, or None."""
-        if getattr(self, dataset):
-            return Path(getattr(self, dataset))
-        inside = sorted(Path(self.data).glob("*")) if self.data else []
-        names = (path for path in inside if path.is_dir())
-        found = next((path for path in names if path.name.lower().startswith(dataset)), None)
-        if found is None and self.model == "flame":
+        """Folder of `"coma"`, `"casia"` or `"celeba"`, or None: its stand-in."""
+        folder = getattr(self, dataset)
+        if folder is None and self.model == "flame" and dataset in _DATASETS:
             # Its expressions have no names by which a stand-in could be made.
             raise InputError(
                 f"{dataset.upper()}= must be the folder of {_DATASETS[dataset]}, or DATA= must "
                 f"hold one that begins with {dataset}. Received neither."
             )
-        return found
+        return None if folder is None else Path(folder)
 
     @property
     def _given(self) -> str:
-        """Which data sets were named, for folders: others hold what stands in for them."""
-        suffixes = {"coma": "-coma", "casia": "-casia", "celeba": "-real"}
-        return "".join(suffix for name, suffix in suffixes.items() if getattr(self, name))
+        """Which data sets of the track were named, for folders: others hold their stand-ins."""
+        return "".join(
+            suffix for name, suffix in _SUFFIXES[self.track].items() if getattr(self, name)
+        )

@@ -18,6 +18,7 @@ from filelock import FileLock, Timeout
 from threadpoolctl import threadpool_limits
 
 from deepmds_keras.io.errors import InputError
+from experiments.build_key import check_key, inputs_of, needs_of
 from experiments.records import with_checksum, write_json
 from experiments.run import Run
 
@@ -38,7 +39,7 @@ def stage(run: Run, name: str) -> Iterator[dict]:
 
     Args:
         run: The run.
-        name: Of the stage.
+        name: Of the stage, one of those of the run's track in `experiments.stages`.
 
     Yields:
         A dict for what else the record is to say; `processes_mb`, the peak memory of each process
@@ -48,20 +49,25 @@ def stage(run: Run, name: str) -> Iterator[dict]:
     started, clock = datetime.datetime.now(datetime.timezone.utc), time.perf_counter()
     quiet_tensorflow()
     os.environ["TF_NUM_INTRAOP_THREADS"] = _TENSORFLOW_THREADS
-    print(f"— {name}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
-    turn = locked(run.model_results, wait=True) if name == run.evaluation else nullcontext()
+    path = run.record_file(name)
+    print(f"— {path.stem}: {run.model}, {run.preset.name} preset, seed {run.seed}", flush=True)
+    turn = locked(run.model_results, wait=True) if name == run.track else nullcontext()
     with exit_on_user_error(), locked(run.work), turn:
         for left_behind in run.work.rglob(".*.partial"):
             left_behind.unlink(missing_ok=True)
+        check_key(run, name, write=True)
+        origin = {"needs": needs_of(run, name), "inputs": inputs_of(run, name)}
         yield record
         record |= {
-            "stage": name,
+            "build": run.work.name,
+            "stage": path.stem,
             "command": "python -m experiments " + shlex.join(sys.argv[1:]),
             "started": started.isoformat(timespec="seconds"),
             "seconds": round(time.perf_counter() - clock, 1),
             "peak_memory_mb": peak_memory_mb() + sum(record.get("processes_mb", ())),
+            **origin,
         }
-        write_json(run.work / f"{name}.json", with_checksum(record))
+        write_json(path, with_checksum(record))
     print(f"  {record['seconds']} s, {record['peak_memory_mb']} MB at most", flush=True)
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models import bfm2009, bfm2017, flame, ict
+from data_gen.models.flame_embedding import find_embedding
 from data_gen.models.model_files import find_path
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.openhead import load_openhead
+from data_gen.models.openhead import OPENHEAD, load_openhead
 from deepmds_keras.io.errors import InputError
 
 MODELS = ("openhead", "ict", "bfm2009", "bfm2017", "bfm2019", "flame")
@@ -68,7 +69,28 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
     return replace(model, mean=model.mean + shift)
 
 
+def model_files(name: str, path: str | Path | None = None) -> list[Path]:
+    """Files that `load_model` reads of a face model.
+
+    Raises:
+        InputError: As `load_model`, of files that are missing.
+    """
+    if name == "openhead":
+        return [OPENHEAD]
+    found = _find(name, path)
+    if name == "flame":
+        return [found, find_embedding(*found.absolute().parents[:3])]
+    if found.is_dir() or found.suffix == ".obj":
+        return sorted((found if found.is_dir() else found.parent).glob("*.obj"))
+    return [found]
+
+
 def _load_file(name: str, path: str | Path | None) -> MorphableModel:
+    file = _find(name, path)
+    return _LOADERS[name](file)
+
+
+def _find(name: str, path: str | Path | None) -> Path:
     if name not in _LOADERS:
         raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
     filenames, source = _SOURCES[name]
@@ -78,7 +100,6 @@ def _load_file(name: str, path: str | Path | None) -> MorphableModel:
             "Received none."
         )
     try:
-        path = find_path(path, filenames, what=name)
+        return find_path(path, filenames, what=name)
     except InputError as error:
         raise InputError(f"DATA={error} Get it from {source}.") from None
-    return _LOADERS[name](path)

@@ -25,8 +25,6 @@ from experiments.running import stage
 from experiments.scoring.tables import to_csv
 from experiments.verdicts import counted, phrase
 
-# Stages of the BFM track whose arrays are checked; the other results are read as tables.
-_STAGES = ("faces", "images", "networks", "predictions", "mobileface", "ablation", "audit")
 POSES = ("yaw", "pitch", "roll", "field_of_view")
 DISTURBANCES = ("noise_percent", "missing_percent")
 # Of the views of the paper, section "Datasets"; see `data_gen.views.projections.draw_cameras`.
@@ -89,7 +87,7 @@ def main(arguments: list[str] | None = None) -> None:
         write_text(folder / "claims.csv", to_csv(table))
         write_text(folder / "curves.csv", to_csv(curves))
         draw(numbers, curves, folder / "figures")
-    write_manifest(run, "audit", records_of(inputs.run, _STAGES), folder)
+    write_manifest(run, "audit", records_of(inputs.run, "audit"), folder)
     together = combine(run.model_results.parent, TITLES)
     print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}: {counted(table)}\n")
     for row in table.itertuples():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,13 +15,12 @@ from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from experiments.inputs import Faces, load_faces
 from experiments.methods import load
-from experiments.run import Run
+from experiments.run import SCHEMES, Run
 from experiments.scoring.scores import Scores, load_predictions, score
 from experiments.streams import Stream
 
 # Stages whose files the checks read.
 _STAGES = ("faces", "networks", "predictions", "mobileface", "ablation")
-_DATA_SETS = {"flame": ("coma", "casia"), "celeba": ("celeba",)}  # that a track's results are of
 
 
 class Inputs:
@@ -34,9 +32,8 @@ class Inputs:
     """
 
     def __init__(self, run: Run):
-        self.run = replace(run, coma=None, casia=None, celeba=None)
+        self.run = run
         self.tables: dict[str, str] = {}  # tables read and their hashes
-        self._named = run
 
     @cached_property
     def train(self) -> Faces:
@@ -98,8 +95,8 @@ class Inputs:
 
     def results(self, experiment: str, name: str = "metrics.csv") -> pd.DataFrame | None:
         """A table in `results/<model>/<experiment>`, or None: that target was not run."""
-        data_sets = _DATA_SETS.get(experiment.split("-")[0], ())
-        run = replace(self.run, **{key: getattr(self._named, key) for key in data_sets})
+        track = experiment.split("-")[0]
+        run = self.run.on(track if track in SCHEMES else "bfm")
         path = run.experiment_results(experiment) / name
         if not path.exists():
             return None

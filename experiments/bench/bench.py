@@ -81,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
         write_text(folder / "bench.csv", to_csv(table))
         write_text(folder / "agreement.csv", to_csv(agreed))
         save(figures.bench(table), folder / "figures", "bench")
-    write_manifest(run, "bench", records_of(run, ["bench"]), folder)
+    write_manifest(run, "bench", records_of(run, "bench"), folder)
     print(f"\n{summary(table)}\n\n{agreed.to_string(index=False)}")
     print(f"\nTables, figure and manifest: {folder}/")
 

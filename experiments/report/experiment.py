@@ -12,24 +12,11 @@ import pandas as pd
 from experiments.figures.examples import EXAMPLES
 from experiments.manifest import read_manifest
 from experiments.published import unit_of
+from experiments.stages import RESULTS
 
 REPORT = "report"
 # Experiments in the order of the report, and the target that makes each.
-COMMANDS = {
-    "audit": "make audit",
-    "bfm": "make reproduce-bfm",
-    "bfm-evaluator-released": "make reproduce-bfm EVALUATOR=released",
-    "flame": "make reproduce-flame",
-    "flame-true-landmarks": "make reproduce-flame",
-    "celeba": "make reproduce-celeba",
-    "celeba-true-landmarks": "make reproduce-celeba",
-    "celeba-flame": "make reproduce-celeba TF_FLAME=dir",
-    "parameters": "make reproduce-bfm",
-    "ablation": "make ablation",
-    "seeds": "make seeds",
-    "stream": "make stream",
-    "pretrained": "make pretrained",
-}
+COMMANDS = {result.folder: result.command for result in RESULTS}
 _OF_BFM = ("audit", "ablation", "seeds", "stream")  # on its faces
 
 

@@ -11,31 +11,9 @@ from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.published import PUBLISHED
 from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
 from experiments.scoring.numbers import moment
+from experiments.stages import RESULTS
 
-# Whose stages an experiment is made from, and whose networks. Others have stages of their own.
-_STAGES_OF = {
-    "audit": "bfm",
-    "ablation": "bfm",
-    "bfm": "bfm",
-    "bfm-evaluator-released": "bfm",
-    "parameters": "bfm",
-    "stream": "bfm",
-    "flame": "flame",
-    "flame-true-landmarks": "flame",
-    "celeba": "celeba",
-    "celeba-true-landmarks": "celeba",
-    "celeba-flame": "celeba-flame",
-}
-_NETWORKS_OF = {"bfm": "bfm", "flame": "flame", "celeba": "bfm", "celeba-flame": "flame"}
-# Endings of folders, by data sets given in place of stand-ins, that the stages are made from.
-_DATA_SETS_OF = {
-    "bfm": set(),
-    "flame": {"coma", "casia"},
-    "celeba": {"real"},
-    "celeba-flame": {"coma", "casia", "real"},
-}
-# By their targets, whether or not they were before.
-_ALWAYS_MADE = ("audit", "seeds", "stream", "pretrained")
+_STAGES = {result.folder: result.stage.split("/")[1] for result in RESULTS}
 
 
 def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
@@ -106,14 +84,12 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
     """Experiments made from a stage, such as the networks, that was run anew since."""
     made = defaultdict(list)
     for experiment in experiments:
-        source = _STAGES_OF.get(experiment.base)
-        for record in experiment.manifest["stages"] if source else ():
-            name = record["stage"]
-            owner = _NETWORKS_OF[source] if name == "networks" else source
-            key = (owner, name, *_settings(experiment, _DATA_SETS_OF[owner]))
-            made[key].append((record["started"], experiment))
+        for record in experiment.manifest["stages"]:
+            if "build" in record:  # those of earlier versions do not say
+                key = record["build"], record["stage"]
+                made[key].append((record["started"], experiment))
     problems = {}
-    for (_, stage, *_), runs in made.items():
+    for (_, stage), runs in made.items():
         latest, newest = max(runs, key=lambda run: run[0])
         for started, experiment in runs:
             if started != latest:
@@ -127,23 +103,16 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
     return [*problems.values()]
 
 
-def _settings(experiment: Experiment, named: set[str]) -> tuple:
-    """What decides which stages a run has, beside its track: of the data sets, those `named`."""
-    data_sets = named & {*experiment.variant.split("-")}
-    return (experiment.manifest["protocol"], experiment.manifest["seed"], *sorted(data_sets))
-
-
 def _again(folder: Path, experiment: Experiment | None = None) -> str:
     """How to make an experiment's results anew.
 
     `make` takes the last stage for done while its record is in `build/`, and would run nothing.
     """
     base, model = base_of(folder.name), folder.parent.name
-    stage = "bfm" if base == "parameters" else base.split("-")[0]
+    stage = _STAGES.get(base, base)
     made = experiment.manifest if experiment else {}
     command = made.get("command", f"{COMMANDS.get(base, 'make')} MODEL={model}")
     work = "*"
     if "track" in made:
         work = f"{made['track']}-{made['preset']['name']}-{made['protocol']}-seed{made['seed']}*"
-    record = f"rm -f build/{model}/{work}/{stage}*.json && "
-    return f"run: {'' if base in _ALWAYS_MADE else record}{command}"
+    return f"run: rm -f build/{model}/{work}/{stage}*.json && {command}"

@@ -15,6 +15,7 @@ from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from experiments.arguments import parse_run
+from experiments.build_key import is_done
 from experiments.figures.audit_curves import error_curves, mini_batches
 from experiments.figures.style import save
 from experiments.inputs import load_faces
@@ -176,13 +177,13 @@ def write(run: Run) -> None:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = run.experiment_results("ablation")
-    if not (run.work / "ablation.json").exists():
+    if not is_done(run, "ablation"):
         with stage(run, "ablation") as record:
             record["processes_mb"] = train(run)
             clear_results(folder)  # of an earlier training
     if not (folder / MANIFEST).exists():
         write(run)
-        write_manifest(run, "ablation", records_of(run, ("faces", "networks", "ablation")), folder)
+        write_manifest(run, "ablation", records_of(run, "ablation"), folder)
     print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}: mean ± s.d. over seeds\n")
     print(text(pd.read_csv(folder / "table.csv")))
     print(f"\nTables, figures and manifest: {folder}/")

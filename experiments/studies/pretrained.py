@@ -110,4 +110,4 @@ def main(arguments: list[str] | None = None) -> None:
         for path, _, _ in made if run.preset.name == "paper" else ():
             shutil.copyfile(path, PRETRAINED / path.name)
             print(f"  {PRETRAINED / path.name}, {path.stat().st_size // 1000} kB")
-    write_manifest(run, "pretrained", records_of(run, ["pretrained"]), folder)
+    write_manifest(run, "pretrained", records_of(run, "pretrained"), folder)

@@ -16,6 +16,7 @@ from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.weights import checkpoint_files
 from experiments.arguments import parse_run
+from experiments.build_key import is_done
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
@@ -102,10 +103,10 @@ def main(arguments: list[str] | None = None) -> None:
     runs = [replace(first, seed=first.seed + k) for k in range(first.preset.n_seeds)]
     frames, records = [], []
     for run in runs:
-        if not (run.work / "faces.json").exists():
+        if not is_done(run, "faces"):
             with stage(run, "faces") as record:
                 record |= make_faces(run)
-        if not (run.work / "seeds.json").exists():
+        if not is_done(run, "seeds"):
             with stage(run, "seeds") as record:
                 record["rows"] = run_seed(run)
         for name in ("faces", "seeds"):

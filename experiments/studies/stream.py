@@ -56,8 +56,7 @@ def main(arguments: list[str] | None = None) -> None:
         write_text(folder / "table.csv", to_csv(table))
         errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
         save(error_distribution(errors), folder / "figures", "errors")
-    records = records_of(run, ("faces", "networks", "stream"))
-    write_manifest(run, "stream", records, folder)
+    write_manifest(run, "stream", records_of(run, "stream"), folder)
     print(f"\n{run.model}, {shards.n:,} faces\n")
     print(table.assign(method=table["method"].map(title)).to_string(index=False))
     print(f"\nTable, figure and manifest: {folder}/")

@@ -82,9 +82,6 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "predictions") as record:
         methods = methods_of(run, "predictions")
-        for method in methods:
-            if method.needs is not None:
-                load(run, method.id)  # an unusable file is to be reported before the long work
         test = load_faces(run, "test")
         record["methods"] = [method.id for method in methods]
         for method in methods:

@@ -29,7 +29,6 @@ from experiments.scoring.scores import Scores, evaluate, load_predictions
 from experiments.tracks.bfm.released_evaluator import BESIDE, REMARKS, as_released
 from experiments.tracks.results import load_histories, write_results
 
-_STAGES = ("faces", "images", "networks", "predictions", "mobileface")
 _RENDERS = 24
 
 
@@ -86,7 +85,7 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = run.experiment_results(run.evaluation)
     folders = [folder]
-    with stage(run, run.evaluation):
+    with stage(run, "bfm"):
         test = load_faces(run, "test")
         loaded = load_predictions(run)
         predictions = {method: arrays for method, (arrays, _) in loaded.items()}
@@ -104,6 +103,6 @@ def main(arguments: list[str] | None = None) -> None:
             clear_results(parameters)
             write_parameter_table(run, metrics)
             folders.append(parameters)
-        records = records_of(run, _STAGES)
+        records = records_of(run, "bfm", own=False)
         for own in folders:
             write_manifest(run, "reproduce-bfm", records, own)

@@ -20,7 +20,6 @@ from experiments.figures.renders import renders
 from experiments.figures.style import save
 from experiments.inputs import USED, Faces, crop_files, load_faces, of_used
 from experiments.manifest import records_of, write_manifest
-from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
@@ -125,7 +124,6 @@ def main(arguments: list[str] | None = None) -> None:
             with_fit = shapes | {_FIT: fitted}
             metrics, scores = evaluate(run, test.against(truth), with_fit, descriptions)
             write_results(run, folders[1], metrics, scores)
-        stages = [load_record(run.trained, "networks")]
-        stages = [*records_of(run, ("photos", "predictions", "mobileface")), *stages]
+        stages = records_of(run, "celeba", own=False)
         for folder in folders:
             write_manifest(run, "reproduce-celeba", stages, folder)

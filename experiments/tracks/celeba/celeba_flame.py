@@ -100,11 +100,10 @@ def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
-    flame = run.flame
-    folder = run.experiment_results("celeba-flame")
-    with stage(run, "celeba-flame") as record:
-        photos, landmarks = read_folder(Path(run.tf_flame))
+    flame = parse_run(__doc__, arguments).on("flame")
+    folder = flame.experiment_results("celeba-flame")
+    with stage(flame, "celeba-flame") as record:
+        photos, landmarks = read_folder(Path(flame.tf_flame))
         images = [open_photo(path) for path in photos]
         shapes = shapes_of(flame, photos, images, landmarks)
         squares = [crop(*pair, _PHOTO, CROP_MARGIN)
@@ -118,5 +117,5 @@ def main(arguments: list[str] | None = None) -> None:
         save(figure, folder / "figures", "celeba_flame")
         record |= {"faces": [path.name for path in photos], "methods": [*shapes]}
         record["model_sha256"] = load_record(flame, "frames")["model_sha256"]
-    stages = [*records_of(run, ["celeba-flame"]), load_record(flame, "networks")]
-    write_manifest(run, "reproduce-celeba", stages, folder)
+    records = records_of(flame, "celeba-flame")
+    write_manifest(flame, "reproduce-celeba", records, folder)

@@ -31,7 +31,6 @@ from experiments.running import stage
 from experiments.scoring.scores import Scores, evaluate, load_predictions
 from experiments.tracks.results import load_histories, write_results
 
-_STAGES = ("frames", "scans", "networks", "predictions", "mediapipe", "rings")
 _TRUE, _FOUND, _FIT = "true_landmarks", "scan_landmarks", "model_fit"
 _SHOWN_FACES = 4
 _PHOTO, _MARGIN = 112, 1.4  # of photos in the pictures: pixels of a side, see `crop`
@@ -146,6 +145,6 @@ def main(arguments: list[str] | None = None) -> None:
             true_test = test.against(truth)
             metrics, scores = evaluate(run, true_test, shapes | {_FOUND: found}, descriptions)
             write_results(run, folders[1], metrics, scores)
-        records = records_of(run, (*_STAGES, run.ringnet_stage))
+        records = records_of(run, "flame", own=False)
         for own in folders:
             write_manifest(run, "reproduce-flame", records, own)

@@ -21,7 +21,8 @@ from experiments.studies.ablation import HEADS
 
 TABLE = "smoke/openhead/ablation/table.csv"
 STAGE = {
-    "model_sha256": "0" * 64, "stage": "faces", "command": "python -m experiments.tracks.bfm.faces",
+    "model_sha256": "0" * 64, "build": "bfm-smoke-paper-seed0", "stage": "faces",
+    "command": "python -m experiments faces",
     "started": "2026-01-02T03:04:05+00:00", "seconds": 75.0, "peak_memory_mb": 300,
 }  # fmt: skip
 
@@ -76,6 +77,7 @@ def test_an_audit_of_tables_that_changed_is_stale(results):
     write_text(results / TABLE, (results / TABLE).read_text() + "\n")
     problems = [line for line in stale(folder) if "/audit: " in line]
     assert len(problems) == 1
-    assert "ablation/table.csv changed since it was read; run: make audit" in problems[0]
+    assert "ablation/table.csv changed since it was read; run: rm" in problems[0]
+    assert "&& make audit" in problems[0]
     shutil.rmtree(folder / "ablation")
     assert any("/audit: ablation/table.csv changed" in line for line in stale(folder))

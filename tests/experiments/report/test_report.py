@@ -38,9 +38,10 @@ DESKTOP = {"viewport": {"width": 1280, "height": 900}, "reduced_motion": "reduce
 MSE = {"mean_shape": 0.5, "linear": 0.125, "zhao": 3.0, "ours": 2.0, "ours_stable": 1.0}
 
 
-def stage(name, minute, **more):
+def stage(name, minute, track="bfm", **more):
     return {
-        "model_sha256": "0" * 64, "stage": name, "command": f"python -m experiments.{name}",
+        "model_sha256": "0" * 64, "build": f"{track}-smoke-paper-seed0", "stage": name,
+        "command": f"python -m experiments {name}",
         "started": f"2026-01-02T03:{minute:02d}:00+00:00", "seconds": 75.0, "peak_memory_mb": 300,
         **more,
     }  # fmt: skip
@@ -102,7 +103,7 @@ def made(tmp_path_factory):
     write_experiment(run, "bfm", MSE, of_bfm, notes)
     released = MSE | {"zhao_true_depth": 22.0}
     write_experiment(run, "bfm-evaluator-released", released, of_bfm, notes)
-    of_flame = [stage("frames", 1, frames="stand-in, openhead"), stage("networks", 5)]
+    of_flame = [stage("frames", 1, "flame", frames="stand-in"), stage("networks", 5, "flame")]
     flame = dataclasses.replace(run, track="flame")
     truths = MSE | {"true_landmarks": 0.6}
     write_experiment(flame, "flame", truths, of_flame, {}, 1e-3, "reproduce-flame")
@@ -390,8 +391,8 @@ def test_other_numbers_of_the_paper_make_all_results_stale(results, tmp_path):
 
 
 def test_photos_are_tested_with_the_networks_of_the_other_table(results):
-    run = Run("openhead", SMOKE, results=results)
-    same = [stage("faces", 30), stage("networks", 2), stage("predictions", 40)]
+    run = Run("openhead", SMOKE, track="celeba", results=results)
+    same = [stage("photos", 30, "celeba"), stage("networks", 2), stage("predictions", 40, "celeba")]
     write_experiment(run, "celeba", MSE, same, {}, 1e-5, "reproduce-celeba")
     assert stale(folder_of(results)) == []
     write_experiment(run, "celeba", MSE, [stage("networks", 59)], {}, 1e-5, "reproduce-celeba")
@@ -401,11 +402,11 @@ def test_photos_are_tested_with_the_networks_of_the_other_table(results):
 
 
 def test_real_photos_and_their_stand_in_are_no_runs_of_the_same_stage(results):
-    run = Run("openhead", SMOKE, results=results)
+    run = Run("openhead", SMOKE, track="celeba", results=results)
     given = dataclasses.replace(run, celeba="data/celeba")
     networks = stage("networks", 2)
     for own, minute in ((run, 30), (given, 40)):
-        stages = [stage("faces", minute), stage("photos", minute), networks]
+        stages = [stage("photos", minute, "celeba") | {"build": own.work.name}, networks]
         folder = write_experiment(own, "celeba", MSE, stages, {}, 1e-5, "reproduce-celeba")
     assert folder.name == "celeba-real"
     assert stale(folder_of(results)) == []
@@ -417,17 +418,18 @@ def test_real_photos_and_their_stand_in_are_no_runs_of_the_same_stage(results):
 
 
 def test_photos_with_51_landmarks_are_of_the_networks_of_the_expressive_faces(results):
-    run = dataclasses.replace(Run("openhead", SMOKE, results=results), track="celeba")
+    run = Run("openhead", SMOKE, track="flame", results=results)
     folder = run.experiment_results("celeba-flame")
     for minute, problems in ((5, 0), (55, 1)):
-        stages = [stage("celeba-flame", 56), stage("networks", minute)]
+        stages = [stage("networks", minute, "flame"), stage("celeba-flame", 56, "flame")]
         write_manifest(run, "reproduce-celeba", stages, folder)
         assert len(stale(folder_of(results))) == problems
 
 
 def test_runs_with_other_seeds_have_other_networks(results):
     run = dataclasses.replace(Run("openhead", SMOKE, results=results), seed=1)
-    folder = write_experiment(run, "bfm", MSE, [stage("networks", 50)], {})
+    networks = stage("networks", 50) | {"build": run.work.name}
+    folder = write_experiment(run, "bfm", MSE, [networks], {})
     assert folder.name == "bfm-seed1"
     assert stale(folder_of(results)) == []
     main(["--preset", "smoke", "--results", str(results)])

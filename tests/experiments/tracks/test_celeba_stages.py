@@ -138,7 +138,7 @@ def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
         pytest.skip("../shared/tf_flame is absent")
     runs.copy_build(whole_flame.folder, tmp_path)
     (runs.work(tmp_path, "flame") / "ringnet.json").unlink()
-    succeed("celeba_flame", tmp_path, "--track", "celeba", "--tf-flame", str(TF_FLAME))
+    succeed("celeba-flame", tmp_path, "--track", "celeba", "--tf-flame", str(TF_FLAME))
     folder = results(tmp_path, "celeba-flame")
     assert (folder / "figures" / "celeba_flame.png").stat().st_size > 50_000
     record = json.loads((folder / "manifest.json").read_text())["stages"][0]
@@ -148,5 +148,5 @@ def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
 
 
 def test_a_folder_without_such_faces_is_refused(tmp_path):
-    done = run("celeba_flame", tmp_path, "--track", "celeba", "--tf-flame", str(tmp_path))
+    done = run("celeba-flame", tmp_path, "--track", "celeba", "--tf-flame", str(tmp_path))
     assert done.returncode == 2 and "_lmks.npy" in done.stderr

@@ -39,7 +39,7 @@ def test_manifest_says_what_made_the_results(whole):
         manifest["command"] == "make reproduce-bfm MODEL=openhead PRESET=tiny SEED=0 PROTOCOL=paper"
     )
     stages = [record["stage"] for record in manifest["stages"]]
-    assert stages == ["faces", "images", "networks", "predictions", "mobileface"]
+    assert stages == ["faces", "networks", "predictions", "images", "mobileface"]
     assert {"numpy", "keras", "scikit-learn"} <= manifest["packages"].keys()
     assert len(manifest["model_sha256"]) == 64
 
