@@ -127,7 +127,7 @@ def test_stopped_training_goes_on_to_the_same_weights(toy, tmp_path):
 )
 def test_images_of_another_kind_are_refused(toy, images):
     model = toy_model(toy[2])
-    with pytest.raises(InputError, match="call fit or load_released first"):
+    with pytest.raises(InputError, match="call fit, restore or load_released first"):
         model.predict(images)
     model.network_ = keras.Sequential([keras.Input((96, 96, 3)), keras.layers.Flatten()])
     with pytest.raises(InputError, match=r"images must be uint8 of shape .* Received"):

@@ -260,7 +260,7 @@ def test_stopped_training_goes_on_to_the_same_weights(toy, bases, small_body, tm
 )
 def test_images_of_another_kind_are_refused(bases, images):
     model = toy_model(bases)
-    with pytest.raises(InputError, match="call fit first"):
+    with pytest.raises(InputError, match="call fit or restore first"):
         model.predict(images)
     model.network_ = keras.Sequential([keras.Input((SIZE, SIZE, 3)), layers.Flatten()])
     with pytest.raises(InputError, match=r"images must be uint8 of shape .* Received"):
