@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import os
+import signal
 import subprocess
 import sys
 
@@ -37,13 +37,16 @@ def missing(run: Run, target: str) -> list[Stage]:
 def main(arguments: list[str] | None = None) -> None:
     target, *options = [*arguments] or [""]
     if target not in TARGETS:
-        parser = argparse.ArgumentParser(description=__doc__)
-        parser.error(f"TARGET must be one of {', '.join(TARGETS)}. Received {target}.")
+        print(f"error: TARGET must be one of {', '.join(TARGETS)}. Received {target}.",
+              file=sys.stderr)  # fmt: skip
+        raise SystemExit(2)
     goals = stages_to(target)
     own = [*options, "--track", goals[0].track]
     run = parse_run(__doc__, own)
     with exit_on_user_error():
         todo = missing(run, target)
+    # A stage is not to live on alone.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     for stage in todo:
         # The authors' files and scripts are of the target's own track.
         other = ["--track", stage.track, "--authors", "", "--evaluator", "paper"]

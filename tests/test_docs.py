@@ -29,7 +29,9 @@ from deepmds_keras.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
+from experiments.build_key import check_key
 from experiments.presets import PAPER, PRESETS, SMOKE
+from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, EVALUATORS, Run
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -267,6 +269,8 @@ def messages(tmp_path_factory):
     for name in ("generic_neutral_mesh.obj", *(f"identity{k:03}.obj" for k in range(100))):
         (folder / "FaceXModel" / name).write_bytes(pointer)
     none = np.zeros((51, 3), int)
+    run = Run("openhead", SMOKE, build=folder / "build")
+    write_json(run.work / "key.json", with_checksum({"MODEL": "0" * 64}))
     calls = [
         *((load_model, "bfm2009", folder / name) for name in (*contents, "none", "empty.h5", "")),
         (load_model, "bfm2009", folder / "subset.mat"),
@@ -277,6 +281,7 @@ def messages(tmp_path_factory):
         (find_meshes, folder),
         (casia.find_scans, folder),
         (Run("flame", SMOKE, track="flame").folder_of, "coma"),
+        (check_key, run, "faces"),
         (ReleasedRingNet, folder / "ring_6_68641.meta", none, none),
     ]
     said = []

@@ -1,8 +1,10 @@
 """What `make` would run: what is missing or made of other files, and nothing that is there."""
 
 import re
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -15,9 +17,10 @@ from experiments.__main__ import main
 from experiments.arguments import parse_run
 from experiments.build_key import check_key, inputs_of, is_done, needs_of
 from experiments.make import TARGETS, missing
-from experiments.presets import SMOKE
+from experiments.presets import SMOKE, TINY
 from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, SCHEMES, Run
+from experiments.running import locked
 from experiments.stages import RESULTS, STAGES, SWITCHES, stage_of
 
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -258,3 +261,19 @@ def test_unusable_weights_of_the_authors_are_found_before_the_long_work(tmp_path
     assert refused.returncode == 2 and refused.stderr.count("\n") == 1
     assert "AE_occ2orth_BFM.h5 must be a Keras 2 weight file" in refused.stderr
     assert not [*tmp_path.rglob("faces.json")] + [*tmp_path.rglob("*.npz")]
+
+
+def test_a_command_that_is_ended_leaves_no_stage_at_work(run, tmp_path):
+    run = replace(run, preset=TINY)
+    command = [sys.executable, "-m", "experiments", "make"]
+    command += runs.arguments("reproduce-bfm", tmp_path, "--without", "MOBILEFACE")
+    quiet = {"stdout": subprocess.DEVNULL, "cwd": ROOT, "env": runs.ENVIRONMENT}
+    with subprocess.Popen(command, **quiet) as ours:
+        while not run.record_file("faces").exists():
+            assert ours.poll() is None
+            time.sleep(0.05)
+        time.sleep(1)  # for the next stage to start
+        ours.terminate()
+    assert ours.returncode == 128 + signal.SIGTERM
+    with locked(run.work):
+        assert not run.record_file("networks").exists()
