@@ -58,9 +58,10 @@ class LandmarkLifter(BaseEstimator):
 
     The network is a fit of a face model that is learnt with it, cut short: a few steps that solve
     for the camera and, by conjugate gradients, for the coefficients of the shape, then a learnt
-    correction. It stands in the line of Xiong and De la Torre 2013 (doi:10.1109/CVPR.2013.75),
-    Song, Chen and Hilliges 2020 (arXiv:2008.02500) and Gregor and LeCun 2010. To turn a view in
-    its plane, scale or move it changes nothing; landmarks may be missing.
+    correction. It stands in the line of cascaded regression (Xiong and De la Torre 2013,
+    doi:10.1109/CVPR.2013.75) and of optimisers that are learnt (Gregor and LeCun 2010; Song, Chen
+    and Hilliges 2020; for morphable models Choutas et al. 2021, arXiv:2111.14824). To turn a view
+    in its plane, scale or move it changes nothing; landmarks may be missing.
 
     Args:
         n_landmarks: L, at least 6.
@@ -88,9 +89,9 @@ class LandmarkLifter(BaseEstimator):
         n_landmarks: int = 72,
         size: str = "small",
         *,
-        steps: int = 6000,
+        steps: int = 4000,
         batch_size: int = 128,
-        learning_rate: float = 1e-3,
+        learning_rate: float = 2e-3,
         missing: float = 0.0,
         noise: float = 0.0,
         seed: int = 0,
@@ -137,7 +138,7 @@ class LandmarkLifter(BaseEstimator):
             if shapes is not None or landmark_sd is not None:
                 raise InputError(
                     "shapes and landmark_sd must be left out where views is a function, which "
-                    "returns them. Received either."
+                    "returns them. Received one of them."
                 )
             faces = SampledFaces(views, self.n_landmarks, self.missing, self.noise, self.seed)
         else:
@@ -180,8 +181,8 @@ class LandmarkLifter(BaseEstimator):
         Returns:
             `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
             up, +z out of the face, in the unit of `normalise`; true size cannot be seen in one
-            view. The mean of the landmarks is 0. With `return_std`, also the standard deviation
-            of the error of each coordinate, `(n, L, 3)`, of shapes whose mean is 0 likewise.
+            view. The mean of the landmarks is about 0. With `return_std`, also `(n, L, 3)`
+            standard deviations of the errors, where the mean of the true landmarks is 0.
 
         Raises:
             InputError: Another number of landmarks, infinity, or not six visible landmarks that

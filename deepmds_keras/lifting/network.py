@@ -36,7 +36,7 @@ class Size(NamedTuple):
     iterations: tuple[int, ...]
 
 
-SIZES = {"small": Size(64, 48, 16, (2, 4)), "large": Size(128, 256, 64, (4, 8))}
+SIZES = {"small": Size(64, 48, 16, (1, 6)), "large": Size(128, 256, 64, (1, 12))}
 
 
 class Lift(NamedTuple):
@@ -81,7 +81,7 @@ def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) 
     """Check that weights are of a network of this size.
 
     Raises:
-        ValueError: One is missing, not of numbers, or of another shape.
+        ValueError: One is missing, not of finite numbers, or of another shape.
     """
     rank = len(weights["basis"])
     needed = _shapes(n_landmarks, rank, size)
@@ -89,6 +89,8 @@ def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) 
         array = weights.get(name, np.empty(0, object))
         if array.dtype.kind != "f" or array.shape != needed.get(name):
             raise ValueError(f"{name} has shape {array.shape}, not {needed.get(name)}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} has NaN or infinity")
 
 
 def _shapes(n_landmarks: int, rank: int, size: Size) -> dict[str, tuple[int, ...]]:

@@ -32,7 +32,7 @@ class Recipe:
 
     steps: int
     batch_size: int = 128
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
 
     @property
     def blocks(self) -> list[int]:
