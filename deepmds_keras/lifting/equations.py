@@ -115,7 +115,7 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
     change = (covariance @ normal[:, :, -1:])[:, :, 0] - prior
     left = to_code(sight.residual, change) - code
     direction, size = left, _dot(xp, left, left)
-    step = 0 * left
+    step, earlier = 0 * left, []
     for last in [False] * (n_iterations - 1) + [True]:
         shifts = project(xp, camera, sight, direction @ basis)
         matched = (covariance @ (jacobian @ shifts[:, :, None]))[:, :, 0]
@@ -124,7 +124,12 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
         step = step + length * direction
         change = change - length * matched
         if not last:
+            # What is left is at right angles to what was left before; in float32 it does not stay
+            # so by itself, and the code then depends on the order of sums.
+            earlier.append(left / xp.sqrt(size + _TINY))
+            known = xp.stack(earlier, 1)
             left = left - length * image
+            left = left - (left[:, None] @ xp.transpose(known, (0, 2, 1)) @ known)[:, 0]
             size, before = _dot(xp, left, left), size
             direction = left + size / (before + _TINY) * direction
     return code + step, _move(xp, camera, change)

@@ -19,7 +19,7 @@ from deepmds_keras.lifting.network import SIZES, initial_weights, lift
 from deepmds_keras.normalisation import centre
 from deepmds_keras.weights import read_arrays
 
-L = 12
+L = 20
 ROOT = Path(__file__).parents[3]
 
 
@@ -262,7 +262,7 @@ def test_disturbed_faces_keep_six_landmarks_and_tell_of_their_noise():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda v: v[:, :11], r"views must have shape \(n >= 1, 12, 2\). Received \(3, 11, 2\)"),
+        (lambda v: v[:, :11], r"views must have shape \(n >= 1, 20, 2\). Received \(3, 11, 2\)"),
         (lambda v: v.astype(str), "views must hold numbers"),
         (lambda v: np.where(np.arange(L)[:, None] < 5, v, np.nan),
          "at least 6 visible landmarks. Received 5 in face 0"),
@@ -280,9 +280,9 @@ def test_unusable_views_are_named(lifter, faces, change, message):
     ("options", "message"),
     [
         ({"visible": np.ones((3, L))}, "visible must be bool of shape"),
-        ({"visible": np.ones((2, L), bool)}, r"visible must be bool of shape \(3, 12\)"),
+        ({"visible": np.ones((2, L), bool)}, r"visible must be bool of shape \(3, 20\)"),
         ({"landmark_sd": -1}, "landmark_sd must be finite and not negative"),
-        ({"landmark_sd": [1, 2]}, r"landmark_sd must be one number, \(3,\) or \(3, 12\)"),
+        ({"landmark_sd": [1, 2]}, r"landmark_sd must be one number, \(3,\) or \(3, 20\)"),
     ],
 )
 def test_unusable_options_are_named(lifter, faces, options, message):
