@@ -12,6 +12,8 @@ from experiments.methods import DEEP_MDS, load
 from experiments.presets import TINY
 from experiments.run import Run
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def batched(whole_bfm, tmp_path):

@@ -58,7 +58,7 @@ def storm(request, tmp_path_factory):
     disk = faults.Disk(tmp_path_factory.mktemp("storm") / "disk")
     if request.param == "quick":
         whole, number = request.getfixturevalue("whole_bfm"), 1
-        name, more, stages, kills = "bfm", (), ("networks", "bfm"), 2
+        name, more, stages, kills = "bfm", ("--jobs", "1"), ("networks", "bfm"), 2
         shutil.copytree(whole.folder / "build", disk.folder / "build")
     else:
         whole, (name, number) = request.getfixturevalue("smoke_bfm"), request.param
@@ -223,6 +223,7 @@ def test_a_stage_names_the_damaged_file_that_it_reads(copy, name, stage):
     assert faults.tables(copy) == before
 
 
+@pytest.mark.slow
 def test_two_seeds_at_once_write_what_they_write_alone(whole_bfm, copy):
     """One file of theirs is the same: the table of parameters."""
     work = runs.work(copy, "bfm")

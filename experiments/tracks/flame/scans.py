@@ -229,8 +229,9 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     scan_source.cache_clear()  # the index may have been edited since
     with stage(run, "scans") as record:
+        model = _model(run)  # if it is missing, that is to be said first
         source = scan_source(run)
-        record["source"] = f"stand-in, {_model(run).name}"
+        record["source"] = f"stand-in, {model.name}"
         if isinstance(source, CasiaScans):
             record["source"] = "CASIA-3D"
             check_index(run, source)
