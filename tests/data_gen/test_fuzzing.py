@@ -37,6 +37,7 @@ from mutations import damaged
 from PIL import Image, features
 from scipy.io import savemat
 from scipy.sparse import coo_array, csc_matrix, csr_matrix
+from writers.keras2 import write_keras2
 from writers.landmark_files import LAYOUTS, written
 from writers.models import write_h5, write_ict_folder, write_ict_npz
 from writers.pickles import LYING, PYTHON2, Calls, chumpy_pickle
@@ -356,19 +357,6 @@ def load_method(file):
     return loaded.get_params(), loaded.front_landmark_, loaded.autoencoder_.get_weights()
 
 
-def write_keras2(folder):
-    network = method().dissimilarity_net_
-    with h5py.File(folder / "a.h5", "w") as file:
-        layers = [layer for layer in network.layers if layer.weights]
-        file.attrs["layer_names"] = np.array([layer.name for layer in layers], "S")
-        for layer in layers:
-            group = file.create_group(layer.name)
-            names = [f"{layer.name}/{weight.name}:0" for weight in layer.weights]
-            group.attrs["weight_names"] = np.array(names, "S")
-            for name, weight in zip(names, layer.weights, strict=True):
-                group[name] = weight.numpy()
-
-
 def load_keras2(file):
     network = method().dissimilarity_net_
     read_keras2_weights(network, file)
@@ -449,7 +437,12 @@ TARGETS = {
         InputError,
     ),
     "weights": Target(write_weights, read_arrays, InputError),
-    "Keras 2's weights": Target(write_keras2, load_keras2, InputError, memory=1500),
+    "Keras 2's weights": Target(
+        lambda folder: write_keras2(folder / "a.h5", method().dissimilarity_net_),
+        load_keras2,
+        InputError,
+        memory=1500,
+    ),
     "the method": Target(
         lambda folder: method().save(folder / "a.npz"), load_method, InputError, n=40, memory=1500
     ),

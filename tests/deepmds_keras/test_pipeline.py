@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from sklearn.base import clone
+from writers.keras2 import write_keras2
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
@@ -231,19 +232,6 @@ def test_foreign_keras_files_are_refused(tmp_path):
         DeepMDS.from_released(foreign, foreign)
 
 
-def write_keras2(path, network):
-    """Weights as Keras 2 wrote them."""
-    with h5py.File(path, "w") as file:
-        layers = [layer for layer in network.layers if layer.weights]
-        file.attrs["layer_names"] = [layer.name for layer in layers]
-        for layer in layers:
-            group = file.create_group(layer.name)
-            group.attrs["weight_names"] = [weight.name for weight in layer.weights]
-            for weight in layer.weights:
-                group[weight.name] = weight.numpy()
-    return path
-
-
 @pytest.mark.parametrize(("n_landmarks", "nose_tip"), [(72, 28), (68, 30), (51, 13)])
 def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
     networks = build_autoencoder(n_landmarks), build_dissimilarity_net("released")
@@ -252,7 +240,7 @@ def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
     assert model.front_landmark_ == nose_tip
     assert np.array_equal(model.autoencoder_.get_weights()[0], networks[0].get_weights()[0])
     with h5py.File(files[0], "r+") as file:
-        file["decode_1"]["bias"][3] = np.nan
+        file["decode_1/decode_1/bias:0"][3] = np.nan
     with pytest.raises(InputError, match="autoencoder_.*.h5: layer decode_1 .* must be finite"):
         DeepMDS.from_released(*files, n_landmarks=n_landmarks)
 

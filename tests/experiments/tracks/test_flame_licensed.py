@@ -8,6 +8,7 @@ import pytest
 import runs
 from PIL import Image
 from scipy.sparse import csc_matrix
+from writers.scans import vrml, write_ply
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.datasets.frames_standin import make_frames
@@ -51,36 +52,26 @@ def write_flame(folder, model):
 def write_coma(folder, model):
     """Frames as PLY meshes; one is cut short."""
     frames = make_frames(model, 1, N_FRAMES, np.random.default_rng(0))
-    faces = np.empty(len(model.triangles), [("n", "u1"), ("v", "<i4", (3,))])
-    faces["n"], faces["v"] = 3, model.triangles
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {model.n_vertices}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
     sequence = folder / "CoMA" / "FaceTalk_170725_00137_TA" / "bareteeth"
-    sequence.mkdir(parents=True)
     shapes = np.float32(model.shape(frames.identity, frames.expression) / 1e3)
-    for k, vertices in enumerate(shapes, 1):
-        content = header.encode() + vertices.tobytes() + faces.tobytes()
-        path = sequence / f"bareteeth.{k:06}.ply"
-        path.write_bytes(content if k != 7 else content[:5000])
+    files = [
+        write_ply(sequence / f"bareteeth.{k:06}.ply", vertices, model.triangles)
+        for k, vertices in enumerate(shapes, 1)
+    ]
+    files[6].write_bytes(files[6].read_bytes()[:5000])
 
 
 def write_casia(folder, scans):
     """Photos and clouds of points, in the frame of a camera that looks along +z, y down."""
-    for kind in ("BMP", "WRL"):
-        (folder / "CASIA-3D-FaceV1" / f"3D-Face-{kind}" / "001").mkdir(parents=True)
+    photos, clouds = (
+        folder / "CASIA-3D-FaceV1" / f"3D-Face-{kind}" / "001" for kind in ("BMP", "WRL")
+    )
     for scan in scans:
-        path = folder / "CASIA-3D-FaceV1" / "3D-Face-BMP" / "001" / f"{scan.name}.bmp"
-        Image.fromarray(scan.image).save(path)
+        for own in (photos, clouds):
+            own.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(scan.image).save(photos / f"{scan.name}.bmp")
         points = scan.points * (1, -1, -1) + (0, 0, 800)
-        rows = ",\n".join(" ".join(f"{x:.3f}" for x in point) for point in points)
-        path = folder / "CASIA-3D-FaceV1" / "3D-Face-WRL" / "001" / f"{scan.name}.wrl"
-        path.write_text(
-            "#VRML V2.0 utf8\nShape { geometry IndexedFaceSet { coord Coordinate { point [\n"
-            f"{rows}\n] }} }} }}\n"
-        )
+        (clouds / f"{scan.name}.wrl").write_text(vrml(points.round(3)))
 
 
 def make_scans():

@@ -5,12 +5,12 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
 import runs
 from places import MEDIAPIPE, ROOT
+from writers.keras2 import write_keras2
 
 from data_gen.datasets.dataset import load_dataset, save_dataset
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
@@ -179,19 +179,6 @@ def test_unusable_arguments_end_with_one_line_and_status_2(tmp_path, arguments, 
     assert refused.returncode == 2
     assert message in refused.stderr.splitlines()[-1]
     assert "Traceback" not in refused.stderr
-
-
-def write_keras2(path, network):
-    """Weights in the layout of the authors' files, HDF5 by layer in order."""
-    with h5py.File(path, "w") as file:
-        layers = [layer for layer in network.layers if layer.weights]
-        file.attrs["layer_names"] = [layer.name.encode() for layer in layers]
-        for layer in layers:
-            group = file.create_group(layer.name)
-            names = [f"{layer.name}/{k}:0" for k in range(len(layer.weights))]
-            group.attrs["weight_names"] = [name.encode() for name in names]
-            for name, array in zip(names, layer.get_weights(), strict=True):
-                group[name] = array
 
 
 def test_the_authors_weights_join_under_the_names_of_their_files(copy, tmp_path):
