@@ -1,6 +1,6 @@
 """Runs that are killed, starved of space, damaged and run twice at once: nothing wrong comes out.
 
-`KILLS=40` (`make nightly`) kills stages four times as often and changes four times as many bytes.
+`KILLS=30` (`make nightly`) kills stages three times as often and changes three times as many bytes.
 """
 
 import os
