@@ -120,7 +120,7 @@ test: | $(READY) ## the tests, but for what takes long                (5 min)
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1 h)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
-	KILLS=30 FUZZ=20 $(PYTEST)
+	KILLS=30 FUZZ=10 $(PYTEST)
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

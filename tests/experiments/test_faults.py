@@ -1,6 +1,7 @@
 """Runs that are killed, starved of space, damaged and run twice at once: nothing wrong comes out.
 
-`KILLS=30` (`make nightly`) kills stages three times as often and changes three times as many bytes.
+`KILLS=30 FUZZ=10` (`make nightly`) kills stages three times as often and changes ten times as many
+bytes.
 """
 
 import os
@@ -24,7 +25,7 @@ from experiments.run import Run
 from experiments.running import locked
 
 KILLS = int(os.environ.get("KILLS", 10))
-FLIPS = 2 * KILLS  # in each file
+FLIPS = 20 * int(os.environ.get("FUZZ", 1))  # in each file
 _BFM = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
 _FLAME = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
 if MEDIAPIPE.exists():
