@@ -49,11 +49,11 @@ def starting_camera(xp, views, visible, mean) -> Camera:
     scatter = weighted @ xp.transpose(homogeneous) + _RIDGE * np.eye(4, dtype=np.float32)
     affine = views @ xp.transpose(weighted, (0, 2, 1)) @ xp.linalg.inv(scatter)
     a, b = affine[:, 0, :3], affine[:, 1, :3]
-    aa, bb, ab = _dot(xp, a, a), _dot(xp, b, b), _dot(xp, a, b)
+    aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
     # The inverse square root of a symmetric 2 x 2 matrix has a closed form.
     root = xp.sqrt(xp.maximum(aa * bb - ab * ab, _TINY))
     a, b = (bb + root) * a - ab * b, (aa + root) * b - ab * a
-    a, b = (x / xp.sqrt(_dot(xp, x, x) + _TINY) for x in (a, b))
+    a, b = (x / xp.sqrt(_dot(x, x) + _TINY) for x in (a, b))
     rotation = xp.stack([a, b, xp.cross(a, b)], 1)
     scale = xp.sqrt(aa + bb + 2 * root) / 2
     return Camera(rotation, scale, 0 * scale, affine[:, :, 3])
@@ -114,13 +114,13 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
 
     change = (covariance @ normal[:, :, -1:])[:, :, 0] - prior
     left = to_code(sight.residual, change) - code
-    direction, size = left, _dot(xp, left, left)
+    direction, size = left, _dot(left, left)
     step, earlier = 0 * left, []
     for last in [False] * (n_iterations - 1) + [True]:
         shifts = project(xp, camera, sight, direction @ basis)
         matched = (covariance @ (jacobian @ shifts[:, :, None]))[:, :, 0]
         image = to_code(shifts, matched) + direction
-        length = size / (_dot(xp, direction, image) + _TINY)
+        length = size / (_dot(direction, image) + _TINY)
         step = step + length * direction
         change = change - length * matched
         if not last:
@@ -130,7 +130,7 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
             known = xp.stack(earlier, 1)
             left = left - length * image
             left = left - (left[:, None] @ xp.transpose(known, (0, 2, 1)) @ known)[:, 0]
-            size, before = _dot(xp, left, left), size
+            size, before = _dot(left, left), size
             direction = left + size / (before + _TINY) * direction
     return code + step, _move(xp, camera, change)
 
@@ -170,7 +170,7 @@ def _move(xp, camera: Camera, change) -> Camera:
     turn = xp.concatenate([nothing, -z, y, z, nothing, -x, -y, x, nothing], 1)
     turn = xp.reshape(turn, (-1, 3, 3))
     turned = turn @ camera.rotation
-    length = _dot(xp, half, half)[:, :, None]
+    length = _dot(half, half)[:, :, None]
     rotation = camera.rotation + 2 / (1 + length) * (turned + turn @ turned)
     growth = xp.exp(xp.clip(change[:, 3:4], -_LONGEST_STEP, _LONGEST_STEP))
     perspective = camera.perspective + change[:, _PERSPECTIVE : _PERSPECTIVE + 1]
@@ -178,8 +178,8 @@ def _move(xp, camera: Camera, change) -> Camera:
     return Camera(rotation, camera.scale * growth, perspective, camera.shift + change[:, 5:])
 
 
-def _dot(xp, a, b):
-    return xp.sum(a * b, -1, keepdims=True)
+def _dot(a, b):
+    return (a[:, None] @ b[:, :, None])[:, :, 0]
 
 
 def _flat(xp, array):
