@@ -17,6 +17,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
+from deepmds_keras.streams import Stream
 from deepmds_keras.weights import (
     read_checkpoint,
     set_network_arrays,
@@ -26,7 +27,6 @@ from deepmds_keras.weights import (
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
 _DISSIMILARITY_CHECK_FACES = 50
-_SHUFFLED = 1  # stream of random numbers beside that of `face_order`
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def train_dissimilarity_net(
     def batches(epoch: int) -> tf.data.Dataset:
         # Pairs are made beside the training, a few faces ahead: all at once fill the memory.
         if shuffled:
-            rng = np.random.default_rng([seed, epoch, _SHUFFLED])
+            rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
             faces, drawn = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
             ends = [(faces, landmarks[drawn]) for landmarks in (first, second)]
             drawn = tuple([array[end] for end in ends] for array in (frontal, shapes))
@@ -317,7 +317,10 @@ def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray
     start = epoch * n_wanted
     rounds = range(start // n_faces, (start + n_wanted - 1) // n_faces + 1)
     faces = np.concatenate(
-        [np.random.default_rng([seed, number]).permutation(n_faces) for number in rounds]
+        [
+            np.random.default_rng([seed, Stream.FACE_ORDER, number]).permutation(n_faces)
+            for number in rounds
+        ]
     )
     return faces[start - rounds[0] * n_faces :][:n_wanted]
 

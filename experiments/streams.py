@@ -1,39 +1,35 @@
-"""The random streams of a run, each declared here: `default_rng([run.seed, Stream.SUBSETS])`.
-
-Streams inside `deepmds_keras`, of initial weights and of mini-batches, are declared there.
-"""
+"""The random streams of a run, declared once: `default_rng([run.seed, Stream.SUBSETS])`."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, unique
 
 
+@unique
 class Stream(IntEnum):
     """Number that stands after the seed; those of single files, subjects or photos follow it.
 
-    NumPy pads short seeds with zeros: `default_rng(s)`, `default_rng([s, 0])` and
-    `default_rng([s, 0, 0])` give the same numbers.
+    From 100 on, since `deepmds_keras.streams` has those of training below.
     """
 
-    TRAIN_FACES = 0
-    TEST_FACES = 1
-    SUBSETS = 2
-    IMAGES = 3
-    FRAMES = 4
-    SCANS = 5
-    RINGS = 6
-    RING_IMAGES = 7
-    PHOTOS = 7  # the same as RING_IMAGES
-    PRETRAINED = 8
-    BENCH = 9
-    STREAMED_FACES = 10
-    # Of the audit, all the same as another.
-    AUDIT_COMPLEXITY = 0  # TRAIN_FACES
-    AUDIT_CRITERIA = 0
-    AUDIT_DISSIMILARITY = 0
-    AUDIT_NOISE = 0
-    AUDIT_RANKING = 0
-    AUDIT_SIGNIFICANCE = 0
-    AUDITED_FACES = 3  # IMAGES
-    AUDIT_CAMERAS = 4  # FRAMES
-    AUDIT_MISSING = 5  # SCANS
+    TRAIN_FACES = 101
+    TEST_FACES = 102
+    SUBSETS = 103
+    IMAGES = 104
+    FRAMES = 105
+    SCANS = 106
+    RINGS = 107
+    RING_IMAGES = 108
+    PHOTOS = 109
+    PRETRAINED = 110
+    BENCH = 111
+    STREAMED_FACES = 112
+    AUDITED_FACES = 201
+    AUDIT_CAMERAS = 202
+    AUDIT_COMPLEXITY = 203
+    AUDIT_CRITERIA = 204
+    AUDIT_DISSIMILARITY = 205
+    AUDIT_MISSING = 206
+    AUDIT_NOISE = 207
+    AUDIT_RANKING = 208
+    AUDIT_SIGNIFICANCE = 209

@@ -20,6 +20,7 @@ from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
 from deepmds_keras.checks import check_fitted, check_images, check_points
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import count_trainable, forward_images
+from deepmds_keras.streams import Stream
 from deepmds_keras.training import (
     face_order,
     image_batches,
@@ -29,7 +30,6 @@ from deepmds_keras.training import (
 )
 
 _CHECK_IMAGES = 480
-_STREAM = 1  # of random numbers of an epoch, beside those that order the subjects
 
 
 class RingNet(BaseEstimator):
@@ -278,7 +278,7 @@ def draw_rings(
     Returns:
         `(n_rings, ring_size)` row numbers.
     """
-    rng = np.random.default_rng([seed, _STREAM, epoch])
+    rng = np.random.default_rng([seed, Stream.RINGS, epoch])
     whose = face_order(len(members), n_rings, seed, epoch)
     others = (whose + rng.integers(1, len(members), n_rings)) % len(members)
     rings = np.empty((n_rings, ring_size), int)

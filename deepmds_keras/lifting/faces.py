@@ -11,11 +11,11 @@ from deepmds_keras.checks import check_faces
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.lifting.views import LEAST_VISIBLE, prepare_views, standardise
 from deepmds_keras.normalisation import centre, normalise
+from deepmds_keras.streams import Stream
 
 _HELD_OUT = 10  # one in so many of the faces given
 _MOST_HELD_OUT = 1000
 _FACES_OF_BASIS = 10_000
-_SPLIT, _BASIS, _CHECK, _TRAINING = range(4)  # streams of random numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +96,12 @@ class GivenFaces:
         self.number = len(faces)
         self._disturb = lambda part, rng: disturb(part, missing, noise, rng)
         self._seed = seed
-        order = np.random.default_rng([seed, _SPLIT]).permutation(len(faces))
+        order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
         n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
         # Of fewer than ten faces none can be spared.
         self._training = faces[order[n_held_out:]]
         checked = faces[order[:n_held_out]] if n_held_out else faces
-        self.held_out = self._disturb(checked, np.random.default_rng([seed, _CHECK]))
+        self.held_out = self._disturb(checked, np.random.default_rng([seed, Stream.LIFTING_CHECK]))
         self.shapes = self._training.shapes
 
     def block(self, index: int, n: int) -> Faces:
@@ -109,7 +109,7 @@ class GivenFaces:
         from deepmds_keras.training import face_order  # which imports TensorFlow
 
         faces = face_order(len(self._training), n, self._seed, index)
-        rng = np.random.default_rng([self._seed, _TRAINING, index])
+        rng = np.random.default_rng([self._seed, Stream.LIFTING_TRAINING, index])
         return self._disturb(self._training[faces], rng)
 
 
@@ -124,9 +124,9 @@ class SampledFaces:
             return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
 
         self._draw = draw
-        self.held_out = draw(_MOST_HELD_OUT, _CHECK)
-        self.shapes = draw(_FACES_OF_BASIS, _BASIS).shapes
+        self.held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
+        self.shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes
 
     def block(self, index: int, n: int) -> Faces:
         """`n` new faces."""
-        return self._draw(n, _TRAINING, index)
+        return self._draw(n, Stream.LIFTING_TRAINING, index)

@@ -13,6 +13,7 @@ from deepmds_keras.lifting.equations import (
     posterior_step,
     starting_camera,
 )
+from deepmds_keras.streams import Stream
 
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
 _N_STATE = 8  # what the hidden units see beside the code
@@ -69,7 +70,7 @@ def initial_weights(shapes: np.ndarray, size: Size, seed: int) -> dict[str, np.n
         "log_rest": np.log(rest).reshape(3, -1) / 2,
         "log_floor": np.full(len(size.iterations) + 1, _FIRST_FLOOR),
     }
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, Stream.LIFTING_WEIGHTS])
     for name, shape in _shapes(n_landmarks, rank, size).items():
         if name.endswith("hidden_kernel"):
             known[name] = rng.standard_normal(shape) / np.sqrt(shape[0])

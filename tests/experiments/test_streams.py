@@ -3,7 +3,11 @@
 import ast
 import re
 
+import numpy as np
 from places import ROOT
+
+from deepmds_keras.streams import Stream as TrainingStream
+from experiments.streams import Stream
 
 EXPERIMENTS = ROOT / "experiments"
 
@@ -24,3 +28,10 @@ def test_every_generator_of_a_runs_seed_names_its_stream():
     found = [*seeds()]
     assert len(found) > 15
     assert [seed for seed in found if "tream" not in seed] == []
+
+
+def test_no_two_stages_and_no_training_share_random_numbers():
+    streams = [*TrainingStream, *Stream]
+    first = {np.random.default_rng([0, stream]).integers(1 << 62) for stream in streams}
+    assert len({*map(int, streams)}) == len(streams) == len(first)
+    assert np.random.default_rng(0).integers(1 << 62) not in first

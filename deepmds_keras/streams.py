@@ -1,0 +1,22 @@
+"""Random streams of training, declared once: `default_rng([seed, Stream.FACE_ORDER, epoch])`."""
+
+from __future__ import annotations
+
+from enum import IntEnum, unique
+
+
+@unique
+class Stream(IntEnum):
+    """Number that stands after the seed, below 100; `experiments.streams` goes on from there.
+
+    None is 0: NumPy pads short seeds with zeros, so that `default_rng(s)` is `default_rng([s, 0])`.
+    """
+
+    FACE_ORDER = 1
+    SHUFFLED_PAIRS = 2
+    RINGS = 3
+    LIFTING_SPLIT = 11
+    LIFTING_BASIS = 12
+    LIFTING_CHECK = 13
+    LIFTING_TRAINING = 14
+    LIFTING_WEIGHTS = 15
