@@ -1,4 +1,4 @@
-"""What every method asks of its input: landmarks are checked once, at the door."""
+"""Checks of input that every method shares: landmarks are checked once, at the door."""
 
 from __future__ import annotations
 

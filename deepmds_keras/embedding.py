@@ -172,7 +172,7 @@ def _embed_faces(matrices, n_components, solver, max_iter, eps):
 
 
 def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """What each face has to be multiplied by for its distances to be nearest the given ones."""
+    """Factor of each face that brings its distances nearest to the given ones."""
     squares = np.square(points).sum(-1)
     distances = squares[:, :, None] + squares[:, None] - 2 * points @ np.swapaxes(points, 1, 2)
     np.sqrt(np.maximum(distances, 0, out=distances), out=distances)

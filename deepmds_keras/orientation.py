@@ -1,4 +1,4 @@
-"""Which way an embedding faces: distances alone know neither rotation nor mirror image."""
+"""Orientation of an embedding: distances alone know neither rotation nor mirror image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def front_landmark(shapes: np.ndarray) -> int:
     return int(shapes[..., 2].mean(0).argmax())
 
 
-def face_front(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> np.ndarray:
+def resolve_orientation(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> np.ndarray:
     """Turn shapes over their frontal views, the front landmark towards the viewer.
 
     The rotation is that of the scaled orthographic camera that sees the shape as its view.

@@ -24,7 +24,7 @@ from deepmds_keras.networks import (
     forward,
 )
 from deepmds_keras.normalisation import centre, normalise
-from deepmds_keras.orientation import face_front, front_landmark
+from deepmds_keras.orientation import front_landmark, resolve_orientation
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import (
     Recipe,
@@ -194,7 +194,7 @@ class DeepMDS(BaseEstimator):
             shapes[faces] = embed(
                 matrices, solver=self.solver, n_jobs=self.n_jobs, progress=progress
             )
-        return face_front(shapes, frontal, self.front_landmark_)
+        return resolve_orientation(shapes, frontal, self.front_landmark_)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
         """Frontal views, as the autoencoder gives them: `(n, L, 2)`, x and y in the shape's unit.

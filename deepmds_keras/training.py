@@ -31,7 +31,7 @@ _DISSIMILARITY_CHECK_FACES = 50
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained: Adam on the mean squared error.
+    """Recipe of a network's training: Adam on the mean squared error.
 
     Attributes:
         epochs: Passes of `steps_per_epoch` mini-batches; a checkpoint is written after each.

@@ -1,4 +1,4 @@
-"""What a build was made of: hashes of files from outside, and of the records of earlier stages."""
+"""Key of a build: hashes of files from outside, and of the records of earlier stages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the stages read of faces and images, in the paper's unit."""
+"""Faces and images as the stages read them, in the paper's unit."""
 
 from __future__ import annotations
 

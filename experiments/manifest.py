@@ -80,7 +80,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
 
 
 def read_manifest(folder: Path) -> dict:
-    """What `write_manifest` wrote of a folder of results.
+    """Read the manifest that `write_manifest` wrote of a folder of results.
 
     Raises:
         InputError: The file is not there, or is no manifest.

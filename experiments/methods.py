@@ -63,7 +63,7 @@ _ROWS = (
     # The widths of Zhao's net grow with n.
     Method(
         id="zhao",
-        title="Zhao's",
+        title="Zhao et al.",
         description="Zhao's net trained on the same views as every method",
         paper="zhao",
         tracks=_ALL,
@@ -76,7 +76,7 @@ _ROWS = (
     ),
     Method(
         id="zhao_authors",
-        title="Zhao's, authors' training",
+        title="Zhao et al., authors' training",
         description="Zhao's net trained as the authors did, on 3,000 frontal orthographic views; "
         "tested on the same posed views as every method",
         tracks=("bfm",),
@@ -89,7 +89,7 @@ _ROWS = (
     ),
     Method(
         id="zhao_frontal",
-        title="Zhao's, authors' protocol",
+        title="Zhao et al., authors' protocol",
         description="the same net tested on frontal orthographic views, as the authors did",
         tracks=("bfm",),
         load=partial(recipes.load_zhao, name="zhao_authors"),
@@ -101,14 +101,14 @@ _ROWS = (
     ),
     Method(
         id="zhao_true_depth",
-        title="True depth in Zhao's place",
+        title="True depth in place of Zhao et al.",
         description="no method: what the released evaluator gives to a net that makes no error",
         stage=None,
         drawn=False,
     ),
     Method(
         id="aldrian",
-        title="Aldrian's",
+        title="Aldrian & Smith",
         description="fit of the face model to the view; nothing is trained, the model is given",
         paper="aldrian",
         tracks=("bfm", "celeba"),
@@ -233,7 +233,7 @@ _ROWS = (
         "paper",
         "cosine",
         id="ours_stable",
-        title="Deep-MDS, decayed rate",
+        title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
         colour="#8C1C13",
         marker="p",
@@ -290,7 +290,7 @@ def methods_of(run: Run, stage: str) -> list[Method]:
 
 
 def notes(run: Run, found: Mapping[str, np.ndarray]) -> dict[str, str]:
-    """What a reader of the run's table must know of a method, or why it has no number of ours.
+    """Notes that a reader of the run's table needs, or why a method has no number of ours.
 
     Args:
         run: The run.

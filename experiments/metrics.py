@@ -55,7 +55,7 @@ class Metric:
     tracks: tuple[str, ...] | None = None
 
     def definition(self, n: int | str = "the number of landmarks") -> str:
-        """What it is, with n landmarks, and which values are better."""
+        """Explanation of the column, with n landmarks, and which values are better."""
         better = f", {self.better} is better" if self.better else ""
         return self.legend.format(n=n) + better
 
@@ -118,7 +118,7 @@ METRICS = {
             decimals=2,
         ),
         Metric(
-            id="mirrored_fraction",
+            id="reflection_rate",
             head="Mirrored",
             legend="share of faces that the alignment had to reflect",
             per_face=lambda scores: scores.mirrored,
@@ -126,7 +126,7 @@ METRICS = {
             shown=_TERMINAL,
         ),
         Metric(
-            id="found_fraction",
+            id="detection_rate",
             head="Found",
             legend="share of photos in which a method found the face",
             per_face=lambda scores: scores.found,

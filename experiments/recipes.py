@@ -1,4 +1,4 @@
-"""How the compared methods are trained and, once they are, loaded.
+"""Recipes: the compared methods are trained and, once they are, loaded.
 
 Nothing of TensorFlow or scikit-learn is imported before a method is asked for: the registry of the
 methods, which the figures and the report read too, names these functions.

@@ -40,7 +40,7 @@ def read_record(path: Path) -> dict:
 
 
 def load_record(run: Run, name: str) -> dict:
-    """What the stage of that name recorded when it was done.
+    """Read the record that the stage of that name left.
 
     Raises:
         InputError: It was not done, or its record is damaged.

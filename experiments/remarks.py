@@ -1,4 +1,4 @@
-"""What a reader of a table must know of a method in this run, beside what its row says.
+"""Remarks that a reader of a table needs on a method in this run, beside what its row says.
 
 Functions of the run, and of `(n,)` bool: whether the method found each test face.
 """

@@ -32,14 +32,14 @@ _DATASETS = {
 
 @dataclass(frozen=True)
 class Run:
-    """What identifies a run, and where its files lie.
+    """Identity of a run, and the places of its files.
 
     Attributes:
         model: Name of the morphable model.
         preset: Sizes.
         track: Which of the paper's experiments, one of `SCHEMES`.
         seed: Of faces, views, initial weights, mini-batches and test subsets.
-        protocol: How faces are projected, see `data_gen.views.projections.draw_cameras`.
+        protocol: How faces are projected, see `data_gen.views.projections.sample_cameras`.
         data: File or folder of a model that is not embedded, or None.
         coma, casia, celeba: Folders of the data sets CoMA, CASIA-3D and CelebA, or None: their
             open stand-ins.
@@ -110,7 +110,7 @@ class Run:
         return self.networks / f"{name}.npz"
 
     def prediction_file(self, method: str) -> Path:
-        """What a method made of the test views, or photos."""
+        """File of a method's predictions for the test views, or photos."""
         if method == "ringnet" and self.ringnet is not None:
             method = self.ringnet_stage
         return self.work / "predictions" / f"{method}.npz"
@@ -151,7 +151,7 @@ class Run:
 
     @property
     def _given(self) -> str:
-        """Which data sets of the track were named, for folders: others hold their stand-ins."""
+        """Suffix of folders for data sets that were named: others hold their stand-ins."""
         return "".join(
             suffix for name, suffix in _SUFFIXES[self.track].items() if getattr(self, name)
         )

@@ -1,4 +1,4 @@
-"""How a stage runs: under a lock, with a record, and to its end or to one line of what is wrong."""
+"""Life of a stage: under a lock, with a record, to its end or to one line of what is wrong."""
 
 from __future__ import annotations
 
@@ -119,16 +119,16 @@ def locked(folder: Path, *, wait: bool = False) -> Iterator[None]:
 
 
 @contextmanager
-def one_core() -> Iterator[None]:
-    """Compute and draw with one thread: a process a core, and sums in one order on any machine."""
+def single_threaded() -> Iterator[None]:
+    """Compute and draw with one thread: a process per core, sums in one order anywhere."""
     os.environ.setdefault("LP_NUM_THREADS", "1")  # of Mesa's software renderer
     with threadpool_limits(1):
         yield
 
 
-def on_one_core(function: Callable, *arguments):
-    """Call a function in `one_core`: as a task, for a process that needs no TensorFlow for it."""
-    with one_core():
+def call_single_threaded(function: Callable, *arguments):
+    """Call a function in `single_threaded`, as a task of another process."""
+    with single_threaded():
         return function(*arguments)
 
 

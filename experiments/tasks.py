@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from joblib import Parallel, delayed, parallel_config
 
 from deepmds_keras.io.errors import InputError
-from experiments.running import one_core
+from experiments.running import single_threaded
 
 # What may change a task's results, in their last digits.
 _DECISIVE = ("TF_ENABLE_ONEDNN_OPTS", "TF_NUM_INTRAOP_THREADS", "TF_CPP_MIN_LOG_LEVEL")
@@ -165,7 +165,7 @@ def _do(folder: str, environment: dict[str, str | None], function: Callable, tas
     before = Path.cwd()
     os.chdir(folder)
     try:
-        with one_core(), parallel_config("sequential"):
+        with single_threaded(), parallel_config("sequential"):
             return function(*task)
     finally:
         os.chdir(before)

@@ -66,7 +66,7 @@ def test_what_is_said_of_the_shipped_weights_is_what_was_measured():
 def test_times_are_those_of_the_bench():
     table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
     parts = table[table["comparison"] == "parts"].set_index(["part", "way"])["ms_per_face"]
-    rows = table_of("ms a face, on one core")
+    rows = table_of("ms per face, on one core")
     assert [*rows] == [part.capitalize() for part in dict.fromkeys(parts.index.get_level_values(0))]
     for part in dict.fromkeys(parts.index.get_level_values(0)):
         released, *ours = rows[part.capitalize()]

@@ -37,7 +37,7 @@ MASKS = ("lips", "face", "ears", "eyelids", "inside-mouth")
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """What stays of the base mesh; V vertices, the last two being the right and left pupil.
+    """Part of the base mesh that stays; V vertices, the last two being the right and left pupil.
 
     Attributes:
         base_vertex: `(V,)` int, vertex of base.obj, or RIGHT_PUPIL and LEFT_PUPIL.

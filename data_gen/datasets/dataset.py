@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import PROJECTIONS, Cameras, draw_cameras, project
+from data_gen.views.projections import PROJECTIONS, Cameras, project, sample_cameras
 from deepmds_keras.io.archives import read_npz
 from deepmds_keras.io.atomic import atomic_write
 from deepmds_keras.io.errors import InputError, brief
@@ -62,7 +62,7 @@ def make_dataset(
         n: Number of faces.
         rng: Source of the random numbers.
         scheme: Landmark scheme.
-        protocol: As for `draw_cameras`.
+        protocol: As for `sample_cameras`.
         progress: Called with the number of faces just made.
 
     Raises:
@@ -73,7 +73,7 @@ def make_dataset(
             f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
             f"Received {scheme!r}."
         )
-    cameras = draw_cameras(n, rng, protocol)
+    cameras = sample_cameras(n, rng, protocol)
     model_of_landmarks = model.restrict(model.landmarks[scheme])
     identity = np.empty((n, model.n_identity), np.float32)
     landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset
-from data_gen.models.expressions import draw_expressions
+from data_gen.models.expressions import sample_expressions
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import (
     MARGIN,
     Frames,
     Renderer,
-    draw_lights,
+    sample_lights,
     square_frames,
     stretched_frames,
 )
@@ -27,7 +27,7 @@ _LOOKS = 8  # expressions by which the visible part of an expressive model is fo
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the faces of a data set are drawn with: the visible part of the model, and its colours.
+    """Visible part of a model and its colours, with which the faces of a data set are drawn.
 
     Attributes:
         model: Morphable model of the vertices that can be seen.
@@ -60,7 +60,7 @@ def make_scene(
         model: Morphable model with landmarks of the scheme.
         scheme: Landmark scheme by which images are framed.
         size: Width and height of the images in pixels.
-        protocol: As for `projections.draw_cameras`; `"released"` stretches the images.
+        protocol: As for `projections.sample_cameras`; `"released"` stretches the images.
         margin: As for `rendering.square_frames`.
         expressive: Whether faces will take expressions, which show the teeth and the inside of the
             mouth.
@@ -69,7 +69,7 @@ def make_scene(
         InputError: The libraries that draw are missing, or the model cannot be coloured.
     """
     stretched = protocol == "released"
-    looks = draw_expressions(model, _LOOKS, np.random.default_rng(0)) if expressive else None
+    looks = sample_expressions(model, _LOOKS, np.random.default_rng(0)) if expressive else None
     vertices = seen_vertices(model, scheme, whole=stretched, margin=margin, expressions=looks)
     albedo = Albedo(model, vertices, open_mouths=expressive)
     return Scene(part_of(model, vertices), albedo, size, margin, stretched)
@@ -103,7 +103,7 @@ def render(
         views = dataset.views[rows].astype(float)
         frames = frames_of(scene, views, seen)
         n = len(cameras)
-        albedo, lights = scene.albedo.sample(n, rng), draw_lights(n, rng)
+        albedo, lights = scene.albedo.sample(n, rng), sample_lights(n, rng)
         images.append(renderer.draw(seen, posed, albedo, frames, lights))
         pixels.append(np.float32(frames.pixels(views)))
     renderer.close()
@@ -111,7 +111,7 @@ def render(
 
 
 def frames_of(scene: Scene, views: np.ndarray, seen: np.ndarray) -> Frames:
-    """What part of the views the images show.
+    """Part of the views that the images show.
 
     Args:
         scene: Says how images are cut.

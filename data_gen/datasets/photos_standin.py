@@ -23,7 +23,7 @@ from data_gen.rendering.backgrounds import (
     lay,
     paint,
 )
-from data_gen.rendering.renderer import Frames, Renderer, draw_lights
+from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.rendering.visibility import part_of, seen_vertices
 from data_gen.views.projections import Cameras, in_camera_frame, project_with_depth
 from deepmds_keras.io.errors import InputError
@@ -159,7 +159,7 @@ class PhotosStandin:
         Returns:
             `(HEIGHT, HEIGHT, 3)` in [0, 1].
         """
-        albedo, lights = self._albedo.sample(1, rng), draw_lights(1, rng)
+        albedo, lights = self._albedo.sample(1, rng), sample_lights(1, rng)
         picture = draw_background(HEIGHT, rng)
         clothes = paint(_CLOTHES[rng.integers(len(_CLOTHES))], HEIGHT, rng)
         chin = places[SCHEME][_CHIN]
@@ -205,7 +205,7 @@ def _draw_frame(views: np.ndarray, rng: np.random.Generator) -> Frames:
 
 
 def _photographed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What a camera makes of it: exposure, colour cast, a little blur, noise, and JPEG."""
+    """Image as a camera takes it: exposure, colour cast, a little blur, noise, and JPEG."""
     light = np.float32(image) ** 2.2
     light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))
     photo = light.clip(0, 1) ** (1 / 2.2)

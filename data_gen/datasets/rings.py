@@ -6,7 +6,7 @@ import numpy as np
 
 from data_gen.datasets.dataset import Dataset, dataset_of
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import draw_cameras
+from data_gen.views.projections import sample_cameras
 from deepmds_keras.io.errors import InputError
 
 
@@ -32,7 +32,7 @@ def make_rings(
         expression: `(n, E)` expression weights, n the product of the two numbers.
         rng: Source of the random numbers.
         scheme: Landmark scheme.
-        protocol: As for `projections.draw_cameras`.
+        protocol: As for `projections.sample_cameras`.
 
     Returns:
         n faces; face i is of subject i // images_per_subject.
@@ -62,7 +62,7 @@ def make_rings(
         )
     if not np.isfinite(expression).all():
         raise InputError("expression must be finite. Received NaN or infinity.")
-    cameras = draw_cameras(n, rng, protocol)
+    cameras = sample_cameras(n, rng, protocol)
     of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
     identity = np.repeat(of_subjects, images_per_subject, axis=0)
     landmarks = model.restrict(model.landmarks[scheme]).shape(identity, expression)

@@ -92,7 +92,7 @@ def _barycentric(places: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _in_holes(points: np.ndarray, eyes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Which points fall into a hole: some eyes, and some places anywhere, `(n,)` bool."""
+    """Mask `(n,)` of the points that fall into a hole: some eyes, and some places anywhere."""
     n = rng.poisson(_N_HOLES)
     centres = np.vstack(
         [eyes[rng.random(len(eyes)) < _EYES], points[rng.integers(len(points), size=n)]]

@@ -1,4 +1,4 @@
-"""What a source of face scans gives: a photo, points of the surface, and perhaps the truth."""
+"""One face scan: a photo, points of the surface, and perhaps the truth."""
 
 from __future__ import annotations
 

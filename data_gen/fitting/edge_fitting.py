@@ -194,7 +194,7 @@ def _most_probable_step(
 
 
 def _known_landmarks(model: MorphableModel) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the chin and the 51 inner landmarks are known on a model, and their vertices."""
+    """Those of the chin and the 51 inner landmarks that a model knows, and their vertices."""
     known = {}
     if "bfm72" in model.landmarks:
         on_openhead = [load_vertices(s).vertices["openhead"] for s in ("ibug68", "bfm72")]

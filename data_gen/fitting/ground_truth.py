@@ -27,7 +27,7 @@ _MAX_RMS_MM = 4.0  # farther from the scan, the model is not where the face is
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How a fitted model lies on a scan, and what is therefore taken for the true landmarks.
+    """A fitted model on a scan, and the landmarks that are therefore taken for the ground truth.
 
     Attributes:
         fit: Of the model to the photo.

@@ -60,7 +60,7 @@ def _load(data: bytes) -> object:
 
 
 class _Data(io.BytesIO):
-    """What is read from it is there in full."""
+    """A file of which every read is complete."""
 
     def read(self, size):
         part = super().read(size)
@@ -76,7 +76,7 @@ class _Data(io.BytesIO):
 
 
 class _Record:
-    """What a pickle says of one object: the arguments it would be made of, and its state.
+    """One object of a pickle: the arguments it would be made of, and its state.
 
     Without `__setstate__` the opcode BUILD could change the class.
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepmds_keras.io.errors import InputError
 
-MAX_BYTES = 1 << 27  # five times a scan of 200,000 points with normals, colours and triangles
+MAX_BYTES = 1 << 27  # five times per scan of 200,000 points with normals, colours and triangles
 
 # Strings go first, since they may hold a "#". The mark of a comment stands apart: "1.#QNAN" is how
 # some writers spell NaN, and cutting it to "1." would hide that.
@@ -37,7 +37,7 @@ def read_vrml_points(path: str | Path) -> np.ndarray:
 
     Raises:
         InputError: The file cannot be read, is too large, has no such block or one without end, or
-            a block does not hold three finite numbers a point.
+            a block does not hold three finite numbers per point.
     """
     path = Path(path)
     raw = _read(path)
@@ -76,7 +76,7 @@ def read_asc_points(path: str | Path) -> np.ndarray:
     rows = [words for line in text.splitlines() if (words := line.split())]
     other = {*map(len, rows)} - {3}
     if other:
-        raise InputError(f"{path}: must hold three numbers a line. Received {min(other)}.")
+        raise InputError(f"{path}: must hold three numbers per line. Received {min(other)}.")
     return _points(path, chain.from_iterable(rows))
 
 
@@ -98,7 +98,7 @@ def _points(path: Path, words: Iterable[bytes]) -> np.ndarray:
         raise InputError(f"{path}: points must be numbers. Received: {reason}.") from error
     if not len(numbers) or len(numbers) % 3:
         raise InputError(
-            f"{path}: must hold three numbers a point. Received {len(numbers)} in all."
+            f"{path}: must hold three numbers per point. Received {len(numbers)} in all."
         )
     if not np.isfinite(numbers).all():
         raise InputError(f"{path}: points must be finite. Received NaN or infinity.")

@@ -193,7 +193,7 @@ def _text(file: Path, dataset: h5py.Dataset) -> str:
 
 
 def _string_of_any_length(file: Path, place: int | None) -> bytes:
-    """What HDF5 keeps in a "global heap" and has a reference to at some place of the file.
+    """Object that HDF5 keeps in a "global heap", by a reference from elsewhere in the file.
 
     Read here, since a damaged heap makes HDF5 go round for ever, or crash.
     """

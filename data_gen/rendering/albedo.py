@@ -112,7 +112,7 @@ def _along(ramp: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _cover(model: MorphableModel, open_mouths: bool) -> np.ndarray:
-    """How much of each vertex each material covers, `(len(_SOURCES), V)`, 1 in sum.
+    """Share of each vertex that each material covers, `(len(_SOURCES), V)`, 1 in sum.
 
     With open mouths there is a last row for the inside of the mouth.
     """

@@ -1,4 +1,4 @@
-"""What photos show beside a face: scenes behind it, long hair, and clothes, all made by numbers.
+"""Surroundings of a face in a photo: scenes behind it, long hair, and clothes, all made by numbers.
 
 Scenes are of several kinds and of any colour. Lines, frames and leaves in them have edges as sharp
 as those of the head, so that a search for the outline of a face can go wrong.
@@ -98,7 +98,7 @@ def clothes_depth(
 
 
 def draw_strands(size: int, rng: np.random.Generator) -> np.ndarray:
-    """How bright hair is that hangs down: `(1, size, 1)`, 0.8 on the average."""
+    """Brightness of hair that hangs down: `(1, size, 1)`, 0.8 on the average."""
     return 0.8 + 0.08 * _cloud(size, 48, rng)[:1, :, None]
 
 

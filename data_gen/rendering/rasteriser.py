@@ -106,7 +106,7 @@ class Rasteriser:
         return image[::-1]  # VTK begins below
 
     def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Which triangle is seen in each pixel.
+        """Index of the triangle that is seen in each pixel.
 
         Args:
             places, depth: As for `draw`.

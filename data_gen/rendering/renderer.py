@@ -16,7 +16,7 @@ _OVERSAMPLING = 2  # pixels are means of so many by so many
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Which part of the plane of the view each of `n` images shows.
+    """Part of the plane of the view that each of `n` images shows.
 
     Attributes:
         low: `(n, 2)` millimetres, the left lower corner, y up.
@@ -77,7 +77,7 @@ class Lights:
     colour: np.ndarray
 
 
-def draw_lights(n: int, rng: np.random.Generator) -> Lights:
+def sample_lights(n: int, rng: np.random.Generator) -> Lights:
     """Lamps up to 60 degrees aside of the camera and from 10 below it to 60 above."""
     aside, above = np.deg2rad(rng.uniform(-60, 60, n)), np.deg2rad(rng.uniform(-10, 60, n))
     direction = np.stack(

@@ -1,4 +1,4 @@
-"""Which part of a face model an image can ever show: the rest need not be drawn."""
+"""Part of a face model that an image can ever show: the rest need not be drawn."""
 
 from __future__ import annotations
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_gen.models.expressions import SCAN_EXPRESSIONS, draw_expressions, scan_expression_weights
+from data_gen.models.expressions import (
+    SCAN_EXPRESSIONS,
+    sample_expressions,
+    scan_expression_weights,
+)
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import PROJECTIONS, Cameras, project
 from deepmds_keras.io.errors import InputError
@@ -50,7 +54,7 @@ def draw_photo_views(
         )
     part = model.restrict(model.landmarks[scheme])
     identity = rng.standard_normal((n, model.n_identity))
-    performed = draw_expressions(model, n, rng)
+    performed = sample_expressions(model, n, rng)
     held = scan_expression_weights(model, rng.choice(SCAN_EXPRESSIONS, n), rng)
     expression = np.where(rng.random((n, 1)) < 0.5, performed, held)
     expression = expression * np.minimum(1, 3 * rng.random((n, 1)))

@@ -22,7 +22,7 @@ _YAWS = (-45.0, 0.0, 45.0)
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """How each of `n` faces is seen.
+    """Camera of each of `n` faces.
 
     Attributes:
         projection: `(n,)` int, index into `PROJECTIONS`.
@@ -43,7 +43,7 @@ class Cameras:
         return Cameras(*(value[faces] for value in vars(self).values()))
 
 
-def draw_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") -> Cameras:
+def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") -> Cameras:
     """Random poses and projections.
 
     `"paper"` (section "Datasets", BFM): the projection type is drawn evenly. Orthographic faces

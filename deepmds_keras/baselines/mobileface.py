@@ -216,7 +216,7 @@ class MobileFace(BaseEstimator):
         return count_trainable(network)
 
     def _label(self) -> dict:
-        """What the network depends on beside the data, for its checkpoint."""
+        """Label of the checkpoint: all that the network depends on beside the data."""
         arrays = ("landmark_mean", "landmark_basis_times_sd", "shape_gram")
         return {name: own for name, own in self.get_params().items() if name not in arrays}
 

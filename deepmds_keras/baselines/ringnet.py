@@ -220,7 +220,7 @@ class RingNet(BaseEstimator):
         return count_trainable(check_fitted(self, "network_", "fit or restore"))
 
     def _label(self) -> dict:
-        """What the network depends on beside the data, for its checkpoint."""
+        """Label of the checkpoint: all that the network depends on beside the data."""
         return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
 
     def _optimizer(self) -> keras.optimizers.Optimizer:

@@ -1,4 +1,4 @@
-"""What RingNet learns from: landmarks in the image, and who is the same person as whom."""
+"""Losses of RingNet: landmarks in the image, and who is the same person as whom."""
 
 from __future__ import annotations
 

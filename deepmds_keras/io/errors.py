@@ -8,6 +8,6 @@ class InputError(ValueError):
 
 
 def brief(said: object) -> str:
-    """What a library says about a file, or a part of a file, on one line that is not too long."""
+    """Message of a library about a file, on one line that is not too long."""
     line = " ".join(str(said).split())
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}…"

@@ -136,7 +136,7 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
 
 
 def _camera_rows(xp, sight: Sight):
-    """How the image moves with turn, log scale, perspective and shift, and how it should.
+    """Motion of the image with turn, log scale, perspective and shift, and the one wanted.
 
     Returns:
         `(n, 8, 2 L)`, of which the last row is the residual.

@@ -20,7 +20,7 @@ _FACES_OF_BASIS = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """What `prepare_views` makes of views, and the shapes seen: float32, landmarks last.
+    """Views as `prepare_views` gives them, and the shapes seen: float32, landmarks last.
 
     Attributes:
         views: `(n, 2, L)` centred, of unit root mean square radius, 0 where not visible.

@@ -22,7 +22,7 @@ _FIRST_FLOOR = -4.0  # log standard deviation that exact landmarks are taken to 
 
 
 class Size(NamedTuple):
-    """How large a network is.
+    """Size of a network.
 
     Attributes:
         rank: Coefficients of the code.
@@ -41,7 +41,7 @@ SIZES = {"small": Size(64, 48, 16, (1, 6)), "large": Size(128, 256, 64, (1, 12))
 
 
 class Lift(NamedTuple):
-    """What comes out: float32 arrays with the landmarks last."""
+    """Output of the network: float32 arrays with the landmarks last."""
 
     shapes: np.ndarray  # (n, 3, L), centred
     log_sd: np.ndarray  # (n, 3, L), log of the standard deviation in UNITs

@@ -36,7 +36,7 @@ class Recipe:
 
     @property
     def blocks(self) -> list[int]:
-        """How many steps each block has."""
+        """Number of steps of each block."""
         whole, left = divmod(self.steps, STEPS_PER_BLOCK)
         return [STEPS_PER_BLOCK] * whole + [left] * (left > 0)
 

@@ -1,4 +1,4 @@
-"""What `deepmds predict` is asked for."""
+"""Arguments of `deepmds predict`."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from deepmds_keras.checks import check_points
 from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
-from deepmds_keras.landmarks.uprightness import check_upright
+from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import SCHEME, faces_in_photos
@@ -174,7 +174,7 @@ def _read(options: Options, source: Path) -> np.ndarray | InputError:
     try:
         landmarks = read_landmarks(source, y_up=options.y_up)
         scheme = scheme_of(landmarks.shape[1])
-        check_upright(landmarks, scheme, str(source))
+        check_y_axis(landmarks, scheme, str(source))
         if options.smooth and len(landmarks) > 1:
             landmarks = gaussian_filter1d(landmarks, options.smooth, axis=0, mode="nearest")
         landmarks = convert(landmarks, scheme, scheme if scheme in PRETRAINED else SCHEME)
@@ -221,7 +221,7 @@ def _written(options: Options, name: str, faces: list[Face]) -> list[Path] | Inp
 
 
 def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:
-    """What the reader is told of a source, line by line."""
+    """Lines that tell the reader of a source."""
     named = [str(files[0]), *(file.name for file in files[1:4]), *["…"] * (len(files) > 4)]
     yield f"{source}: {len(faces)} face{'s' * (len(faces) > 1)} → {', '.join(named)}"
     for face in faces[:_DRAWN_FACES]:

@@ -1,4 +1,4 @@
-"""What the command found in a source, and what it made of each face."""
+"""Faces that the command found in a source, each with its result."""
 
 from __future__ import annotations
 

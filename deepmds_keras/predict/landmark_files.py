@@ -149,7 +149,7 @@ def _read_pts(path: Path) -> np.ndarray:
                 points.append((x, y))
         except ValueError:
             raise InputError(
-                f"{path} must have two numbers a landmark. Received {_short(line)!r} in line {i}."
+                f"{path} must have two numbers per landmark. Received {_short(line)!r} in line {i}."
             ) from None
     _check_count(path, len(points))
     return np.array([points]) - _MATLAB_ORIGIN
@@ -201,7 +201,7 @@ def _read_csv(path: Path) -> np.ndarray:
 
 
 def _first_row(path: Path) -> tuple[int, str]:
-    """How many comments and empty lines come first, and the line after them."""
+    """Number of comments and empty lines that come first, and the line after them."""
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         for i, line in enumerate(file):
             if "\0" in line:

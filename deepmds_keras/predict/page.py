@@ -94,7 +94,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
 
 
 def _picture(landmarks: np.ndarray, photo: np.ndarray | None) -> dict:
-    """What is drawn beside the shape, with the landmarks in its pixels."""
+    """Picture beside the shape, and the landmarks in its pixels."""
     if photo is None:
         low, extent = landmarks.min(0), np.ptp(landmarks, axis=0)
         scale = _BARE_SIDE / extent.max()

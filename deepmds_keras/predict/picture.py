@@ -253,6 +253,6 @@ def _short(name: str, length: int = _TITLE_LENGTH) -> str:
 
 
 def _printable(text: str) -> str:
-    """What the font has no letter for is a question mark, not a warning for every text drawn."""
+    """Text with question marks for what the font has no letter for, instead of warnings."""
     known = get_font(findfont(FontProperties(family=_RC["font.family"]))).get_charmap()
     return "".join(letter if ord(letter) in known else "?" for letter in text)

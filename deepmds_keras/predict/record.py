@@ -1,4 +1,4 @@
-"""What a folder of results already holds, so that an interrupted run goes on where it stopped."""
+"""Record of what a folder of results holds, so that an interrupted run goes on from there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which photos and files of landmarks a run reads, and what their results are called."""
+"""Photos and files of landmarks that a run reads, and the names of their results."""
 
 from __future__ import annotations
 

@@ -27,12 +27,12 @@ from experiments.verdicts import counted, phrase
 
 POSES = ("yaw", "pitch", "roll", "field_of_view")
 DISTURBANCES = ("noise_percent", "missing_percent")
-# Of the views of the paper, section "Datasets"; see `data_gen.views.projections.draw_cameras`.
+# Of the views of the paper, section "Datasets"; see `data_gen.views.projections.sample_cameras`.
 TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view": (0, 5)}
 
 
 def measured(inputs: Inputs, topic: str) -> dict:
-    """What a topic measures; where it takes long, kept until its arrays or its code change."""
+    """Measure a topic; where it takes long, keep the result until its arrays or its code change."""
     module = TOPICS[topic]
     if topic in NOT_KEPT:
         return module.measure(inputs)
@@ -69,7 +69,7 @@ def curves_of(numbers: Mapping[str, Mapping]) -> pd.DataFrame:
 def draw(numbers: Mapping[str, Mapping], curves: pd.DataFrame, folder: Path) -> None:
     """Write every figure."""
     save(figures.error_curves(curves, POSES, TRAINED), folder, "poses")
-    save(figures.error_curves(curves, DISTURBANCES, {}), folder, "disturbances")
+    save(figures.error_curves(curves, DISTURBANCES, {}), folder, "perturbations")
     save(figures.spectra(numbers["dissimilarity"]["spectra"]), folder, "spectra")
     save(figures.timings(pd.DataFrame(numbers["complexity"]["timings"])), folder, "timings")
     save(figures.bias(numbers["bias"]["bias"]), folder, "bias")

@@ -76,7 +76,7 @@ def model_based_bias(bias: Mapping[str, Mapping[str, float]], n_faces: int) -> F
 
 
 def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """How predictions lie between the truth and a mean shape, both of them aligned to the truth.
+    """Position of predictions between mean shape and ground truth, to which both are aligned.
 
     Args:
         predicted, mean, truth: `(n, L, 3)`.

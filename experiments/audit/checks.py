@@ -1,4 +1,4 @@
-"""Which function checks which claim."""
+"""The function that checks each claim."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from experiments.audit import (
     complexity,
     criteria,
     dissimilarity,
-    elsewhere,
     mini_batches,
     noise,
+    not_testable,
     occlusion,
     parameter_counts,
     perspective,
@@ -25,12 +25,12 @@ from experiments.audit.findings import Finding
 
 _TOPICS = (
     dissimilarity, parameter_counts, complexity, poses, perspective, occlusion, mini_batches,
-    criteria, significance, ranking, zhao, bias, elsewhere, noise,
+    criteria, significance, ranking, zhao, bias, not_testable, noise,
 )  # fmt: skip
 # By name: modules whose `measure` gives their checks the inputs.
 TOPICS: dict[str, ModuleType] = {module.__name__.rpartition(".")[2]: module for module in _TOPICS}
 # What is measured anew each time: it takes seconds, or is of results that may have changed.
-NOT_KEPT = ("parameter_counts", "mini_batches", "ranking", "zhao", "elsewhere")
+NOT_KEPT = ("parameter_counts", "mini_batches", "ranking", "zhao", "not_testable")
 
 # By the ids of `results/published/claims.csv`.
 CHECKS: dict[str, Callable[..., Finding]] = {
@@ -73,8 +73,8 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "celeba-mobileface": ranking.celeba_like_mobileface,
     "celeba-zhao": zhao.celeba_score,
     "casia-comparable": ranking.casia_like_others,
-    "bfm-triangles": elsewhere.triangles,
-    "first-use": elsewhere.first_use,
+    "bfm-triangles": not_testable.triangles,
+    "first-use": not_testable.first_use,
     "landmark-noise": noise.withstands,
     "missing-landmarks": occlusion.missing_landmarks,
     "training-faces": mini_batches.enough_faces,
@@ -82,5 +82,5 @@ CHECKS: dict[str, Callable[..., Finding]] = {
 
 
 def topic_of(check: Callable[..., Finding]) -> str:
-    """Which of `TOPICS` gives a check its inputs."""
+    """Topic among `TOPICS` that gives a check its inputs."""
     return check.__module__.rpartition(".")[2]

@@ -53,7 +53,7 @@ def load_claims(path: Path = CLAIMS_FILE) -> dict[str, Claim]:
 
 
 def judge(claim: Claim, check: Callable[..., Finding], measured: Mapping) -> Finding:
-    """What a check says, given those of the measured numbers, and of the claim's, that it names."""
+    """Run a check on those of the measured numbers, and of the claim's, that it names."""
     known = {**measured, **claim.numbers}
     return check(**{name: known[name] for name in inspect.signature(check).parameters})
 

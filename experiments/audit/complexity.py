@@ -11,7 +11,7 @@ from deepmds_keras.embedding import classical_scaling, embed
 from deepmds_keras.proximities import pair_features
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds
-from experiments.running import one_core
+from experiments.running import single_threaded
 from experiments.scoring.numbers import factor
 from experiments.streams import Stream
 
@@ -40,7 +40,7 @@ def measure(inputs: Inputs) -> dict:
     def output(views):
         return forward(net, pair_features(views))
 
-    with one_core():
+    with single_threaded():
         # The first round is to warm up.
         rounds = [[_times(n, output, rng) for n in numbers] for _ in range(_ROUNDS + 1)][1:]
     by_part = {

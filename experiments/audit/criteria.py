@@ -1,4 +1,4 @@
-"""What the paper's two criteria, MSE and depth correlation, measure, and what its numbers mean."""
+"""Claims on the paper's two criteria, MSE and depth correlation, and on its numbers."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def measure(inputs: Inputs) -> dict:
     """Both criteria, in every reading, of predictions, of answers without depth and of noise."""
     rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_CRITERIA])
     truth = inputs.test.shapes[inputs.audited].astype(float)
-    answers = senseless(truth, inputs.predictions["mean_shape"][inputs.audited], rng)
-    centred = senseless(centre(truth), answers["mean_shape"], rng)
+    answers = trivial_predictions(truth, inputs.predictions["mean_shape"][inputs.audited], rng)
+    centred = trivial_predictions(centre(truth), answers["mean_shape"], rng)
     return {
         "mse_readings": mse_readings(inputs.scores["ours"].aligned, inputs.test.shapes),
         "printed_mse": printed_number("tab:cmp_bfm", "mse", "ours"),
@@ -83,7 +83,7 @@ def mse_readings(aligned: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in readings.items()}
 
 
-def senseless(
+def trivial_predictions(
     truth: np.ndarray, mean_shape: np.ndarray, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Answers that know little or nothing of the depth, aligned as predictions are; and the truth.

@@ -32,7 +32,7 @@ _TRUE, _LEARNT, _FRONTAL = "true 3D distances", "learnt dissimilarities", "front
 
 
 def measure(inputs: Inputs) -> dict:
-    """What the checks below name, on the audited test faces and on points made up at random."""
+    """Measure what the checks below name, on the audited test faces and on random points."""
     model = inputs.method("ours")
     rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_DISSIMILARITY])
     views = inputs.test.views[inputs.audited]
@@ -159,7 +159,7 @@ def shape_classes(classes: Mapping[str, Mapping[str, float]]) -> Finding:
 
 
 def net_outputs(model: DeepMDS, frontal: np.ndarray, *, swapped: bool = False) -> np.ndarray:
-    """What the net makes of all pairs, or of all the other way round.
+    """Output of the net for all pairs, or for all the other way round.
 
     `(n, L, 2)` frontal views → `(n, L (L - 1) / 2)`.
     """

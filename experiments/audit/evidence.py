@@ -1,4 +1,4 @@
-"""What the checks measure on: faces, trained methods and results of the earlier targets."""
+"""Evidence of the checks: faces, trained methods and results of the earlier targets."""
 
 from __future__ import annotations
 
@@ -111,5 +111,5 @@ class Inputs:
 
 
 def measured_file(run: Run, topic: str) -> Path:
-    """What was measured for a topic that takes long."""
+    """Read what was measured for a topic that takes long."""
     return run.work / "audit" / f"{topic}.json"

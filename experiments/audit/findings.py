@@ -1,4 +1,4 @@
-"""What a check says of a claim."""
+"""Findings: the verdict of a check on a claim."""
 
 from __future__ import annotations
 

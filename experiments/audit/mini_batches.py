@@ -25,7 +25,7 @@ _SCHEDULES = {"": "at the paper's constant learning rate", "_stable": "at a deca
 
 
 def measure(inputs: Inputs) -> dict:
-    """What `make ablation` and `make seeds` found; None where they were not run."""
+    """Tables of `make ablation` and `make seeds`; None where they were not run."""
     ablation, seeds = inputs.results("ablation"), inputs.results("seeds")
     curve = inputs.results("ablation", "curves.csv")
     table = published("bfm").set_index(["method", "metric"])
@@ -84,7 +84,7 @@ def enough_faces(curve: Sequence[Mapping] | None) -> Finding:
         for method, own in errors.items()
     )
     evidence += f", × {power(_UNIT)}. One training each."
-    # With a decayed rate, since chance of the constant one is larger than the effect.
+    # With a cosine schedule, since chance of the constant one is larger than the effect.
     own = errors["ours_stable"]
     most = max(own)
     enough = [n for n, mse in own.items() if n < most and mse <= ALIKE * own[most]]

@@ -135,7 +135,7 @@ def missing_landmarks(thinned: dict, n_thinned: int) -> Finding:
 def hidden_landmarks(
     points: np.ndarray, triangles: np.ndarray, landmarks: np.ndarray, behind: float = _BEHIND
 ) -> np.ndarray:
-    """Which landmarks the surface hides, `(L,)` bool.
+    """Mask of the landmarks that the surface hides, `(L,)` bool.
 
     Args:
         points: `(V, 3)` vertices as from `project_with_depth`: x and y of the view, and depth that
@@ -166,7 +166,7 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _hidden(inputs: Inputs, faces: np.ndarray) -> np.ndarray:
-    """Which landmarks of some test faces their heads hide from their cameras, `(n, L)`."""
+    """Mask of the landmarks that the heads of some test faces hide from their cameras, `(n, L)`."""
     model, dataset = inputs.model, inputs.test_dataset
     landmarks = model.landmarks[inputs.scheme.name]
     hidden = np.empty((len(faces), len(landmarks)), bool)

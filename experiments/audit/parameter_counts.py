@@ -1,4 +1,4 @@
-"""What the paper says of trainable parameters, and of the time that they are exchanged for."""
+"""Claims on trainable parameters, and on the time that they are exchanged for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is perspective in the views that are called so."""
+"""Claims on perspective: how much of it is in the views that are called so."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from data_gen.views.projections import (
     PROJECTIONS,
     PROTOCOLS,
     Cameras,
-    draw_cameras,
     project,
     rotations,
+    sample_cameras,
 )
 from deepmds_keras.alignment import align
 from experiments.audit.evidence import Inputs
@@ -30,12 +30,12 @@ _DRAWN = 10_000  # cameras of a protocol
 
 
 def measure(inputs: Inputs) -> dict:
-    """How views with a field of view differ from orthographic ones, as shares of the face's size.
+    """Difference of perspective views from orthographic ones, as shares of the face's size.
 
     Both are of the same faces and poses; shift, turn and scale of a whole view are left out.
     """
     rng = np.random.default_rng([inputs.run.seed, Stream.AUDIT_CAMERAS])
-    drawn = {protocol: draw_cameras(_DRAWN, rng, protocol) for protocol in PROTOCOLS}
+    drawn = {protocol: sample_cameras(_DRAWN, rng, protocol) for protocol in PROTOCOLS}
     perspective = {
         protocol: cameras.projection == PROJECTIONS.index("perspective")
         for protocol, cameras in drawn.items()

@@ -1,4 +1,4 @@
-"""What the paper's p-value stands for, and what samplings of one test set show."""
+"""Claims on the paper's p-value, and on samplings of one test set."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def least_p_value(n: int) -> dict[str, float]:
 
 
 def both_criteria(printed: Mapping[str, list[float]], n: int) -> dict[str, float]:
-    """What the samplings' MSEs and depth correlations, taken together, can give.
+    """P-values that the samplings' MSEs and depth correlations, taken together, can give.
 
     Args:
         printed: Method to its MSE and depth correlation.
@@ -90,7 +90,7 @@ def false_positives(
     rng: np.random.Generator,
     simulations: int = _SIMULATIONS,
 ) -> dict[str, float]:
-    """How often methods that only chance tells apart come out as significantly different.
+    """Share of cases in which methods that only chance tells apart come out as different.
 
     In every simulation the two methods exchange their errors for a random half of the faces, so
     that neither is the better one. Then the paper's procedure: random samplings of the faces, and

@@ -1,4 +1,4 @@
-"""What the paper says of Zhao's method: its scores, and the views that it works on."""
+"""Claims on the method of Zhao et al.: its scores, and the views that it works on."""
 
 from __future__ import annotations
 

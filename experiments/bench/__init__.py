@@ -1,1 +1,1 @@
-"""How fast each part of the method is, beside the way in which the authors' code does it."""
+"""Speed of each part of the method, beside the way in which the authors' code does it."""

@@ -11,7 +11,7 @@ import numpy as np
 from data_gen.models.registry import MODELS
 from deepmds_keras.alignment import align
 from deepmds_keras.embedding import SOLVERS, embed
-from experiments.bench.material import WEIGHTS, Material
+from experiments.bench.workload import WEIGHTS, Workload
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS, load
 from experiments.run import SCHEMES, Run
@@ -24,11 +24,11 @@ COLUMNS = (
 _FACES_IN_TURN = 100  # by either solver, so that what else the machine does meets both
 
 
-def cases(material: Material) -> Iterator[tuple[str, str, str, np.ndarray]]:
+def cases(workload: Workload) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Model, experiment, method and dissimilarities `(n, L, L)` of its test faces."""
-    n = material.run.preset.bench_compared_faces
-    yield material.model.name, "shipped weights", WEIGHTS, material.matrices[:n]
-    for run in trained_runs(material.run):
+    n = workload.run.preset.bench_compared_faces
+    yield workload.model.name, "shipped weights", WEIGHTS, workload.matrices[:n]
+    for run in trained_runs(workload.run):
         test = load_faces(run, "test")
         for method in DEEP_MDS:
             matrices = load(run, method).dissimilarities(test.views[:n])
@@ -46,7 +46,7 @@ def trained_runs(run: Run) -> list[Run]:
 
 
 def compare(matrices: np.ndarray) -> dict[str, float]:
-    """How far the batched solver is from scikit-learn's on the same faces, and how much faster.
+    """Agreement of the batched solver with scikit-learn's on the same faces, and its speed.
 
     Args:
         matrices: `(n, L, L)` dissimilarities.

@@ -20,7 +20,7 @@ from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
 from experiments.records import write_text
 from experiments.run import Run
-from experiments.running import one_core, stage
+from experiments.running import single_threaded, stage
 from experiments.scoring.numbers import factor
 from experiments.scoring.tables import to_csv
 
@@ -31,7 +31,7 @@ def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
     """The table of times, that of the two solvers' agreement, and the face model's hash."""
     training = in_own_process(run)
     os.environ |= _ONE_THREAD
-    with one_core():
+    with single_threaded():
         rows, agreed, digest = measure_parts(run)
     return table_of(rows + training), agreed, digest
 
@@ -40,9 +40,9 @@ def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
     """Rows of all but the training steps, the solvers' agreement, and the face model's hash."""
     # TensorFlow reads how many threads it may use when it is loaded.
     from experiments.bench import agreement, growth, parts
-    from experiments.bench.material import make_material
+    from experiments.bench.workload import make_material
 
-    material = make_material(run)
+    workload = make_material(run)
     # The growth with faces is last: what was measured before tells which rows would take too long.
     pieces = {
         "parts": parts.comparisons,
@@ -54,17 +54,17 @@ def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
     with Bar(desc="bench", unit="row") as bar:
         for comparison, ways_of in pieces.items():
             bar.set_postfix_str(comparison)
-            for ways in ways_of(material):
+            for ways in ways_of(workload):
                 rows += measure(comparison, ways, run.preset.bench_passes, rows)
                 bar.update(len(ways))
         bar.set_postfix_str("agreement")
         agreed = []
-        for model, experiment, method, matrices in agreement.cases(material):
+        for model, experiment, method, matrices in agreement.cases(workload):
             case = {"model": model, "experiment": experiment, "method": method}
             agreed.append(case | agreement.compare(matrices))
             bar.update()
     table = pd.DataFrame(agreed, columns=list(agreement.COLUMNS))
-    return rows, table, material.model.sha256
+    return rows, table, workload.model.sha256
 
 
 def results_folder(run: Run) -> Path:

@@ -24,7 +24,7 @@ _SAME = ["part", "n_landmarks", "jobs"]
 
 
 @dataclass(frozen=True)
-class Way:
+class Implementation:
     """A way to do a part of the method.
 
     Attributes:
@@ -45,7 +45,7 @@ class Way:
 
 
 def measure(
-    comparison: str, ways: Sequence[Way], passes: int, before: Iterable[dict] = ()
+    comparison: str, ways: Sequence[Implementation], passes: int, before: Iterable[dict] = ()
 ) -> list[dict]:
     """Time ways that are compared with each other: a row for each.
 
@@ -126,7 +126,7 @@ def _times(table, row, baseline):
     return nearest["ms_per_face"] / row["ms_per_face"]
 
 
-def _estimate(way: Way, before: Iterable[dict]) -> float:
+def _estimate(way: Implementation, before: Iterable[dict]) -> float:
     own = (way.part, way.name, way.n_landmarks, way.jobs)
     alike = [
         row["seconds"] * way.n_faces / row["n_faces"]

@@ -1,4 +1,4 @@
-"""How much memory a call needs on top of what is there before it."""
+"""Memory that a call needs on top of what is there before it."""
 
 from __future__ import annotations
 

@@ -11,13 +11,13 @@ from deepmds_keras.embedding import compiled_solver
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.bench import released_code as released
-from experiments.bench.material import (
+from experiments.bench.measurements import RELEASED, SKLEARN, Implementation
+from experiments.bench.workload import (
     SCHEME,
-    Material,
+    Workload,
     embed_all,
     predict_all,
 )
-from experiments.bench.measurements import RELEASED, SKLEARN, Way
 
 OURS, BATCHED = "ours", "batched"
 DATA, FEATURES, PREDICTION = "data generation", "pair features", "prediction"
@@ -39,40 +39,40 @@ _NOTES = {
 }
 
 
-def comparisons(material: Material) -> Iterator[list[Way]]:
+def comparisons(workload: Workload) -> Iterator[list[Implementation]]:
     """The ways of each part that are timed in turn."""
-    preset = material.run.preset
+    preset = workload.run.preset
     n, few = preset.bench_faces, preset.bench_released_faces
-    views = material.first_views(n)
+    views = workload.first_views(n)
     some = max(1, n // 5)
     for part, own in (
-        (DATA, [(RELEASED, make_faces(material, RELEASED, few), few),
-                (OURS, make_faces(material, OURS, n), n)]),
-        (FEATURES, [(RELEASED, lambda: _loops(material, few), few),
+        (DATA, [(RELEASED, make_faces(workload, RELEASED, few), few),
+                (OURS, make_faces(workload, OURS, n), n)]),
+        (FEATURES, [(RELEASED, lambda: _loops(workload, few), few),
                     (OURS, lambda: pair_features(views), n)]),
-        (PREDICTION, [(RELEASED, lambda: _predict(material, few), few),
-                      (OURS, lambda: predict_all(material.networks, views), n)]),
-        (EMBEDDING, [(RELEASED, lambda: released.embed(material.matrices[:few]), few),
-                     (SKLEARN, lambda: embed_all(material.matrices, some, "sklearn"), some),
-                     (BATCHED, compiled(lambda: embed_all(material.matrices, n, "batched")), n)]),
-        (END_TO_END, [(RELEASED, lambda: released.shapes(material.networks, views[:few]), few),
-                      (SKLEARN, lambda: end_to_end(material, some, "sklearn"), some),
-                      (BATCHED, compiled(lambda: end_to_end(material, n, "batched")), n)]),
+        (PREDICTION, [(RELEASED, lambda: _predict(workload, few), few),
+                      (OURS, lambda: predict_all(workload.networks, views), n)]),
+        (EMBEDDING, [(RELEASED, lambda: released.embed(workload.matrices[:few]), few),
+                     (SKLEARN, lambda: embed_all(workload.matrices, some, "sklearn"), some),
+                     (BATCHED, compiled(lambda: embed_all(workload.matrices, n, "batched")), n)]),
+        (END_TO_END, [(RELEASED, lambda: released.shapes(workload.networks, views[:few]), few),
+                      (SKLEARN, lambda: end_to_end(workload, some, "sklearn"), some),
+                      (BATCHED, compiled(lambda: end_to_end(workload, n, "batched")), n)]),
     ):  # fmt: skip
-        yield [way(part, name, call, material.n_landmarks, faces) for name, call, faces in own]
+        yield [timed(part, name, call, workload.n_landmarks, faces) for name, call, faces in own]
 
 
-def way(
+def timed(
     part: str,
     name: str,
     call: Callable[[], object] | None,
     n_landmarks: int,
     n_faces: int,
     jobs: int = 1,
-) -> Way:
+) -> Implementation:
     """With its note, or why it cannot be timed."""
     words = _NOTES[part, name] if call is not None else _NO_NUMBA
-    return Way(part, name, call, n_landmarks, n_faces, jobs, words)
+    return Implementation(part, name, call, n_landmarks, n_faces, jobs, words)
 
 
 def compiled(call: Callable[[], object]) -> Callable[[], object] | None:
@@ -80,25 +80,25 @@ def compiled(call: Callable[[], object]) -> Callable[[], object] | None:
     return call if compiled_solver() else None
 
 
-def make_faces(material: Material, name: str, n: int) -> Callable[[], object]:
+def make_faces(workload: Workload, name: str, n: int) -> Callable[[], object]:
     """Data generation in one of its two ways, with the same random numbers in every call."""
-    model, protocol = material.model, material.run.protocol
+    model, protocol = workload.model, workload.run.protocol
     if name == RELEASED:
-        return lambda: released.make_faces(model, n, material.rng(1), SCHEME, protocol)
-    return lambda: make_dataset(model, n, material.rng(1), scheme=SCHEME, protocol=protocol)
+        return lambda: released.make_faces(model, n, workload.rng(1), SCHEME, protocol)
+    return lambda: make_dataset(model, n, workload.rng(1), scheme=SCHEME, protocol=protocol)
 
 
-def end_to_end(material: Material, n: int, solver: str, jobs: int = 1) -> np.ndarray:
+def end_to_end(workload: Workload, n: int, solver: str, jobs: int = 1) -> np.ndarray:
     """Shapes of n views."""
-    networks: DeepMDS = material.networks.set_params(solver=solver, n_jobs=jobs)
-    return networks.predict(material.first_views(n))
+    networks: DeepMDS = workload.networks.set_params(solver=solver, n_jobs=jobs)
+    return networks.predict(workload.first_views(n))
 
 
-def _loops(material, n):
-    pairs = released.all_pairs(material.n_landmarks)
-    for view in material.first_views(n):
-        released.pair_features(view, material.networks.variant, pairs)
+def _loops(workload, n):
+    pairs = released.all_pairs(workload.n_landmarks)
+    for view in workload.first_views(n):
+        released.pair_features(view, workload.networks.variant, pairs)
 
 
-def _predict(material, n):
-    return released.predict(material.networks, material.first_views(n), loops=False)
+def _predict(workload, n):
+    return released.predict(workload.networks, workload.first_views(n), loops=False)

@@ -15,10 +15,10 @@ import keras
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import Cameras, draw_cameras, project
+from data_gen.views.projections import Cameras, project, sample_cameras
 from deepmds_keras.embedding import check_dissimilarities, non_metric_mds
 from deepmds_keras.normalisation import centre, normalise
-from deepmds_keras.orientation import face_front
+from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import proximities
 
@@ -30,7 +30,7 @@ def make_faces(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Random faces, made and projected one by one: `(n, L, 3)` landmarks and `(n, L, 2)` views."""
     faces = [
-        face(model, rng.standard_normal(model.n_identity), draw_cameras(1, rng, protocol), scheme)
+        face(model, rng.standard_normal(model.n_identity), sample_cameras(1, rng, protocol), scheme)
         for _ in range(n)
     ]
     landmarks, views = zip(*faces, strict=True)
@@ -101,7 +101,7 @@ def embed(dissimilarities: np.ndarray, seed: int = 0) -> np.ndarray:
 def shapes(model: DeepMDS, views: np.ndarray) -> np.ndarray:
     """3D landmarks of views, `(n, L, 2)` → `(n, L, 3)`, in all of this the released way."""
     frontal, matrices = predict(model, views, loops=True)
-    return face_front(embed(np.abs(matrices)), frontal, model.front_landmark_)
+    return resolve_orientation(embed(np.abs(matrices)), frontal, model.front_landmark_)
 
 
 def _predict(network: keras.Model, inputs: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ def in_own_process(run: Run) -> list[dict]:
 def training_steps(run: Run) -> list[dict]:
     """`in_own_process` in this one."""
     from experiments.bench import steps
-    from experiments.bench.material import make_material
+    from experiments.bench.workload import make_material
 
     quiet_tensorflow()
     passes, rows = run.preset.bench_passes, []

@@ -24,9 +24,9 @@ from deepmds_keras.training import (
     train_dissimilarity_net,
 )
 from experiments.bench import released_code as released
-from experiments.bench.material import Material
-from experiments.bench.measurements import RELEASED, Way
+from experiments.bench.measurements import RELEASED, Implementation
 from experiments.bench.parts import OURS
+from experiments.bench.workload import Workload
 
 AUTOENCODER, DISSIMILARITY = "training step, autoencoder", "training step, dissimilarity net"
 SAME_WEIGHTS = "weights as ours to the last bit"
@@ -56,18 +56,18 @@ class Trainer:
     jit: bool = False
 
 
-def comparisons(material: Material) -> Iterator[list[Way]]:
+def comparisons(workload: Workload) -> Iterator[list[Implementation]]:
     """Ways to train the autoencoder, then those for the dissimilarity net."""
-    steps = material.run.preset.bench_steps
-    views = normalise(material.views[: len(material.shapes)])
-    frontal = material.shapes[..., :2]
+    steps = workload.run.preset.bench_steps
+    views = normalise(workload.views[: len(workload.shapes)])
+    frontal = workload.shapes[..., :2]
     made, _ = train_autoencoder(views, frontal, Recipe(1, steps))
     trainers = autoencoder_trainers(views, frontal, steps)
     n_faces = steps * min(_BATCH, len(views))
-    yield _ways(AUTOENCODER, material, trainers, made, steps, n_faces)
-    made, _ = train_dissimilarity_net(frontal, material.shapes, Recipe(1, steps), variant=_VARIANT)
-    trainers = dissimilarity_trainers(frontal, material.shapes, steps)
-    yield _ways(DISSIMILARITY, material, trainers, made, steps, steps)
+    yield _ways(AUTOENCODER, workload, trainers, made, steps, n_faces)
+    made, _ = train_dissimilarity_net(frontal, workload.shapes, Recipe(1, steps), variant=_VARIANT)
+    trainers = dissimilarity_trainers(frontal, workload.shapes, steps)
+    yield _ways(DISSIMILARITY, workload, trainers, made, steps, steps)
 
 
 def autoencoder_trainers(views: np.ndarray, frontal: np.ndarray, steps: int) -> list[Trainer]:
@@ -171,20 +171,20 @@ def start(trainer: Trainer, steps: int, build: Callable[[], keras.Model]) -> tup
     return network, epoch
 
 
-def _ways(part, material, trainers, made, steps, n_faces) -> list[Way]:
+def _ways(part, workload, trainers, made, steps, n_faces) -> list[Implementation]:
     def build():
         if part == AUTOENCODER:
-            return build_autoencoder(material.n_landmarks)
+            return build_autoencoder(workload.n_landmarks)
         return build_dissimilarity_net(_VARIANT)
 
-    if not material.run.preset.bench_variants:
+    if not workload.run.preset.bench_variants:
         trainers = [own for own in trainers if own.name in (RELEASED, OURS)]
     ways = []
     for trainer in trainers:
         network, epoch = start(trainer, steps, build)
         words = (trainer.note, f"{steps} steps", weights_note(network, made))
         ways.append(
-            Way(part, trainer.name, epoch, material.n_landmarks, n_faces,
+            Implementation(part, trainer.name, epoch, workload.n_landmarks, n_faces,
                 note="; ".join(filter(None, words)))
         )  # fmt: skip
     return ways

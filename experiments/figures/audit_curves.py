@@ -58,7 +58,7 @@ def error_curves(
     """Error against what is varied, with 95 % confidence intervals of the mean.
 
     Args:
-        curves: A row a point: `sweep`, `value`, `method` (id), `mse` in squared normalised units
+        curves: A row per point: `sweep`, `value`, `method` (id), `mse` in squared normalised units
             and its standard error `sem`.
         sweeps: Which of them, a panel each.
         ranges: Sweep to the values of the training views, which are shaded.
@@ -171,7 +171,7 @@ def timings(rows: pd.DataFrame) -> Figure:
 
 @styled
 def bias(methods: Mapping[str, Mapping[str, float]]) -> Figure:
-    """How much of a face's distance from the mean shape each method's answer has.
+    """Share of a face's distance from the mean shape that each method's answer has.
 
     Args:
         methods: Id to `slope` of the answer's offset from the mean shape on the true one, its

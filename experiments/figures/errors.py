@@ -119,7 +119,7 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
     """Mean error of a face against its pose, with 95 % confidence intervals of the mean.
 
     Args:
-        errors: One row a face and method: `method` (id), `projection` (`"orthographic"` or
+        errors: One row per face and method: `method` (id), `projection` (`"orthographic"` or
             `"perspective"`), `yaw` and `pitch` of the face in degrees as in
             `data_gen.views.projections.Cameras`, `mse` in squared normalised units.
     """
@@ -197,7 +197,7 @@ def error_per_condition(errors: pd.DataFrame) -> Figure:
     """Mean error of a face by what its scan shows, with 95 % confidence intervals of the mean.
 
     Args:
-        errors: One row a face and method: `method` (id), `condition` (name), `mse` in squared
+        errors: One row per face and method: `method` (id), `condition` (name), `mse` in squared
             normalised units, NaN where the method found no face.
     """
     methods = list(dict.fromkeys(errors["method"]))
@@ -232,7 +232,7 @@ def error_per_condition(errors: pd.DataFrame) -> Figure:
 
 @styled
 def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
-    """How many of the faces have a smaller error, for every error.
+    """Share of the faces that have a smaller error, for every error.
 
     Args:
         errors: Method id to `(n,)` mean squared errors of the same faces.

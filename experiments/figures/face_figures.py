@@ -1,4 +1,4 @@
-"""What every experiment shows of its test faces: some with each method, and errors by landmark."""
+"""Figures of test faces in every experiment: some with each method, and errors by landmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fit of the face model finds in photos, and how far it is from the truth."""
+"""Figure of the face model fitted to photos, and its distance from the ground truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the truth is found on scans, and how far it lies from the true landmarks."""
+"""Figure of the ground truth found on scans, and its distance from the true landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The qualitative figure: some faces, one a row, and what every method makes of them."""
+"""The qualitative figure: some faces, one per row, and what every method makes of them."""
 
 from __future__ import annotations
 

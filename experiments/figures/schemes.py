@@ -130,14 +130,14 @@ def _halves(labels: Sequence[str]) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, middles: np.ndarray, half: np.ndarray | float) -> np.ndarray:
-    """Which points lie in which boxes, by their middles and half sizes; shapes as broadcast."""
+    """Mask of points in boxes, given by their middles and half sizes; shapes as broadcast."""
     return (np.abs(points - middles) < half).all(-1)
 
 
 def _crossing(
     start: np.ndarray, ends: np.ndarray, starts: np.ndarray, others: np.ndarray
 ) -> np.ndarray:
-    """Which lines from one start cross which other lines: `(K, 2)`, `(M, 2)` twice → `(K, M)`."""
+    """Mask of lines from one start that cross other lines: `(K, 2)`, `(M, 2)` twice → `(K, M)`."""
 
     def side(a, b, c):
         u, v = b - a, c - a

@@ -69,7 +69,7 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
 
 
 def _markers(axes: Axes, rows: pd.DataFrame) -> None:
-    """One row a method: filled, our mean with its s.d.; hollow, the published mean."""
+    """One row per method: filled, our mean with its s.d.; hollow, the published mean."""
     axes.set_xscale("log", nonpositive="clip")
     axes.xaxis.set_minor_formatter(NullFormatter())  # over few decades they would overlap
     for y, row in enumerate(rows.itertuples()):

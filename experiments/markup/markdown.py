@@ -32,7 +32,7 @@ class Table:
 
     @property
     def rules(self) -> list[str]:
-        """How each column is aligned."""
+        """Alignment of each column."""
         words = {self.rows.columns[0], *self.words}
         return [":--" if head in words else "--:" for head in self.rows]
 

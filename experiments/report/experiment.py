@@ -33,17 +33,17 @@ class Experiment:
 
     @property
     def base(self) -> str:
-        """Which of `COMMANDS` it is; the folder's name goes on with what is not the default."""
+        """Name among `COMMANDS`; the folder's name goes on with what is not the default."""
         return base_of(self.name)
 
     @property
     def variant(self) -> str:
-        """What its folder's name says beside `base`: the protocol, the seed, data sets."""
+        """Rest of its folder's name after `base`: the protocol, the seed, data sets."""
         return self.name[len(self.base) :].strip("-")
 
     @property
     def track(self) -> str:
-        """Which of the paper's tables it stands beside: one of `published.SOURCES`, or another."""
+        """Table of the paper that it stands beside: one of `published.SOURCES`, or another."""
         return "bfm" if self.base in _OF_BFM else self.base.split("-")[0]
 
     def table(self, name: str = "table.csv") -> pd.DataFrame:
@@ -77,7 +77,7 @@ class Experiment:
 
 
 def base_of(name: str) -> str:
-    """Which of `COMMANDS` a folder's name begins with; of several, the longest."""
+    """Name among `COMMANDS` that a folder's name begins with; of several, the longest."""
     fitting = [base for base in COMMANDS if f"{name}-".startswith(f"{base}-")]
     return max(fitting, key=len, default=name)
 

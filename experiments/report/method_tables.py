@@ -45,7 +45,7 @@ def criteria_table(experiment: Experiment) -> Table:
 
 
 def other_criteria_table(experiment: Experiment) -> Table:
-    """What else is measured of every method."""
+    """Table of all else that is measured of every method."""
     shown = columns_of(experiment.table(), experiment.track, "report")
     known = [metric.id for metric in shown if not metric.in_paper]
     notes, rows = Notes(), []

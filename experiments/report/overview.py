@@ -1,4 +1,4 @@
-"""What the report says of all experiments together: glance, runs, what is missing, versions."""
+"""Sections of the report on all experiments together: glance, runs, what is missing, versions."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def environment(experiments: list[Experiment]) -> Table:
 
 
 def reports_elsewhere(results: Path) -> dict[str, str]:
-    """What is to be said of the other face models that have results in `results/<model>`."""
+    """Sentences on the other face models that have results in `results/<model>`."""
     said = {}
     for model in FACE_MODELS:
         if (results / model / REPORT / "report.md").is_file():

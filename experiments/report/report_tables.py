@@ -75,7 +75,7 @@ def stages_table(experiment: Experiment) -> Table:
 
 
 def _recorded(record: dict, prefix: str = "") -> list[str]:
-    """What else a stage recorded, nested records flattened."""
+    """Other entries of a stage's record, nested ones flattened."""
     found = []
     for key, value in record.items():
         if not prefix and key in _NOT_SHOWN:

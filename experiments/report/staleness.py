@@ -17,7 +17,7 @@ _STAGES = {result.folder: result.stage.split("/")[1] for result in RESULTS}
 
 
 def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
-    """What is wrong with the results of a face model, a line for each.
+    """List what is wrong with the results of a face model, one line each.
 
     Args:
         folder: `results/<model>`.
@@ -52,7 +52,7 @@ def stale(folder: Path, published: Path = PUBLISHED) -> list[str]:
 
 
 def _changed(experiment: Experiment) -> list[str]:
-    """Which files of the manifest are not as they were written."""
+    """Files of the manifest that are not as they were written."""
     now = files_of(experiment.folder)
     listed = experiment.manifest["files"]
     missing = [name for name in listed if name not in now]
@@ -104,7 +104,7 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
 
 
 def _again(folder: Path, experiment: Experiment | None = None) -> str:
-    """How to make an experiment's results anew.
+    """Command that makes an experiment's results anew.
 
     `make` takes the last stage for done while its record is in `build/`, and would run nothing.
     """

@@ -42,7 +42,7 @@ def better_than_ours(mse: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def summary(experiment: Experiment, others: list[Experiment]) -> str:
-    """What the numbers of an experiment say, for better or worse; empty for an unknown one.
+    """Findings of an experiment in words, for better or worse; empty for an unknown one.
 
     Args:
         experiment: Of which to speak.
@@ -89,7 +89,7 @@ def _against_the_others(experiment: Experiment, mse: pd.DataFrame) -> str:
 
 
 def _of_the_truth(ratios: pd.Series, methods: list[str]) -> str:
-    """How far apart two truths are, and which methods err no more than that."""
+    """Distance between two ground truths, and the methods that err no more than that."""
     truths = [row for row in ratios.index if row not in methods]
     if not truths:
         return ""
@@ -159,7 +159,7 @@ def _of_parameters(experiment: Experiment) -> str:
         return first
     slower = [title(method) for method in timed.index[timed > ours["ms_per_face"]]]
     return (
-        f"{first} It takes {ours['ms_per_face']:.3g} ms a face, more than "
+        f"{first} It takes {ours['ms_per_face']:.3g} ms per face, more than "
         f"{len(timed) - len(slower)} of the {len(timed)} other methods timed here"
         f"{f'; {enumeration(slower)} take more' if slower else ''}."
     )

@@ -1,4 +1,4 @@
-"""What the report says of experiments, figures and face models: words, no numbers."""
+"""Words of the report on experiments, figures and face models; no numbers."""
 
 from __future__ import annotations
 
@@ -57,8 +57,7 @@ EXPERIMENTS = {
     ),
     "seeds": (
         "How much is luck",
-        "The paper's recipe and the one with a decayed learning rate, trained from {n_seeds} "
-        "seeds each.",
+        "The paper's recipe and the one with a cosine schedule, trained from {n_seeds} seeds each.",
     ),
     "stream": (
         "Many faces: the tails of the errors",
@@ -98,7 +97,7 @@ FIGURES = {
     "errors": "Share of the faces whose error is smaller.",
     "learning_curves": "Learning curves.",
     "poses": "Error by pose and field of view; the shaded part was trained on.",
-    "disturbances": "Error by noise on the landmarks and by landmarks that are missing.",
+    "perturbations": "Error by noise on the landmarks and by landmarks that are missing.",
     "bias": "How much of a face's difference from the mean shape a method finds: by how much it "
     "shrinks it, and how well it correlates.",
     "spectra": "Eigenvalues of the doubly centred squared dissimilarities.",

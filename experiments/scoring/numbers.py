@@ -46,14 +46,14 @@ def as_quoted(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
 
 
 def difference(ours: float, theirs: float, unit: float = 1.0) -> str:
-    """How much more ours is, and in brackets how many times theirs it is."""
+    """Difference of ours from theirs, and in brackets the ratio."""
     if math.isnan(ours) or math.isnan(theirs):
         return NOTHING
     return minus(f"{(ours - theirs) / unit:+.3g} (×{factor(ours / theirs)})")
 
 
 def factor(ratio: float) -> str:
-    """How many times, to two or three digits; more where it is about 1."""
+    """Ratio to two or three digits; more where it is about 1."""
     if abs(ratio - 1) < 0.01:
         return f"{ratio:.4f}"
     if ratio >= 100:

@@ -1,4 +1,4 @@
-"""How far each method's predictions lie from the truth: for every face, and for random subsets."""
+"""Errors of each method's predictions: for every face, and for random subsets."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def _block(cells: pd.DataFrame) -> str:
 
 
 def _remarks(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> list[str]:
-    """What each column is, over how many faces, then the notes of the cells shown."""
+    """Remarks: each column, over how many faces, then the notes of the cells shown."""
     n = n_landmarks(experiment)
     remarks = [f"{head_of(m, experiment)}: {m.definition(n)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates()

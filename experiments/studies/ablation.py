@@ -1,4 +1,4 @@
-"""What the parts of the method are good for: trainings with one of them changed, over seeds.
+"""Ablation of the method's parts: trainings with one of them changed, over seeds.
 
 The paper compares mini-batches of one face with shuffled ones. Beside that stand the net without
 its short connection, the method without its autoencoder, and both networks trained on fewer faces.
@@ -37,7 +37,7 @@ HEADS = {
     "faces": "Faces",
     "count": "Seeds",
     "loss_train": "Loss in training (1e-4)",
-    "loss_inference": "Loss in use (1e-4)",
+    "loss_inference": "Inference-mode loss (1e-4)",
     "mse": "MSE (1e-4)",
 }
 _UNIT = 1e-4
@@ -59,7 +59,7 @@ def trainings(run: Run) -> list[tuple[Variant, int]]:
 
 
 def train(run: Run) -> list[int]:
-    """Train what is not done yet, a process a core.
+    """Train what is not done yet, a process per core.
 
     Returns:
         Peak memory of each process, MB.

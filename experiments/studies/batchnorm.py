@@ -6,7 +6,7 @@ import keras
 import numpy as np
 
 
-def with_statistics_of(network: keras.Model, inputs: np.ndarray) -> keras.Model:
+def recalibrate_batchnorm(network: keras.Model, inputs: np.ndarray) -> keras.Model:
     """The same weights with the batch normalisation of these inputs, all as one batch.
 
     Training leaves in each such layer a moving average of the statistics of past mini-batches,

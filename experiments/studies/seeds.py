@@ -1,4 +1,4 @@
-"""The paper's recipe and the one with a decayed rate from several seeds: spread, and its cause.
+"""The paper's recipe and the one with a cosine schedule from several seeds: spread, and its cause.
 
 Faces, views, initial weights and mini-batches all come from the seed, so that each of them is a
 run of `make reproduce-bfm SEED=…` cut down to two methods, whose files that command goes on from.
@@ -54,7 +54,7 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
             "mse": scores.mse.mean(),
             "mse_mm2": scores.mse_mm2.mean(),
             "depth_corr": scores.depth_corr.mean(),
-            "mirrored_fraction": scores.mirrored.mean(),
+            "reflection_rate": scores.mirrored.mean(),
             **autoencoder_errors(run, train, method),
         }
         rows += [(method, metric, float(value)) for metric, value in values.items()]
@@ -64,12 +64,12 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
 def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
     """Mean squared errors of the autoencoder on the training faces, by statistics."""
     from deepmds_keras.networks import forward
-    from experiments.studies.batchnorm import with_statistics_of
+    from experiments.studies.batchnorm import recalibrate_batchnorm
 
     model = load(run, method)
     network, history = model.autoencoder_, model.history_["autoencoder"]
     flat = train.views.reshape(len(train.views), -1)
-    anew = forward(with_statistics_of(network, flat), flat).reshape(train.views.shape)
+    anew = forward(recalibrate_batchnorm(network, flat), flat).reshape(train.views.shape)
     return {
         "autoencoder_mse_train": history["train"][-1],
         "autoencoder_mse_inference": history["inference"][-1],

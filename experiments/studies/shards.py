@@ -62,7 +62,7 @@ class Shards:
         return self.folder / "faces" / f"{self._name(shard)}.npz"
 
     def shapes(self, shard: int) -> Path:
-        """What the method makes of it, and how far every method is from the truth."""
+        """File of the method's shapes, and of every method's errors."""
         return self.folder / f"shapes-{self.digest[:8]}" / f"{self._name(shard)}.npz"
 
     def _name(self, shard: int) -> str:

@@ -12,7 +12,7 @@ from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import load, title
 from experiments.records import write_text
-from experiments.running import one_core, stage
+from experiments.running import single_threaded, stage
 from experiments.scoring.tables import to_csv
 from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
 
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> None:
         networks = networks_file(stream)
         # Without a number of processes: by its bytes the method is known.
         load(run, OURS).set_params(n_jobs=None).save(networks)
-        with one_core():  # the regression's last bits depend on the threads
+        with single_threaded():  # the regression's last bits depend on the threads
             beside = {method: load(run, method) for method in BESIDE}
         sizes = run.preset.streamed_faces, run.preset.faces_per_file
         shards = Shards(stream, *sizes, sha256_of([networks]))

@@ -10,7 +10,7 @@ from experiments.run import Run
 
 @dataclass(frozen=True)
 class Variant:
-    """How one training differs from the paper's method.
+    """Difference of one training from the paper's method.
 
     Attributes:
         id, title: In files; in tables and figures.
@@ -39,14 +39,14 @@ class Variant:
 VARIANTS = (
     Variant("same_face", "The paper's method: mini-batches of one face"),
     Variant("shuffled", "Shuffled mini-batches", shuffled=True),
-    Variant("same_face_stable", "Mini-batches of one face, decayed rate", "cosine"),
-    Variant("shuffled_stable", "Shuffled mini-batches, decayed rate", "cosine", shuffled=True),
+    Variant("same_face_stable", "Mini-batches of one face, cosine schedule", "cosine"),
+    Variant("shuffled_stable", "Shuffled mini-batches, cosine schedule", "cosine", shuffled=True),
     Variant("no_short_connection", "Without the short connection", short_connection=False),
     Variant("no_autoencoder", "Without the autoencoder", with_autoencoder=False),
 )
 FEWER_FACES = (
     Variant("fewer_faces", "Fewer training faces"),
-    Variant("fewer_faces_stable", "Fewer training faces, decayed rate", "cosine"),
+    Variant("fewer_faces_stable", "Fewer training faces, cosine schedule", "cosine"),
 )
 TITLES = {variant.id: variant.title for variant in (*VARIANTS, *FEWER_FACES)}
 

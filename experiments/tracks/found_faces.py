@@ -58,5 +58,5 @@ def save_test_set(
 
 
 def _counted(status: np.ndarray) -> dict[str, int]:
-    """How many of each status, the details left out."""
+    """Number of each status, the details left out."""
     return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))

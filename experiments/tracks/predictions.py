@@ -1,4 +1,4 @@
-"""Stage 3: what every method makes of the test views, one file a method."""
+"""Stage 3: what every method makes of the test views, one file per method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from experiments.inputs import Faces, load_faces
 from experiments.methods import Method, load, methods_of
 from experiments.progress import Bar
 from experiments.run import Run
-from experiments.running import on_one_core, one_core, stage
+from experiments.running import call_single_threaded, single_threaded, stage
 
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
@@ -53,7 +53,7 @@ def _predicted(run: Run, method: Method, model, inputs) -> Iterator[np.ndarray]:
     chunks = (inputs[start : start + _FACES_PER_CHUNK] for start in starts)
     if not method.one_by_one:  # done at once, or by networks, which stay in this process
         return map(model.predict, chunks)
-    tasks = (delayed(on_one_core)(model.predict, chunk) for chunk in chunks)
+    tasks = (delayed(call_single_threaded)(model.predict, chunk) for chunk in chunks)
     return Parallel(run.jobs if len(starts) > 1 else 1, return_as="generator")(tasks)
 
 
@@ -71,7 +71,7 @@ def milliseconds_per_face(model, inputs: np.ndarray) -> float:
     if isinstance(model, DeepMDS):
         model = model.set_params(n_jobs=1)
     predict: Callable = model.predict
-    with one_core():
+    with single_threaded():
         predict(inputs)
         start = time.perf_counter()
         predict(inputs)

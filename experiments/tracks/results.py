@@ -1,4 +1,4 @@
-"""What every track reads of its networks' training, and writes of its scores."""
+"""Histories of training and scores, as every track reads and writes them."""
 
 from __future__ import annotations
 

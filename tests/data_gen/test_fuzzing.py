@@ -58,7 +58,7 @@ from data_gen.models.flame import load_flame
 from data_gen.models.flame_embedding import LandmarkEmbedding, load_embedding
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import LAYOUT, load_openhead, read_openhead
-from data_gen.views.projections import draw_cameras
+from data_gen.views.projections import sample_cameras
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
@@ -314,7 +314,7 @@ def write_dataset(folder):
     faces = (normal(3, n).astype(np.float32) for n in (4, 0, 15, 10))
     identity, expression, landmarks, views = faces
     shapes = landmarks.reshape(3, 5, 3), views.reshape(3, 5, 2)
-    cameras = draw_cameras(3, np.random.default_rng(0))
+    cameras = sample_cameras(3, np.random.default_rng(0))
     described = {"model": "openhead", "seed": 0}
     save_dataset(folder / "a.npz", Dataset(identity, expression, *shapes, cameras, described))
 

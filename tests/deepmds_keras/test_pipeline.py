@@ -13,7 +13,7 @@ from deepmds_keras.alignment import is_mirrored
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
-from deepmds_keras.orientation import face_front, front_landmark
+from deepmds_keras.orientation import front_landmark, resolve_orientation
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_mirrored_embedding_is_turned_to_the_front():
     front = front_landmark(shapes)
     shapes[:, front, 2] += 1
     for mirror in (1, -1):
-        turned = face_front(shapes @ np.diag([1, 1, mirror]), shapes[..., :2], front)
+        turned = resolve_orientation(shapes @ np.diag([1, 1, mirror]), shapes[..., :2], front)
         assert np.allclose(turned - turned.mean(1, keepdims=True),
                            shapes - shapes.mean(1, keepdims=True))  # fmt: skip
 

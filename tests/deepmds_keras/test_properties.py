@@ -22,7 +22,7 @@ from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.landmarks.conversion import face_sizes
 from deepmds_keras.metrics import depth_corr, mse, wilcoxon_table
 from deepmds_keras.normalisation import centre, normalise, unit
-from deepmds_keras.orientation import face_front
+from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import write_outputs
@@ -359,14 +359,14 @@ class TestFaceFront:
     def test_how_an_embedding_lies_does_not_matter(self, faces, moved, mirrored, front):
         shape, other = np.array(faces)
         frontal = other[None, :, :2]
-        turned = face_front(shape[None], frontal, front)[0]
+        turned = resolve_orientation(shape[None], frontal, front)[0]
         assume(abs(turned[front, 2]) > 1e-3)
         again = moved(shape * [1, 1, -1 if mirrored else 1])
         factor = np.linalg.norm(again[0] - again[1]) / max(
             np.linalg.norm(shape[0] - shape[1]), 1e-9
         )
         assume(0.009 < factor < 401)
-        found = face_front(again[None], frontal, front)[0]
+        found = resolve_orientation(again[None], frontal, front)[0]
         middle = [*frontal[0].mean(0), 0]
         close(found - middle, factor * (turned - middle), 1e-5)
 
@@ -374,7 +374,7 @@ class TestFaceFront:
     @given(several(2), st.integers(0, 5))
     def test_the_shape_stays_the_same_in_front_of_its_view(self, faces, front):
         shape, other = np.array(faces)
-        turned = face_front(shape[None], other[None, :, :2], front)[0]
+        turned = resolve_orientation(shape[None], other[None, :, :2], front)[0]
         close(pdist(turned), pdist(shape))
         close(turned.mean(0), [*other[:, :2].mean(0), 0])
         assert turned[front, 2] >= -1e-9

@@ -115,7 +115,7 @@ def scan_expression_weights(
 
     Args:
         model: Morphable model with named expressions.
-        names: `n` of `SCAN_EXPRESSIONS`, one a face.
+        names: `n` of `SCAN_EXPRESSIONS`, one per face.
         rng: Source of the random numbers.
 
     Returns:
@@ -130,7 +130,7 @@ def scan_expression_weights(
     return weights.clip(0, _MOST) @ columns
 
 
-def draw_expressions(model: MorphableModel, n: int, rng: np.random.Generator) -> np.ndarray:
+def sample_expressions(model: MorphableModel, n: int, rng: np.random.Generator) -> np.ndarray:
     """Random expressive faces: moments of random sequences, or mixtures of two of them.
 
     Args:
@@ -164,7 +164,7 @@ def _moments(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _strengths(n: int, asymmetry: float, rng: np.random.Generator) -> np.ndarray:
-    """How much more or less than its tabled weight each expression of a face has, `(n, names)`."""
+    """Factors on the tabled weight of each expression of a face, `(n, names)`."""
     strength = rng.uniform(*_STRENGTH, (n, 1))
     left, right = rng.uniform(1 - asymmetry, 1 + asymmetry, (2, n, 1))
     return strength * np.where(_IS_LEFT, left, np.where(_IS_RIGHT, right, 1.0))
@@ -187,7 +187,7 @@ def _number(name: str, known: tuple[str, ...], what: str) -> int:
 
 
 def _columns(model: MorphableModel) -> np.ndarray:
-    """What each name in use moves on the model, `(names, E)` of 0 and 1."""
+    """Blendshapes that each name in use moves, `(names, E)` of 0 and 1."""
     own = {name: number for number, name in enumerate(model.expression_names)}
     columns = np.zeros((len(_NAMES), len(own)))
     for row, name in zip(columns, _NAMES, strict=True):

@@ -17,7 +17,7 @@ REMARKS = dict.fromkeys((*ZHAO, TRUE_DEPTH), _NOTE)
 
 
 def as_released(predictions: dict[str, dict], truth: np.ndarray) -> dict[str, dict]:
-    """What the released evaluator compares with the truth in the place of each prediction.
+    """Shapes that the released evaluator compares with the ground truth for each prediction.
 
     The script that evaluates Zhao's net reads depth alone, rescales it to [0, 1] by itself, joins
     it to the true x and y, whose own depth spans less than half of that, and takes the depth from

@@ -72,7 +72,7 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
 def shapes_of(
     flame: Run, photos: list[Path], images: list[np.ndarray], landmarks: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What every method that can be run makes of the faces: `(n, 51, 3)`, NaN where none found."""
+    """Shapes by every method that can be run: `(n, 51, 3)`, NaN where it found no face."""
     views = normalise(centre(landmarks * (1, -1)))
     shapes = {name: load(flame, name).predict(views) for name in _METHODS}
     if (flame.work / f"{flame.ringnet_stage}.json").exists():

@@ -37,7 +37,7 @@ _PHOTO, _MARGIN = 112, 1.4  # of photos in the pictures: pixels of a side, see `
 
 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
-    """What is known of every scan beside the test set, see `scans.examine`; also of the unused."""
+    """Table of every scan, the unused ones too, as `scans.register_scans` writes it."""
     return read_arrays(run.work / "scans.npz")[0]
 
 

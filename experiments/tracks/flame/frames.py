@@ -12,7 +12,7 @@ from data_gen.datasets.frames_standin import make_frames
 from data_gen.models.flame_embedding import embedding_near
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from data_gen.views.projections import draw_cameras
+from data_gen.views.projections import sample_cameras
 from experiments.arguments import parse_run
 from experiments.inputs import in_photos
 from experiments.progress import Bar
@@ -53,7 +53,7 @@ def make_training_set(run: Run, model: MorphableModel, record: dict) -> Dataset:
         standin_frames(run, model, rng) if folder is None else coma_frames(run, folder, record)
     )
     record |= source | {"n_frames": len(landmarks)}
-    cameras = draw_cameras(len(landmarks), rng, run.protocol)
+    cameras = sample_cameras(len(landmarks), rng, run.protocol)
     description = {"model": run.model, "scheme": run.scheme, "protocol": run.protocol, **source}
     return in_photos(run, dataset_of(landmarks, cameras, description))
 

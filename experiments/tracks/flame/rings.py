@@ -9,7 +9,7 @@ import numpy as np
 from data_gen.datasets.dataset import save_dataset
 from data_gen.datasets.images import Scene, make_scene
 from data_gen.datasets.rings import make_rings
-from data_gen.models.expressions import draw_expressions
+from data_gen.models.expressions import sample_expressions
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from deepmds_keras.io.archives import write_arrays
@@ -38,7 +38,7 @@ def make_people(run: Run, model: MorphableModel) -> None:
         {"model": model.name},
     )
     rng = np.random.default_rng([run.seed, Stream.RINGS])
-    expressions = draw_expressions(model, preset.ring_subjects * preset.ring_images, rng)
+    expressions = sample_expressions(model, preset.ring_subjects * preset.ring_images, rng)
     dataset = make_rings(
         model,
         preset.ring_subjects,

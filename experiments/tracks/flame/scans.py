@@ -95,7 +95,7 @@ def register_scans(run: Run, subject: int) -> int:
 
 
 def _registered(scan: Scan, finder: GroundTruth) -> tuple[dict, Registration | None]:
-    """What is written of a scan, and how its truth was found, if it was."""
+    """Row of a scan, and its registration, if it was found."""
     row = _refused(scan.name, "no face found")
     row["condition"] = np.array(scan.condition)
     detected = shared_detector().detect(scan.image)

@@ -14,7 +14,7 @@ from data_gen.fitting.occluding_edges import Surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
 from data_gen.rendering.albedo import Albedo
-from data_gen.rendering.renderer import Frames, Renderer, draw_lights
+from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.views.projections import Cameras, in_camera_frame, rotations
 from deepmds_keras.alignment import align
 from deepmds_keras.io.errors import InputError
@@ -40,7 +40,7 @@ def portraits():
     renderer = Renderer(model, SIZE)
     albedo = Albedo(model).sample(N, rng)
     ground = np.linspace(40, 90, SIZE)[:, None, None] + rng.normal(0, 2, (N, SIZE, SIZE, 3))
-    lights, grounds = draw_lights(N, rng), np.uint8(ground)
+    lights, grounds = sample_lights(N, rng), np.uint8(ground)
     images = renderer.draw(posed, posed, albedo, frames, lights, grounds)[:, :, LEFT_OUT:-LEFT_OUT]
     renderer.close()
     return identity, rotations(cameras), images, frames.pixels(landmarks[..., :2]) - (LEFT_OUT, 0)

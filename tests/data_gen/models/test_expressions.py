@@ -10,7 +10,7 @@ from data_gen.datasets.frames_standin import make_frames
 from data_gen.models.expressions import (
     SCAN_EXPRESSIONS,
     SEQUENCES,
-    draw_expressions,
+    sample_expressions,
     scan_expression_weights,
     sequence_weights,
 )
@@ -159,7 +159,7 @@ def test_teeth_show(model, sequence):
 
 def test_closed_lips_hardly_cross(model):
     start = landmarks(model, np.zeros((1, len(model.expression_names))))[0]
-    weights = draw_expressions(model, 2000, np.random.default_rng(0))
+    weights = sample_expressions(model, 2000, np.random.default_rng(0))
     assert (gap(landmarks(model, weights), LIPS) > gap(start, LIPS) - 4).all()
 
 
@@ -216,7 +216,7 @@ def test_open_head_and_ict_make_the_same_expressions(openhead, ict, sequence):
 
 
 def test_weights_go_by_name(openhead, ict):
-    first, second = (draw_expressions(m, 50, np.random.default_rng(1)) for m in (openhead, ict))
+    first, second = (sample_expressions(m, 50, np.random.default_rng(1)) for m in (openhead, ict))
 
     def of(model, weights, name):
         return weights[:, model.expression_names.index(name)]
@@ -234,7 +234,7 @@ def test_weights_go_by_name(openhead, ict):
 
 
 def test_drawn_expressions_are_many_and_within_bounds(model):
-    weights = draw_expressions(model, 20_000, np.random.default_rng(0))
+    weights = sample_expressions(model, 20_000, np.random.default_rng(0))
     assert weights.shape == (20_000, len(model.expression_names))
     assert weights.min() == 0
     assert weights.max() <= 1.2
@@ -280,7 +280,7 @@ def test_same_random_numbers_same_expressions(openhead):
         return [
             *vars(make_frames(openhead, 1, 120, rng)).values(),
             scan_expression_weights(openhead, SCAN_EXPRESSIONS, rng),
-            draw_expressions(openhead, 20, rng),
+            sample_expressions(openhead, 20, rng),
         ]
 
     first, again, other = draws(5), draws(5), draws(6)
@@ -295,7 +295,7 @@ def test_a_model_of_unknown_expressions_is_refused(openhead, names):
     for call in (
         lambda: sequence_weights(unknown, "mouth_open", 10, rng),
         lambda: scan_expression_weights(unknown, ["smile"], rng),
-        lambda: draw_expressions(unknown, 10, rng),
+        lambda: sample_expressions(unknown, 10, rng),
         lambda: make_frames(unknown, 1, 100, rng),
     ):
         with pytest.raises(InputError, match="pca_head: .*openhead and ict"):

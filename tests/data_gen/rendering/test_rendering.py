@@ -13,7 +13,7 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
 from data_gen.rendering import rasteriser
 from data_gen.rendering.albedo import Albedo
-from data_gen.rendering.renderer import Lights, Renderer, draw_lights, square_frames
+from data_gen.rendering.renderer import Lights, Renderer, sample_lights, square_frames
 from data_gen.rendering.visibility import part_of, seen_vertices
 from data_gen.views.projections import Cameras, in_camera_frame, project, project_with_depth
 from deepmds_keras.io.errors import InputError
@@ -213,7 +213,7 @@ def test_light_falls_from_where_the_lamp_is(apart, model):
     image = apart(painted, grey, camera(), lamp)
     face = image[30:60].astype(float).mean((0, 2))
     assert face[60:75].mean() > face[21:36].mean() + 20
-    lights = draw_lights(500, np.random.default_rng(0))
+    lights = sample_lights(500, np.random.default_rng(0))
     assert np.allclose(np.linalg.norm(lights.direction, axis=1), 1)
     assert (lights.direction[:, 2] > 0).all()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_gen.views.projections import Cameras, draw_cameras, in_camera_frame, project, rotations
+from data_gen.views.projections import Cameras, in_camera_frame, project, rotations, sample_cameras
 from deepmds_keras.io.errors import InputError
 
 
@@ -60,7 +60,7 @@ def test_turning_keeps_distances(faces):
 
 
 def test_papers_protocol():
-    drawn = draw_cameras(20_000, np.random.default_rng(0))
+    drawn = sample_cameras(20_000, np.random.default_rng(0))
     perspective = drawn.projection == 1
     assert abs(perspective.mean() - 0.5) < 0.02
     yaws, counts = np.unique(drawn.yaw[~perspective], return_counts=True)
@@ -80,7 +80,7 @@ def test_papers_protocol():
 
 
 def test_released_protocol():
-    drawn = draw_cameras(20_000, np.random.default_rng(0), "released")
+    drawn = sample_cameras(20_000, np.random.default_rng(0), "released")
     through_viewmtx = drawn.projection == 1
     assert abs(through_viewmtx.mean() - 0.3) < 0.02
     rest = drawn[~through_viewmtx]
@@ -96,11 +96,11 @@ def test_released_protocol():
 
 
 def test_same_random_numbers_same_cameras():
-    first, again = (draw_cameras(50, np.random.default_rng(7)) for _ in range(2))
+    first, again = (sample_cameras(50, np.random.default_rng(7)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(vars(first).values(), vars(again).values(),
                                                     strict=True))  # fmt: skip
 
 
 def test_unknown_protocol_is_named():
     with pytest.raises(InputError, match="protocol must be one of paper, released. Received 'new'"):
-        draw_cameras(3, np.random.default_rng(0), "new")
+        sample_cameras(3, np.random.default_rng(0), "new")

@@ -8,7 +8,7 @@ import pytest
 from deepmds_keras import InputError, landmarks
 from deepmds_keras.landmarks import load_scheme, load_schemes
 from deepmds_keras.landmarks.conversion import convert, scheme_of
-from deepmds_keras.landmarks.uprightness import check_upright
+from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import wireframe_edges
 
@@ -69,9 +69,9 @@ def test_files_of_its_landmarks_are_read(folder, name):
 
 
 def test_its_faces_are_judged_and_drawn(folder):
-    check_upright(FACE, "five", "face.csv")
+    check_y_axis(FACE, "five", "face.csv")
     with pytest.raises(InputError, match="face.csv: y must grow downwards"):
-        check_upright(FACE * (1, -1), "five", "face.csv")
+        check_y_axis(FACE * (1, -1), "five", "face.csv")
     scheme = load_scheme("five")
     assert scheme.index("nose_tip") == 2
     assert wireframe_edges(scheme).tolist() == [[0, 2], [1, 2], [3, 4]]

@@ -115,7 +115,7 @@ def numbers(slopes, systematic=0.4):
     [
         (0.97, 0.4, HOLDS, ""),
         (1.05, 0.4, HOLDS, ""),
-        (0.8, 0.4, WITH_CONDITION, "compared with Aldrian's and MobileFace"),
+        (0.8, 0.4, WITH_CONDITION, "compared with Aldrian & Smith and MobileFace"),
         (0.65, 0.4, WITH_CONDITION, "compared with MobileFace"),
         (0.2, 0.05, WITH_CONDITION, "unbiased means that errors average out over faces"),
         (0.2, 0.4, DOES_NOT_HOLD, ""),
@@ -132,7 +132,7 @@ def test_unbiased(ours, systematic, verdict, condition):
 
 def test_unbiased_without_mobileface():
     finding = bias.unbiased(numbers({"ours": 0.6, "aldrian": 0.5}), 5)
-    assert finding.condition == "compared with Aldrian's"
+    assert finding.condition == "compared with Aldrian & Smith"
 
 
 @pytest.mark.parametrize(

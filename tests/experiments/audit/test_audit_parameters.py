@@ -117,7 +117,9 @@ def test_fewest_among_those_that_are_trained(measured):
     claim, check = "parameters-fewest", parameters.fewest
     finding = judged(claim, check, measured)
     assert finding.verdict == WITH_CONDITION
-    assert finding.condition.startswith("among the methods that are trained; Aldrian's is not")
+    assert finding.condition.startswith(
+        "among the methods that are trained; Aldrian & Smith is not"
+    )
     assert "31,320 and an MSE of 4 × 10⁻⁶, Deep-MDS 0.00015" in finding.evidence
     every_one = measured["printed"] | {"aldrian": 80_000.0}
     assert judged(claim, check, measured, printed=every_one).verdict == HOLDS
@@ -140,7 +142,7 @@ def test_times_are_those_of_the_table_to_two_digits(measured):
     finding = judged("inference-time", parameters.inference_time, measured, embedding_share=0.9)
     assert finding.verdict == HOLDS
     assert "Deep-MDS 11 ms, of which the embedding takes 90 %" in finding.evidence
-    assert "Zhao's 0.02 ms" in finding.evidence
+    assert "Zhao et al. 0.02 ms" in finding.evidence
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.audit import elsewhere, ranking
+from experiments.audit import not_testable, ranking
 from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 PAPER = {"mobileface": 0.6e-4, "ours": 1.4e-4, "aldrian": 2.5e-4, "zhao": 22e-4, "linear": 1e-6}
@@ -91,10 +91,10 @@ def test_on_scans_mediapipe_and_ringnet_both_count():
     [("bfm2009", 160_470, HOLDS), ("bfm2009", 106_466, DOES_NOT_HOLD), ("ict", 160_470, UNKNOWN)],
 )
 def test_triangles_are_counted_on_the_basel_model_alone(model, triangles, verdict):
-    found = elsewhere.triangles(model, 53_490, triangles, 53_490.0, 160_470.0)
+    found = not_testable.triangles(model, 53_490, triangles, 53_490.0, 160_470.0)
     assert found.verdict == verdict
     assert "160,470 is 3 times the 53,490 vertices" in found.evidence
 
 
 def test_the_literature_is_not_computed():
-    assert elsewhere.first_use().verdict == UNKNOWN
+    assert not_testable.first_use().verdict == UNKNOWN

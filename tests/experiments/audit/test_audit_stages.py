@@ -65,7 +65,7 @@ def test_audit_has_a_verdict_on_every_claim(audited):
     assert own.loc["symmetric", "verdict"] == own.loc["parameters-zhao", "verdict"] == "holds"
     assert own.loc["p-value", "verdict"] == own.loc["distance-rank", "verdict"] == "does not hold"
     folder = results(audited, "audit")
-    figures = {"poses", "disturbances", "spectra", "timings", "bias"}
+    figures = {"poses", "perturbations", "spectra", "timings", "bias"}
     assert figures <= {path.stem for path in (folder / "figures").glob("*.png")}
     together = audited / "results" / "smoke" / "audit"
     assert {path.name for path in together.iterdir()} == {"claims.csv", "claims.md", "claims.tex"}

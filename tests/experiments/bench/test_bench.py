@@ -14,7 +14,7 @@ from deepmds_keras import proximities
 from deepmds_keras.embedding import embed
 from experiments.bench import agreement
 from experiments.bench import released_code as released
-from experiments.bench.measurements import SEVERAL_JOBS, Way, measure, table_of
+from experiments.bench.measurements import SEVERAL_JOBS, Implementation, measure, table_of
 from experiments.bench.memory import peak_memory_mb
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -134,12 +134,12 @@ def test_agreement_sees_a_solver_that_goes_wrong(matrices, monkeypatch):
 
 
 def test_every_row_has_as_many_faces_as_it_says(model, networks, views, matrices):
-    from experiments.bench.material import Material, embed_all
     from experiments.bench.parts import end_to_end
+    from experiments.bench.workload import Workload, embed_all
 
-    material = Material(None, model, networks, views, views, matrices)
-    assert len(end_to_end(material, 5, "batched")) == 5, "more than there are views"
-    np.testing.assert_array_equal(material.first_views(5)[3:], views[:2])
+    workload = Workload(None, model, networks, views, views, matrices)
+    assert len(end_to_end(workload, 5, "batched")) == 5, "more than there are views"
+    np.testing.assert_array_equal(workload.first_views(5)[3:], views[:2])
     assert sum(map(len, embed_all(matrices, 5, "batched"))) == 5, "more than there are matrices"
 
 
@@ -185,7 +185,7 @@ def test_without_a_gauge_the_call_is_made_and_the_row_says_why(monkeypatch):
     calls = []
     assert math.isnan(peak_memory_mb(lambda: calls.append(1)))
     assert calls == [1]
-    (row,) = measure("", [Way("embedding", "ours", lambda: None, 72, 1)], 0)
+    (row,) = measure("", [Implementation("embedding", "ours", lambda: None, 72, 1)], 0)
     assert math.isnan(row["peak_memory_mb"])
     assert row["note"] == memory.NO_GAUGE
 
@@ -193,7 +193,8 @@ def test_without_a_gauge_the_call_is_made_and_the_row_says_why(monkeypatch):
 def ways_of(*calls, jobs=1):
     names = ("released", "sklearn", "ours")
     return [
-        Way("embedding", name, call, 72, 10, jobs) for name, call in zip(names, calls, strict=False)
+        Implementation("embedding", name, call, 72, 10, jobs)
+        for name, call in zip(names, calls, strict=False)
     ]
 
 
@@ -234,7 +235,7 @@ def test_what_would_take_too_long_is_a_row_without_a_time():
 
 
 def test_what_cannot_be_done_is_a_row_that_says_why():
-    (absent,) = measure("", [Way("embedding", "ours", None, 72, 10, note="no numba")], 3)
+    (absent,) = measure("", [Implementation("embedding", "ours", None, 72, 10, note="no numba")], 3)
     assert math.isnan(absent["seconds"])
     assert absent["note"] == "no numba"
 
@@ -304,6 +305,6 @@ def test_figure_has_every_panel_also_on_one_core():
     table = table_of(rows)
     titles = [axes.get_title() for axes in bench(table).axes]
     assert len(titles) == 4
-    one_core = bench(table[table["comparison"] != "jobs"]).axes[3]
-    assert "one core" in one_core.texts[0].get_text()
+    single_threaded = bench(table[table["comparison"] != "jobs"]).axes[3]
+    assert "one core" in single_threaded.texts[0].get_text()
     assert isinstance(table, pd.DataFrame)

@@ -614,9 +614,9 @@ def test_methods_and_faces_are_chosen(page):
     assert of_colour(drawn(page), ours) == 0
     faces.get_by_label("Linear").check()
     assert of_colour(drawn(page), linear) > of_colour(first, linear) + 300
-    assert faces.get_by_label("Zhao's").is_enabled()
+    assert faces.get_by_label("Zhao et al.").is_enabled()
     faces.locator("select").select_option("1")
-    assert faces.get_by_label("Zhao's").is_disabled()
+    assert faces.get_by_label("Zhao et al.").is_disabled()
     assert (drawn(page) != first).any(-1).mean() > 0.01
     assert faces.locator("svg circle").count() == 72
 

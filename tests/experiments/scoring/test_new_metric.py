@@ -101,12 +101,12 @@ def test_faces_that_a_method_did_not_find_are_left_out_and_counted(faces, tmp_pa
     metrics, scores = evaluate(run, faces, predictions(faces), {})
     values = metrics.set_index(["method", "metric"])["value"]
     assert values.notna().all()
-    assert (values["ours", "found_fraction"] == 1).all()
-    assert values["linear", "found_fraction"].mean() == pytest.approx(1 - 5 / N, abs=0.15)
+    assert (values["ours", "detection_rate"] == 1).all()
+    assert values["linear", "detection_rate"].mean() == pytest.approx(1 - 5 / N, abs=0.15)
     assert np.isnan(scores["linear"].mse[::5]).all()
     other = dataclasses.replace(run, track="bfm")
     metrics, _ = evaluate(other, faces, predictions(faces), {})
-    assert "found_fraction" not in {*metrics["metric"]}
+    assert "detection_rate" not in {*metrics["metric"]}
 
 
 def test_scores_of_some_faces_are_those_of_all(faces):

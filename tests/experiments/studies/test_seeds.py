@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.networks import build_autoencoder, forward
-from experiments.studies.batchnorm import with_statistics_of
+from experiments.studies.batchnorm import recalibrate_batchnorm
 from experiments.studies.seeds import spread
 
 
@@ -12,7 +12,7 @@ def test_statistics_estimated_anew_are_those_of_the_faces_given():
     network = build_autoencoder(51)
     inputs = np.random.default_rng(0).random((40, 102), np.float32)
     before = network.get_weights()
-    anew = with_statistics_of(network, inputs)
+    anew = recalibrate_batchnorm(network, inputs)
     in_training = np.asarray(network(inputs, training=True))
     network.set_weights(before)
     assert np.allclose(forward(anew, inputs), in_training, atol=1e-5)
@@ -22,7 +22,7 @@ def test_statistics_estimated_anew_are_those_of_the_faces_given():
 def test_network_is_left_as_it_was():
     network = build_autoencoder(51)
     before = network.get_weights()
-    with_statistics_of(network, np.random.default_rng(0).random((40, 102), np.float32))
+    recalibrate_batchnorm(network, np.random.default_rng(0).random((40, 102), np.float32))
     assert all(np.array_equal(a, b) for a, b in zip(before, network.get_weights(), strict=True))
 
 

@@ -134,7 +134,7 @@ def test_the_second_table_is_against_the_truth(whole):
 @pytest.mark.skipif(not MEDIAPIPE.exists(), reason="make setup-mediapipe was not run")
 def test_mediapipe_finds_faces_and_the_corrected_list_fits_better(whole):
     table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])["mean"]
-    assert table[("mediapipe", "found_fraction")] > 0.9
+    assert table[("mediapipe", "detection_rate")] > 0.9
     assert table[("mediapipe_corrected", "mse")] < table[("mediapipe", "mse")]
 
 

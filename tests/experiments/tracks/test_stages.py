@@ -84,7 +84,7 @@ def test_the_released_evaluator_scores_the_same_predictions(whole):
     others = ["mean_shape", "linear", "aldrian", "mobileface", "ours"]
     pd.testing.assert_frame_equal(released.loc[others], paper.loc[others], check_exact=True)
     shown = run("show", whole, "--evaluator", "released")
-    assert "True depth in Zhao's place" in shown.stdout
+    assert "True depth in place of Zhao et al." in shown.stdout
 
 
 def test_show_prints_the_papers_number_beside_ours(whole):

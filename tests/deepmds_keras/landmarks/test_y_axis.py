@@ -8,7 +8,7 @@ from data_gen.views.projections import Cameras, project
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.landmarks.uprightness import check_upright
+from deepmds_keras.landmarks.y_axis import check_y_axis
 
 DOWN = np.array((1, -1))
 
@@ -27,12 +27,12 @@ def seen(yaw=0.0, pitch=0.0, roll=0.0, scheme="bfm72", field_of_view=0.0):
 def test_faces_that_lean_turn_and_nod_pass(scheme):
     angles = np.meshgrid(np.linspace(-90, 90, 13), np.linspace(-40, 40, 5), np.arange(-60, 61, 30))
     yaw, pitch, roll = (angle.ravel() for angle in angles)
-    check_upright(seen(yaw, pitch, roll, scheme), scheme, "views")
-    check_upright(seen(yaw, pitch, roll, scheme, 40.0), scheme, "views")
+    check_y_axis(seen(yaw, pitch, roll, scheme), scheme, "views")
+    check_y_axis(seen(yaw, pitch, roll, scheme, 40.0), scheme, "views")
 
 
 def test_profiles_from_slightly_behind_are_not_mirrored():
-    check_upright(seen(yaw=np.array((-100.0, 100.0))), "bfm72", "views")
+    check_y_axis(seen(yaw=np.array((-100.0, 100.0))), "bfm72", "views")
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68", "ibug51"])
@@ -40,7 +40,7 @@ def test_y_that_grows_upwards_is_refused_at_any_turn(scheme):
     angles = np.meshgrid(np.linspace(-90, 90, 7), (-20, 0, 20), np.arange(-60, 61, 30))
     for face in seen(*(angle.ravel() for angle in angles), scheme) * DOWN:
         with pytest.raises(InputError, match="a.csv: y must grow downwards; pass --y-up"):
-            check_upright(face, scheme, "a.csv")
+            check_y_axis(face, scheme, "a.csv")
 
 
 def test_a_mirrored_face_is_refused_unless_it_is_nearly_in_profile():
@@ -48,48 +48,48 @@ def test_a_mirrored_face_is_refused_unless_it_is_nearly_in_profile():
         for roll in (-60, 0, 60):
             mirrored = seen(yaw, 0, roll) * (-1, 1)
             with pytest.raises(InputError, match="a.csv: x must grow to the right.*a mirrored"):
-                check_upright(mirrored, "bfm72", "a.csv")
+                check_y_axis(mirrored, "bfm72", "a.csv")
 
 
 def test_right_and_left_landmarks_in_each_others_place_are_a_mirrored_face():
     swapped = seen()[0, load_scheme("bfm72").mirror]
     with pytest.raises(InputError, match="swap right and left landmarks"):
-        check_upright(swapped, "bfm72", "a.csv")
+        check_y_axis(swapped, "bfm72", "a.csv")
 
 
 def test_a_face_turned_by_180_degrees_is_no_matter_of_axes():
     for roll in (140, 180, 220):
         with pytest.raises(InputError, match="a.csv: the face must be upright; turn it"):
-            check_upright(seen(roll=roll), "bfm72", "a.csv")
+            check_y_axis(seen(roll=roll), "bfm72", "a.csv")
 
 
 def test_the_first_wrong_face_of_several_is_named():
     faces = np.concatenate([seen(), seen(yaw=30), seen() * DOWN, seen() * DOWN])
     with pytest.raises(InputError, match="a.npy, face 3 of 4: y must"):
-        check_upright(faces, "bfm72", "a.npy")
+        check_y_axis(faces, "bfm72", "a.npy")
 
 
 def test_size_and_place_of_the_face_do_not_matter():
     for scale, shift in ((1e-3, 0.0), (1e3, -5e4)):
-        check_upright(seen(roll=50) * scale + shift, "bfm72", "a.csv")
+        check_y_axis(seen(roll=50) * scale + shift, "bfm72", "a.csv")
         with pytest.raises(InputError, match="--y-up"):
-            check_upright(seen(roll=50) * DOWN * scale + shift, "bfm72", "a.csv")
+            check_y_axis(seen(roll=50) * DOWN * scale + shift, "bfm72", "a.csv")
 
 
 def test_points_of_mediapipe_are_judged_by_those_that_are_ibugs():
     points = convert(seen(scheme="ibug51"), "ibug51", "mediapipe", missing="nan")
     points = np.concatenate([points, np.full((1, 10, 2), np.nan)], 1)  # with irises
-    check_upright(points, "mediapipe", "a.npy")
+    check_y_axis(points, "mediapipe", "a.npy")
     with pytest.raises(InputError, match="--y-up"):
-        check_upright(points * DOWN, "mediapipe", "a.npy")
+        check_y_axis(points * DOWN, "mediapipe", "a.npy")
 
 
 def test_faces_with_nan_are_not_judged():
     faces = np.concatenate([seen() * DOWN, seen()])
     faces[0, 3] = np.nan
-    check_upright(faces, "bfm72", "a.npy")
+    check_y_axis(faces, "bfm72", "a.npy")
 
 
 def test_the_wrong_number_of_landmarks_is_refused():
     with pytest.raises(InputError, match="L = 72.*Received \\(68, 2\\)"):
-        check_upright(seen(scheme="ibug68")[0], "bfm72", "a.csv")
+        check_y_axis(seen(scheme="ibug68")[0], "bfm72", "a.csv")

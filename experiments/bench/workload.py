@@ -26,8 +26,8 @@ _MATRICES = 2048  # different ones; rows of more faces go through them again
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """What is timed on.
+class Workload:
+    """Workload that is timed on.
 
     Attributes:
         run: The run.
@@ -58,7 +58,7 @@ class Material:
         return np.random.default_rng([self.run.seed, Stream.BENCH, *numbers])
 
 
-def make_material(run: Run) -> Material:
+def make_material(run: Run) -> Workload:
     """Random faces of the run's model, and what the shipped weights make of them."""
     model = load_model(run.model, run.data, SCHEME)
     networks = DeepMDS.pretrained(WEIGHTS)
@@ -69,7 +69,7 @@ def make_material(run: Run) -> Material:
     matrices = np.abs(networks.dissimilarities(faces.views[some]))
     for solver in SOLVERS:
         embed(matrices[:1], solver=solver)  # what the first call loads is part of no row
-    return Material(
+    return Workload(
         run=run,
         model=model,
         networks=networks,
@@ -92,7 +92,7 @@ def embed_all(matrices: np.ndarray, n: int, solver: str, jobs: int = 1) -> list[
 
 
 def dissimilarities(network: keras.Model, frontal: np.ndarray, variant: str) -> np.ndarray:
-    """What the dissimilarity net makes of true frontal views, of any number of landmarks.
+    """Dissimilarities of true frontal views, of any number of landmarks.
 
     Args:
         network: Dissimilarity net.

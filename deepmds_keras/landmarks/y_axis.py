@@ -17,7 +17,7 @@ _PARTS = ("right_eye", "left_eye", "outer_mouth")
 _BELOW, _SWAPPED = 0.2, 0.5
 
 
-def check_upright(landmarks: np.ndarray, scheme: str, name: str) -> None:
+def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
     """Refuses landmarks whose y grows upwards, whose right and left are swapped, or upside down.
 
     Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the mouth up to the
