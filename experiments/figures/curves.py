@@ -20,7 +20,7 @@ _MODES = {
     "inference": ("-", "training faces, inference mode"),
     "test": ((0, (1, 1.2)), "test faces, inference mode"),
 }
-_SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine-cosine schedule"}
+_SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine schedule"}
 
 
 @styled

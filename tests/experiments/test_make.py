@@ -87,7 +87,8 @@ def test_the_makefile_hands_on_what_it_is_given(tmp_path):
              "FACES": "9"}  # fmt: skip
     files = {"data", "coma", "casia", "index.csv", "celeba", "tf", "net"}
     words = [f"{name}={tmp_path / v if v in files else v}" for name, v in given.items()]
-    command = ["make", "-n", "reproduce-flame", f"VENV={tmp_path}/venv", *words]
+    command = ["make", "--no-print-directory", "-n", "reproduce-flame", f"VENV={tmp_path}/venv"]
+    command += words
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     *_, options = done.stdout.partition(" -m experiments make reproduce-flame ")
     run = parse_run("", options.replace("'", "").replace("--authors ", "").split())

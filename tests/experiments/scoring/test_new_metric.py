@@ -64,7 +64,7 @@ def test_a_registered_metric_is_in_every_table(faces, tmp_path, monkeypatch):
     folder = run.experiment_results("bfm")
     metrics, scores = evaluate(run, faces, shapes, COSTS)
     write_results(run, folder, metrics, scores, {})
-    write_manifest(run, "reproduce-bfm", [STAGE], folder)
+    write_manifest(run, "reproduce-bfm", [STAGE | {"build": run.work.name}], folder)
 
     values = pd.read_csv(folder / "metrics.csv").query("metric == @metric.id")
     assert len(values) == len(shapes) * SMOKE.n_subsets

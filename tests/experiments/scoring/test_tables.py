@@ -96,7 +96,7 @@ def test_latex_is_balanced(table):
     tabular = latex(table, "bfm")
     assert tabular.count("{") == tabular.count("}")
     rows = [row for row in tabular.splitlines() if row.startswith(("Deep", "Zhao", "Mean", "Ald"))]
-    assert {row.count("&") for row in rows} == {6}
+    assert {row.replace(r"\&", "").count("&") for row in rows} == {6}
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,8 @@ def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
     succeed("celeba-flame", tmp_path, "--track", "celeba", "--tf-flame", str(TF_FLAME))
     folder = results(tmp_path, "celeba-flame")
     assert (folder / "figures" / "celeba_flame.png").stat().st_size > 50_000
-    record = json.loads((folder / "manifest.json").read_text())["stages"][0]
+    stages = json.loads((folder / "manifest.json").read_text())["stages"]
+    record = next(own for own in stages if own["stage"] == "celeba-flame")
     assert len(record["faces"]) == 4
     expected = ["mediapipe_corrected"] * MEDIAPIPE.exists() + ["zhao", "ours", "ours_stable"]
     assert record["methods"] == expected

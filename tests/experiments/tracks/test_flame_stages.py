@@ -168,8 +168,8 @@ def test_a_stopped_search_of_scans_goes_on(whole, work, tmp_path):
     ("arguments", "message"),
     [
         (["--model", "bfm2009"], "DATA= must be the file or folder of bfm2009"),
-        (["--model", "flame"], "DATA= must be the file or folder of flame"),
-        (["--casia", "/nowhere"], "/nowhere: must be the folder of CASIA-3D FaceV1"),
+        (["--model", "flame"], "CASIA= must be the folder of CASIA-3D FaceV1"),
+        (["--casia", "/nowhere"], "--casia must be a file or folder. Received /nowhere"),
         (["--evaluator", "released"], "--evaluator must be paper but for the BFM track"),
         (["--authors", "/nowhere"], "--authors must be a folder with AE_occ2orth_FLAME.h5"),
     ],
