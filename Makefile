@@ -114,7 +114,7 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 # Two at a time: a stage keeps about a core busy.
 PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
-test: | $(READY) ## the tests, but for what takes long                (5 min)
+test: | $(READY) ## the tests, but for what takes long                (13 min)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
 	$(PYTEST) -n 2 --dist loadfile -m 'not slow'
 
