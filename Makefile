@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained pictures openhead test nightly lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -95,7 +95,8 @@ bench: ## speed and memory beside the released way: results/bench/   (18 min)
 stream: ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
 seeds: ## five seeds of ours and ours_stable, their spread    (45 min)
 pretrained: ## train the weights that ship with the package, and measure them
-reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained: | $(READY)
+lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/
+reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting: | $(READY)
 	@$(PY) -m experiments make $@ $(RUN)
 
 ifneq ($(MEDIAPIPE),no)

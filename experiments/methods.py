@@ -253,6 +253,15 @@ _ROWS = (
         networks=partial(recipes.deep_mds_networks, "released"),
         deep_mds=("released", None),
     ),
+    Method(
+        id="limit",
+        title="Limit",
+        description="no method: what noise and a single view leave open to one that knows the face "
+        "model and the camera",
+        stage=None,
+        colour="#777777",
+        drawn=False,
+    ),
 )
 METHODS = {method.id: method for method in _ROWS}
 # Of the paper's method, trained here: pair features and learning-rate schedule.

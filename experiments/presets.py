@@ -40,6 +40,7 @@ class Preset:
             only in the released way and ours.
         bench_passes: Times that it takes a time anew after the first pass; 0 keeps that one's.
         bench_compared_faces: Test faces of a run on which it compares the two solvers.
+        fitted_faces: Test faces of `make lifting` that a face model is fitted to.
         streamed_faces, faces_per_file: Faces of `make stream`, and those of one of its files.
     """
 
@@ -77,6 +78,7 @@ class Preset:
     bench_variants: bool
     bench_passes: int
     bench_compared_faces: int
+    fitted_faces: int
     streamed_faces: int
     faces_per_file: int
 
@@ -116,6 +118,7 @@ PAPER = Preset(
     bench_variants=True,
     bench_passes=3,
     bench_compared_faces=500,
+    fitted_faces=500,
     streamed_faces=1_000_000,
     faces_per_file=5_000,
 )
@@ -154,6 +157,7 @@ SMOKE = Preset(
     bench_variants=False,
     bench_passes=0,
     bench_compared_faces=10,
+    fitted_faces=10,
     streamed_faces=1_000,
     faces_per_file=100,
 )

@@ -104,6 +104,7 @@ STAGES = (
           target="stream", always=True),
     Stage("bfm", "pretrained", "studies.pretrained", reads=_MODEL,
           target="pretrained", always=True),
+    Stage("bfm", "hard", "lifting.hard", reads=_MODEL, target="lifting", always=True),
     Stage("bfm", "bench", "bench.bench", reads=_MODEL, target="bench", always=True),
 )  # fmt: skip
 

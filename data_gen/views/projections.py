@@ -18,6 +18,9 @@ from deepmds_keras.io.errors import InputError
 PROJECTIONS = ("orthographic", "perspective")
 PROTOCOLS = ("paper", "released")
 _YAWS = (-45.0, 0.0, 45.0)
+# Of the hard views: uniform, to either side, degrees; the field of view is that of a face from afar
+# to so near that it fills a wide lens.
+HARD_YAW, _HARD_PITCH, _HARD_ROLL, _HARD_FIELD_OF_VIEW = 60.0, 30.0, 20.0, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,22 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
         roll=roll,
         field_of_view=none,
     )
+
+
+def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
+    """Random poses and projections beyond the paper's: far turned, tilted, leaning and from near.
+
+    Yaw in [-60, 60], pitch in [-30, 30], roll in [-20, 20], all uniform; half of the views are
+    orthographic, the others have a field of view in [0, 60].
+
+    Args:
+        n: Number of faces.
+        rng: Source of the random numbers.
+    """
+    yaw, pitch, roll = (rng.uniform(-most, most, n) for most in (HARD_YAW, _HARD_PITCH, _HARD_ROLL))
+    perspective = rng.random(n) < 0.5
+    angle = rng.uniform(0, _HARD_FIELD_OF_VIEW, n)
+    return Cameras(perspective.astype(int), yaw, pitch, roll, np.where(perspective, angle, 0.0))
 
 
 def rotations(cameras: Cameras) -> np.ndarray:

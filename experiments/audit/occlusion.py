@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data_gen.views.projections import in_camera_frame, project_with_depth
+from data_gen.views.hidden import hidden_by_head
 from deepmds_keras.normalisation import normalise
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if
@@ -24,9 +24,6 @@ SWEEPS = {"mean": "missing_percent", "regression": "missing_percent_regression"}
 _METHODS = ("linear", "ours", "ours_stable")
 _POSED_FACES = 60  # whose whole meshes are looked at
 _THINNED_FACES = 50  # each embedded for every percentage, stand-in and method
-# Millimetres behind the surface from which a landmark counts as hidden: deeper than the folds of
-# skin on whose rims people mark landmarks as if they saw them.
-_BEHIND = 2.0
 # Standard deviation by which the regression trusts the landmarks that are seen. Those of the data
 # sets are exact, which those of a real view are not.
 _SEEN_SD_MM = 1.0
@@ -43,7 +40,12 @@ def measure(inputs: Inputs) -> dict:
     found = kinds(inputs.test.cameras)
     frontal = found.get(FRONTAL, np.zeros(len(inputs.test.views), bool))
     posed = inputs.audited[~frontal[inputs.audited]][:_POSED_FACES]
-    hidden = _hidden(inputs, posed)
+    hidden = hidden_by_head(
+        inputs.model,
+        inputs.scheme.name,
+        inputs.test_dataset.identity[posed].astype(float),
+        inputs.test_dataset.cameras[posed],
+    )
     views = inputs.test_dataset.views[posed].astype(float)
     seen = {"all": views} | {name: put(views, hidden) for name, put in fillers.items()}
     thinned = inputs.audited[:_THINNED_FACES]
@@ -130,52 +132,6 @@ def missing_landmarks(thinned: dict, n_thinned: int) -> Finding:
     if withstood[better] < most:
         conditions.append(f"up to {withstood[better]} % are missing")
     return holds_if(enumeration(conditions), evidence)
-
-
-def hidden_landmarks(
-    points: np.ndarray, triangles: np.ndarray, landmarks: np.ndarray, behind: float = _BEHIND
-) -> np.ndarray:
-    """Mask of the landmarks that the surface hides, `(L,)` bool.
-
-    Args:
-        points: `(V, 3)` vertices as from `project_with_depth`: x and y of the view, and depth that
-            grows towards the viewer, millimetres.
-        triangles: `(T, 3)` int, 0-based.
-        landmarks: `(L,)` vertex numbers.
-        behind: Depth behind the surface from which a landmark is hidden.
-    """
-    corners, ours = points[triangles], points[landmarks]
-    low, high = corners[..., :2].min(1)[:, None], corners[..., :2].max(1)[:, None]
-    over = ((low <= ours[:, :2]) & (ours[:, :2] <= high)).all(2)
-    triangle, landmark = np.nonzero(over)
-    a, b, c = np.swapaxes(corners[triangle], 0, 1)
-    place = ours[landmark]
-    area = _cross(b - a, c - a)
-    # A triangle seen edge-on covers nothing.
-    area = np.where(area == 0, np.nan, area)
-    of_b, of_c = _cross(place - a, c - a) / area, _cross(b - a, place - a) / area
-    covers = (of_b >= 0) & (of_c >= 0) & (of_b + of_c <= 1)
-    depth = a[:, 2] + of_b * (b - a)[:, 2] + of_c * (c - a)[:, 2]
-    hidden = np.zeros(len(landmarks), bool)
-    hidden[landmark[covers & (depth > place[:, 2] + behind)]] = True
-    return hidden
-
-
-def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-
-
-def _hidden(inputs: Inputs, faces: np.ndarray) -> np.ndarray:
-    """Mask of the landmarks that the heads of some test faces hide from their cameras, `(n, L)`."""
-    model, dataset = inputs.model, inputs.test_dataset
-    landmarks = model.landmarks[inputs.scheme.name]
-    hidden = np.empty((len(faces), len(landmarks)), bool)
-    for row, face in enumerate(faces):  # a whole mesh at a time
-        camera = dataset.cameras[[face]]
-        posed = in_camera_frame(model.shape(dataset.identity[face].astype(float))[None], camera)
-        points = project_with_depth(posed, posed[:, landmarks], camera)[0]
-        hidden[row] = hidden_landmarks(points, model.triangles, landmarks)
-    return hidden
 
 
 def stand_ins(train_views: np.ndarray) -> dict[str, StandIn]:
