@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections.abc import Mapping, Sequence
@@ -239,6 +240,8 @@ def _fork(own: list[str], said: list[Path], limit: int | None, variables: dict[s
     except BaseException:
         traceback.print_exc()
         status = 1
+    # As an interpreter ends: joblib's processes are told to end here, and waited for by `atexit`.
+    threading._shutdown()
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()

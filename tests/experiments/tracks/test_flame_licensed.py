@@ -22,6 +22,11 @@ def run(stage, folder, *more):
     return runs.run(stage, folder, *own, *more)
 
 
+def work_of(folder):
+    """Folder of the arrays, which says that the data sets were found in `DATA=`."""
+    return folder / "build" / "flame" / "flame-tiny-paper-seed0-coma-casia"
+
+
 def write_flame(folder, model):
     """The open head as `generic_model.pkl`; its expressions take the place of FLAME's."""
     shapedirs = np.zeros((model.n_vertices, 3, 400))
@@ -100,7 +105,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
     done = run("frames", folder)
     assert done.returncode == 0, done.stderr
     assert "1 meshes skipped" in done.stdout
-    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
+    work = work_of(folder)
     assert "bareteeth.000007.ply" in (work / "frames-skipped.txt").read_text()
     train = load_dataset(work / "train.npz")
     model = load_model("openhead", scheme="ibug51")
@@ -111,7 +116,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
 
 
 def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
-    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
+    work = work_of(folder)
     done = run("scans", folder)
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
@@ -148,7 +153,7 @@ def test_the_licensed_ringnet_is_run_on_the_photos(folder):
     write_checkpoint(prefix)
     done = run("ringnet", folder, "--ringnet", str(prefix))
     assert done.returncode == 0, done.stderr
-    work = folder / "build" / "flame" / "flame-tiny-paper-seed0"
+    work = work_of(folder)
     with np.load(work / "predictions" / "ringnet-licensed.npz", allow_pickle=False) as file:
         shapes = file["shapes"]
     assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)
