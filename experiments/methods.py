@@ -254,6 +254,19 @@ _ROWS = (
         deep_mds=("released", None),
     ),
     Method(
+        id="lifting",
+        title="Lifting",
+        description="ours, beside the paper: a network that solves for the camera and the shape",
+        tracks=_ALL,
+        load=recipes.load_lifting,
+        train=recipes.train_lifting,
+        note=remarks.of_lifting,
+        colour="#E5097F",
+        marker="d",
+        mapped=_ALL,
+        complexity="O(n)",
+    ),
+    Method(
         id="limit",
         title="Limit",
         description="no method: what noise and a single view leave open to one that knows the face "

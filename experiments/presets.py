@@ -23,6 +23,8 @@ class Preset:
             open; 30 is where the training error of the autoencoder no longer falls by much.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
         zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
+        lifting_steps: Mini-batches of 128 faces of the lifting network. Its error on faces held out
+            falls as long as the learning rate does.
         train_images: Training faces of which MobileFace sees an image.
         mobileface_epochs: Epochs of MobileFace (released code: 200 × 500 steps).
         ring_subjects, ring_images: People whom RingNet is trained on, and images of each.
@@ -57,6 +59,7 @@ class Preset:
     dissimilarity_steps: int
     zhao_epochs: int
     zhao_steps: int
+    lifting_steps: int
     train_images: int
     mobileface_epochs: int
     mobileface_steps: int
@@ -97,6 +100,7 @@ PAPER = Preset(
     dissimilarity_steps=1000,
     zhao_epochs=10,
     zhao_steps=1000,
+    lifting_steps=6000,
     train_images=20_000,
     mobileface_epochs=200,
     mobileface_steps=500,
@@ -136,6 +140,7 @@ SMOKE = Preset(
     dissimilarity_steps=400,
     zhao_epochs=2,
     zhao_steps=100,
+    lifting_steps=200,
     train_images=160,
     mobileface_epochs=2,
     mobileface_steps=10,
@@ -176,6 +181,7 @@ TINY = replace(
     autoencoder_epochs=3,
     dissimilarity_steps=53,
     zhao_steps=53,
+    lifting_steps=3,
     train_images=32,
     mobileface_steps=1,
     ring_subjects=4,

@@ -39,10 +39,14 @@ if TYPE_CHECKING:
     from deepmds_keras.baselines.ringnet import RingNet
     from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
     from deepmds_keras.baselines.zhao import Zhao
+    from deepmds_keras.lifting import LandmarkLifter
     from deepmds_keras.pipeline import DeepMDS
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
+# Largest s.d. of the errors from which the lifting network learns what a detector does, in r.m.s.
+# radii of a view. Half of it, which it then expects, is 5 % of the interocular distance.
+LIFTING_NOISE = 0.2
 _RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
 
 
@@ -144,6 +148,50 @@ def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -
     from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 
     return [build_autoencoder(n_landmarks), build_dissimilarity_net(variant)]
+
+
+# The lifting network
+
+
+def fit_lifter(lifter: LandmarkLifter, views, shapes=None, **options) -> LandmarkLifter:
+    """`LandmarkLifter.fit`, with a progress bar."""
+    from deepmds_keras.lifting.training import Recipe
+
+    with EpochBar(f"lifting {lifter.size}", len(Recipe(lifter.steps).blocks)) as bar:
+
+        def progress(losses: dict[str, float]) -> None:
+            bar.losses({"held_out": losses["held_out"]})
+
+        return lifter.fit(views, shapes, progress=progress, **options)
+
+
+def train_lifting(run: Run) -> LandmarkLifter:
+    """Train the small network on the views of everybody else.
+
+    On the FLAME track test views are what a detector finds, those in training exact: errors are
+    added, else it takes any for a trait of the face.
+    """
+    from deepmds_keras.lifting import LandmarkLifter
+
+    train = load_faces(run, "train")
+    lifter = LandmarkLifter(
+        len(load_scheme(run.scheme)),
+        steps=run.preset.lifting_steps,
+        noise=LIFTING_NOISE if run.track == "flame" else 0.0,
+        seed=run.seed,
+    )
+    checkpoint = run.network_file("lifting-checkpoint")
+    fit_lifter(lifter, train.views, train.shapes, checkpoint=checkpoint)
+    lifter.save(run.network_file("lifting"))
+    return lifter
+
+
+def load_lifting(run: Run) -> LandmarkLifter:
+    """Return the network as trained."""
+    from deepmds_keras.lifting import LandmarkLifter
+
+    with _trained_by(run, "networks"):
+        return LandmarkLifter.load(run.network_file("lifting"))
 
 
 # Zhao's net

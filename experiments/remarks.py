@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.inputs import load_landmark_model
+from experiments.recipes import LIFTING_NOISE
 from experiments.run import Run
 
 
@@ -30,6 +31,17 @@ def of_ringnet(run: Run, found: np.ndarray) -> str:
         f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
         "paper's is the published one"
     )
+
+
+def of_lifting(run: Run, found: np.ndarray) -> str:
+    said = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
+    if run.track == "flame":
+        said += (
+            ", with errors added to the landmarks, of a s.d. of up to "
+            f"{100 * LIFTING_NOISE:g} % of a view's r.m.s. radius, since a detector finds those "
+            "of the test; other methods learn from exact ones"
+        )
+    return said
 
 
 def of_mediapipe(run: Run, found: np.ndarray) -> str:

@@ -112,7 +112,9 @@ def test_methods_that_share_a_network_are_trained_in_one_process():
     for own in of.values():
         assert len(own) == 2  # as many processes as the smallest machine has cores
         assert own[0] == ["ours", "ours_released"]  # of one autoencoder
-    assert sum(of["bfm"], []) == ["ours", "ours_released", "zhao", "zhao_authors", "ours_stable"]
+    assert sum(of["bfm"], []) == [
+        *("ours", "ours_released", "zhao", "zhao_authors", "ours_stable", "lifting")
+    ]
 
 
 def test_a_method_is_run_where_its_row_says():

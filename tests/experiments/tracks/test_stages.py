@@ -42,16 +42,28 @@ def test_manifest_says_what_made_the_results(whole):
     assert stages == ["faces", "networks", "predictions", "images", "mobileface"]
     assert {"numpy", "keras", "scikit-learn"} <= manifest["packages"].keys()
     assert len(manifest["model_sha256"]) == 64
+    seconds = manifest["stages"][1]["training_seconds"]
+    trained = ["ours", "ours_released", "zhao", "zhao_authors", "ours_stable", "lifting"]
+    assert [*seconds] == trained
+    assert min(seconds.values()) >= 0 < seconds["lifting"]
+
+
+def test_lifting_has_fewer_parameters_than_deep_mds(whole):
+    table = pd.read_csv(results(whole).parent / "parameters" / "table.csv").set_index("method")
+    own = table.loc["lifting"]
+    assert own["trainable"] == own["total"] == 25_747 < table.loc["ours", "trainable"]
 
 
 def test_table_has_every_method_with_a_number_or_a_reason(whole):
     table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
     mse = table.xs("mse", level="metric")
     measured = ["mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian",
-                "mobileface", "ours", "ours_released", "ours_stable"]  # fmt: skip
+                "mobileface", "ours", "ours_released", "ours_stable", "lifting"]  # fmt: skip
     assert [*mse.index[mse["mean"].notna()]] == measured
     assert mse.loc["authors_weights", "note"].startswith("their weight files were not given")
     assert "2 steps of 16 images" in mse.loc["mobileface", "note"]
+    assert mse.loc["lifting", "note"] == "not in the paper; trained for 3 steps of 128 faces"
+    assert mse.loc["lifting", "mean"] < mse.loc["mean_shape", "mean"]
     assert mse.loc["ours", "paper_mean"] == 1.4e-4
     assert mse.loc["linear", "mean"] < mse.loc["mean_shape", "mean"]
 
