@@ -10,6 +10,7 @@ from experiments.audit import (
     complexity,
     criteria,
     dissimilarity,
+    lifted_distances,
     mini_batches,
     noise,
     not_testable,
@@ -25,7 +26,7 @@ from experiments.audit.findings import Finding
 
 _TOPICS = (
     dissimilarity, parameter_counts, complexity, poses, perspective, occlusion, mini_batches,
-    criteria, significance, ranking, zhao, bias, not_testable, noise,
+    criteria, significance, ranking, zhao, bias, not_testable, noise, lifted_distances,
 )  # fmt: skip
 # By name: modules whose `measure` gives their checks the inputs.
 TOPICS: dict[str, ModuleType] = {module.__name__.rpartition(".")[2]: module for module in _TOPICS}
@@ -78,6 +79,7 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "landmark-noise": noise.withstands,
     "missing-landmarks": occlusion.missing_landmarks,
     "training-faces": mini_batches.enough_faces,
+    "lifted-distances": lifted_distances.nothing_added,
 }
 
 
