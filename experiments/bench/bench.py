@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.arguments import parse_run
-from experiments.bench.measurements import measure, table_of
+from experiments.bench.measurements import RATIOS, measure, table_of
 from experiments.bench.step_times import in_own_process
 from experiments.figures import bench_times as figures
 from experiments.figures.style import save
@@ -46,6 +46,7 @@ def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
     # The growth with faces is last: what was measured before tells which rows would take too long.
     pieces = {
         "parts": parts.comparisons,
+        "one face": parts.one_by_one,
         "landmarks": growth.with_landmarks,
         "jobs": growth.with_jobs,
         "faces": growth.with_faces,
@@ -93,6 +94,6 @@ def summary(table: pd.DataFrame) -> str:
         .astype(object)
         .rename(columns={"peak_memory_mb": "MB"})
     )
-    for column in ("ms_per_face", "times_released", "times_sklearn"):
+    for column in ("ms_per_face", *RATIOS):
         shown[column] = [factor(value) if value == value else "" for value in shown[column]]
     return shown.fillna("").to_string(index=False)

@@ -16,8 +16,8 @@ from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import pair_features
 from experiments.bench import parts
 from experiments.bench import released_code as released
-from experiments.bench.measurements import RELEASED, SKLEARN, Implementation
-from experiments.bench.parts import BATCHED, DATA, EMBEDDING, END_TO_END, FEATURES, OURS, PREDICTION
+from experiments.bench.measurements import BATCHED, RELEASED, SKLEARN, Implementation
+from experiments.bench.parts import DATA, EMBEDDING, END_TO_END, FEATURES, OURS, PREDICTION
 from experiments.bench.workload import Workload, dissimilarities, embed_all, predict_all
 
 _LANDMARKS_OF_ALL = 20_000  # faces times landmarks of a row

@@ -12,10 +12,12 @@ import pandas as pd
 
 from experiments.bench.memory import NO_GAUGE, peak_memory_mb
 
-RELEASED, SKLEARN = "released", "sklearn"  # the ways with which others are compared
+# The ways with which others are compared.
+RELEASED, SKLEARN, BATCHED = BASELINES = "released", "sklearn", "batched"
+RATIOS = tuple(f"times_{baseline}" for baseline in BASELINES)
 COLUMNS = (
     "comparison", "part", "way", "n_landmarks", "n_faces", "jobs", "seconds", "ms_per_face",
-    "times_released", "times_sklearn", "peak_memory_mb", "note",
+    *RATIOS, "peak_memory_mb", "note",
 )  # fmt: skip
 SEVERAL_JOBS = "the released way has one process; memory of other processes is not counted"
 _LONG = 5.0  # seconds from which a way is timed once
@@ -109,8 +111,8 @@ def table_of(rows: Iterable[dict]) -> pd.DataFrame:
     """
     table = pd.DataFrame(list(rows))
     table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]
-    for baseline in (RELEASED, SKLEARN):
-        table[f"times_{baseline}"] = [_times(table, row, baseline) for _, row in table.iterrows()]
+    for baseline, column in zip(BASELINES, RATIOS, strict=True):
+        table[column] = [_times(table, row, baseline) for _, row in table.iterrows()]
     table["peak_memory_mb"] = table["peak_memory_mb"].round(1)
     return table[list(COLUMNS)]
 

@@ -11,7 +11,7 @@ from deepmds_keras.embedding import compiled_solver
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from experiments.bench import released_code as released
-from experiments.bench.measurements import RELEASED, SKLEARN, Implementation
+from experiments.bench.measurements import BATCHED, RELEASED, SKLEARN, Implementation
 from experiments.bench.workload import (
     SCHEME,
     Workload,
@@ -19,9 +19,9 @@ from experiments.bench.workload import (
     predict_all,
 )
 
-OURS, BATCHED = "ours", "batched"
+OURS, LIFTING = "ours", "lifting"
 DATA, FEATURES, PREDICTION = "data generation", "pair features", "prediction"
-EMBEDDING, END_TO_END = "embedding", "end to end"
+EMBEDDING, END_TO_END, ONE_BY_ONE = "embedding", "end to end", "one face at a time"
 _NO_NUMBA = "numba is not installed"
 _NOTES = {
     (DATA, RELEASED): "all vertices of one face at a time",
@@ -36,6 +36,10 @@ _NOTES = {
     (END_TO_END, RELEASED): "loops over pairs, one predict a face and network, four random starts",
     (END_TO_END, SKLEARN): "DeepMDS.predict, embedded by scikit-learn",
     (END_TO_END, BATCHED): "DeepMDS.predict, embedded by the batched solver",
+    (END_TO_END, LIFTING): "another method: LandmarkLifter.predict",
+    (ONE_BY_ONE, SKLEARN): "one call for each face",
+    (ONE_BY_ONE, BATCHED): "one call for each face",
+    (ONE_BY_ONE, LIFTING): "another method; one call for each face",
 }
 
 
@@ -43,7 +47,7 @@ def comparisons(workload: Workload) -> Iterator[list[Implementation]]:
     """The ways of each part that are timed in turn."""
     preset = workload.run.preset
     n, few = preset.bench_faces, preset.bench_released_faces
-    views = workload.first_views(n)
+    views, lifter = workload.first_views(n), workload.lifter
     some = max(1, n // 5)
     for part, own in (
         (DATA, [(RELEASED, make_faces(workload, RELEASED, few), few),
@@ -57,9 +61,29 @@ def comparisons(workload: Workload) -> Iterator[list[Implementation]]:
                      (BATCHED, compiled(lambda: embed_all(workload.matrices, n, "batched")), n)]),
         (END_TO_END, [(RELEASED, lambda: released.shapes(workload.networks, views[:few]), few),
                       (SKLEARN, lambda: end_to_end(workload, some, "sklearn"), some),
-                      (BATCHED, compiled(lambda: end_to_end(workload, n, "batched")), n)]),
+                      (BATCHED, compiled(lambda: end_to_end(workload, n, "batched")), n),
+                      (LIFTING, lambda: lifter.predict(views), n)]),
     ):  # fmt: skip
         yield [timed(part, name, call, workload.n_landmarks, faces) for name, call, faces in own]
+
+
+def one_by_one(workload: Workload) -> Iterator[list[Implementation]]:
+    """Predictions of one face at a time, as from a camera."""
+    n = max(1, workload.run.preset.bench_faces // 5)
+    views, lifter = workload.first_views(n), workload.lifter
+
+    def deep_mds(solver: str) -> list[np.ndarray]:
+        networks = workload.networks.set_params(solver=solver, n_jobs=1)
+        return [networks.predict(view) for view in views]
+
+    yield [
+        timed(ONE_BY_ONE, name, call, workload.n_landmarks, n)
+        for name, call in (
+            (SKLEARN, lambda: deep_mds(SKLEARN)),
+            (BATCHED, compiled(lambda: deep_mds(BATCHED))),
+            (LIFTING, lambda: [lifter.predict(view) for view in views]),
+        )
+    ]
 
 
 def timed(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import keras
 import numpy as np
@@ -13,6 +14,7 @@ from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from deepmds_keras.embedding import SOLVERS, embed
+from deepmds_keras.lifting import LandmarkLifter
 from deepmds_keras.networks import forward
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
@@ -48,6 +50,12 @@ class Workload:
     @property
     def n_landmarks(self) -> int:
         return self.views.shape[1]
+
+    @cached_property
+    def lifter(self) -> LandmarkLifter:
+        """The small lifting network after one step of training: no weight changes its time."""
+        shapes = self.shapes
+        return LandmarkLifter(self.n_landmarks, steps=1).fit(self.first_views(len(shapes)), shapes)
 
     def first_views(self, n: int) -> np.ndarray:
         """The first n views; where there are fewer, those again."""

@@ -34,7 +34,16 @@ def test_every_part_is_timed_beside_the_released_way(table):
     }  # fmt: skip
     assert all("released" in own and len(own) > 1 for own in ways)
     assert {"sklearn", "batched"} < ways["embedding"]
+    assert {"sklearn", "batched", "lifting"} < ways["end to end"]
     assert {"faces", "landmarks", "training"} <= set(table["comparison"])
+
+
+def test_lifting_is_timed_beside_deep_mds(table):
+    for comparison, part in (("parts", "end to end"), ("one face", "one face at a time")):
+        own = table[(table["comparison"] == comparison) & (table["part"] == part)].set_index("way")
+        for solver in ("sklearn", "batched"):
+            ratio = own.loc[solver, "ms_per_face"] / own.loc["lifting", "ms_per_face"]
+            assert own.loc["lifting", f"times_{solver}"] == pytest.approx(ratio, rel=1e-6) > 1
 
 
 def test_an_empty_cell_has_its_reason(table):
@@ -48,7 +57,7 @@ def test_ratios_follow_from_the_times(table):
         table["ms_per_face"], 1000 * table["seconds"] / table["n_faces"], rtol=1e-6
     )
     parts = table[table["comparison"] == "parts"]
-    for baseline in ("released", "sklearn"):
+    for baseline in ("released", "sklearn", "batched"):
         for _, own in parts.groupby("part"):
             other = own.loc[own["way"] == baseline, "ms_per_face"]
             if len(other):
