@@ -267,6 +267,15 @@ _ROWS = (
         complexity="O(n)",
     ),
     Method(
+        id="lifting_large",
+        title="Lifting, large",
+        description="the same with a network four times as large",
+        stage=None,
+        colour="#7A0044",
+        marker="D",
+        drawn=False,
+    ),
+    Method(
         id="limit",
         title="Limit",
         description="no method: what noise and a single view leave open to one that knows the face "

@@ -146,6 +146,7 @@ RESULTS = (
     Result("seeds", "bfm/seeds"),
     Result("stream", "bfm/stream"),
     Result("pretrained", "bfm/pretrained"),
+    Result("lifting/hard", "bfm/hard"),
 )
 
 

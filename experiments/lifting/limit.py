@@ -24,28 +24,26 @@ _STEP = 1e-3  # of a coefficient, by which the view is differentiated
 _LEAST_SD_MM = 1e-3
 
 
-def limit(
-    landmarks: MorphableModel, faces: HardFaces, sd_mm: float, rng: np.random.Generator
-) -> np.ndarray:
+def limit(landmarks: MorphableModel, faces: HardFaces, rng: np.random.Generator) -> np.ndarray:
     """Mean squared error of draws from the posterior, after alignment to the ground truth: `(n,)`.
 
     Args:
         landmarks: Face model restricted to the landmarks.
         faces: With NaN where a landmark of a view is missing, of which it tells nothing.
-        sd_mm: Standard deviation of the errors of the landmarks.
         rng: Source of the draws.
 
     Returns:
         In squares of the unit of `normalise`.
     """
     chunks = (slice(start, start + _CHUNK) for start in range(0, len(faces), _CHUNK))
-    return np.concatenate([_of_chunk(landmarks, faces[own], sd_mm, rng) for own in chunks])
+    return np.concatenate([_of_chunk(landmarks, faces[own], rng) for own in chunks])
 
 
-def _of_chunk(landmarks, faces, sd_mm, rng):
+def _of_chunk(landmarks, faces, rng):
     basis, n = landmarks.identity_basis_times_sd, len(faces)
     exact = project(faces.shapes, faces.cameras)
-    certainty = np.isfinite(faces.views).all(-1) / max(sd_mm, _LEAST_SD_MM)
+    sd = np.maximum(faces.sd_mm, _LEAST_SD_MM)
+    certainty = np.isfinite(faces.views).all(-1) / sd[:, None]
     offsets = posterior_draws(view_jacobian(basis, faces, exact), exact, certainty, rng)
     shapes = faces.shapes[:, None] + np.tensordot(offsets, basis, 1)
     truth = np.repeat(normalise(faces.shapes), DRAWS, axis=0)

@@ -40,6 +40,7 @@ class Condition:
         noise: Standard deviation of the errors of a coordinate, percent of `FACE_MM`.
         missing: Share of the landmarks that are missing, each at random; or `HIDDEN`, those that
             the head hides.
+        mixed: Whether each face has a noise of its own, up to this one.
     """
 
     id: str
@@ -47,11 +48,13 @@ class Condition:
     protocol: str = "hard"
     noise: float = 0.0
     missing: float | str = 0.0
+    mixed: bool = False
 
-    @property
-    def sd_mm(self) -> float:
-        """Standard deviation of the errors of a coordinate, millimetres."""
-        return self.noise / 100 * FACE_MM
+    def sample_sd(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Standard deviation of the errors of a coordinate of each face, `(n,)` millimetres."""
+        # Little noise more often than much: errors are smaller there.
+        share = rng.random(n) ** 2
+        return self.noise / 100 * FACE_MM * (share if self.mixed else np.ones(n))
 
     @property
     def place(self) -> int:
@@ -61,7 +64,8 @@ class Condition:
     @property
     def training(self) -> str:
         """Id of the training views of methods that are trained for a condition."""
-        return f"{self.protocol}_{self.noise:g}{'_missing' if self.missing else ''}"
+        missing, mixed = "_missing" * bool(self.missing), "_mixed" * self.mixed
+        return f"{self.protocol}_{self.noise:g}{missing}{mixed}"
 
 
 CONDITIONS = (
@@ -73,6 +77,8 @@ CONDITIONS = (
     Condition("hard_1_missing_50", "1 %, 50 % missing", noise=1, missing=0.5),
     Condition("hard_1_hidden", "1 %, hidden missing", noise=1, missing=HIDDEN),
 )
+# What the large lifting network is trained on: all of the hard conditions at once.
+MIXED = Condition("hard_mixed", "hard, mixed", noise=3, missing=MOST_MISSING, mixed=True)
 # Of each training, a condition with its protocol and noise.
 TRAININGS = {condition.training: condition for condition in reversed(CONDITIONS)}
 
@@ -85,12 +91,14 @@ class HardFaces:
         identity: `(n, K)` standard-normal coefficients.
         shapes: `(n, L, 3)` true landmarks.
         views: `(n, L, 2)` landmarks in the image, NaN where one is missing.
+        sd_mm: `(n,)` standard deviation of the errors of the landmarks in the image.
         cameras: Pose and projection of each face.
     """
 
     identity: np.ndarray
     shapes: np.ndarray
     views: np.ndarray
+    sd_mm: np.ndarray
     cameras: Cameras
 
     def __len__(self) -> int:
@@ -129,9 +137,9 @@ def sample_views(
     """
     identity, shapes = landmarks.sample(n, rng)
     cameras = _CAMERAS[condition.protocol](n, rng)
-    views = project(shapes, cameras)
-    views += condition.sd_mm * rng.standard_normal(views.shape)
-    return HardFaces(identity, shapes, views, cameras)
+    views, sd = project(shapes, cameras), condition.sample_sd(n, rng)
+    views += sd[:, None, None] * rng.standard_normal(views.shape)
+    return HardFaces(identity, shapes, views, sd, cameras)
 
 
 def sample_training(
@@ -151,7 +159,7 @@ def training_faces(run: Run, condition: Condition) -> HardFaces:
     return sample_training(landmark_model(run), condition, run.preset.train_faces, rng)
 
 
-def tested_faces(run: Run, condition: Condition) -> HardFaces:
+def hard_faces(run: Run, condition: Condition) -> HardFaces:
     """The test faces: the same in every condition of a protocol, with the same errors in its unit.
 
     Raises:
@@ -172,7 +180,7 @@ def find_hidden(run: Run) -> None:
     if path.exists():
         return
     (condition,) = (c for c in CONDITIONS if c.missing == HIDDEN)
-    faces = tested_faces(run, replace(condition, missing=0))
+    faces = hard_faces(run, replace(condition, missing=0))
     hidden = np.zeros(faces.views.shape[:2], bool)
     starts = range(0, len(faces), _FACES_PER_TASK)
     tasks = ((run, faces[start : start + _FACES_PER_TASK], start) for start in starts)

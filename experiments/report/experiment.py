@@ -17,6 +17,7 @@ from experiments.stages import RESULTS
 REPORT = "report"
 # Experiments in the order of the report, and the target that makes each.
 COMMANDS = {result.folder: result.command for result in RESULTS}
+_SHARED = {base.split("/")[0] for base in COMMANDS if "/" in base}  # by the results of a target
 _OF_BFM = ("audit", "ablation", "seeds", "stream")  # on its faces
 
 
@@ -29,7 +30,8 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        return self.folder.name
+        """Of the folder, in `results/<model>`."""
+        return name_of(self.folder)
 
     @property
     def base(self) -> str:
@@ -76,6 +78,12 @@ class Experiment:
         return unit_of(self.track, "mse")
 
 
+def name_of(folder: Path) -> str:
+    """Name of an experiment's folder in `results/<model>`, which may be in a folder of several."""
+    shared = folder.parent.name in _SHARED
+    return f"{folder.parent.name}/{folder.name}" if shared else folder.name
+
+
 def base_of(name: str) -> str:
     """Name among `COMMANDS` that a folder's name begins with; of several, the longest."""
     fitting = [base for base in COMMANDS if f"{name}-".startswith(f"{base}-")]
@@ -86,13 +94,14 @@ def result_folders(folder: Path) -> list[Path]:
     """Folders of `results/<model>` that hold experiments, in the order of the report."""
     found = [
         path
-        for path in folder.glob("*")
+        for own in folder.glob("*")
+        for path in (own.glob("*") if own.name in _SHARED else [own])
         if path.is_dir() and path.name != REPORT and any(path.iterdir())
     ]
     order = [*COMMANDS]
 
     def place(path: Path) -> tuple[int, str]:
-        base = base_of(path.name)
+        base = base_of(name_of(path))
         return (order.index(base) if base in order else len(order), path.name)
 
     return sorted(found, key=place)

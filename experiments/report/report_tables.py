@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from experiments.lifting import hard_tables as tables
 from experiments.markup.markdown import Table
 from experiments.methods import METHODS, title
 from experiments.metrics import METRICS
@@ -46,6 +47,14 @@ def ablation_table(experiment: Experiment) -> Table:
     """Losses and errors of every variant: mean and s.d. over its seeds."""
     rows = pd.DataFrame(ablation.rows_of(experiment.table()), columns=[*ablation.HEADS.values()])
     return Table("Mean ± s.d. over the seeds.", rows)
+
+
+def hard_tables(experiment: Experiment) -> list[Table]:
+    """Errors by condition, their ratio to the limit, and what predicted s.d.s cover."""
+    table = experiment.table()
+    first, *others = tables.HEADS
+    captions = {first: " ".join(tables.remarks(table))} | {m: tables.HEADS[m] for m in others}
+    return [Table(caption, tables.cells(table, m)) for m, caption in captions.items()]
 
 
 def plain_table(experiment: Experiment) -> Table:

@@ -93,6 +93,8 @@ def _tables(experiment: Experiment) -> list[Table]:
         return [report_tables.parameters_table(experiment)]
     if experiment.base == "ablation":
         return [report_tables.ablation_table(experiment)]
+    if experiment.base == "lifting/hard":
+        return report_tables.hard_tables(experiment)
     if not experiment.compared:
         return [report_tables.plain_table(experiment)]
     return [

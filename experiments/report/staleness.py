@@ -9,7 +9,7 @@ from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.published import PUBLISHED
-from experiments.report.experiment import COMMANDS, Experiment, base_of, result_folders
+from experiments.report.experiment import COMMANDS, Experiment, base_of, name_of, result_folders
 from experiments.scoring.numbers import moment
 from experiments.stages import RESULTS
 
@@ -108,7 +108,8 @@ def _again(folder: Path, experiment: Experiment | None = None) -> str:
 
     `make` takes the last stage for done while its record is in `build/`, and would run nothing.
     """
-    base, model = base_of(folder.name), folder.parent.name
+    name = name_of(folder)
+    base, model = base_of(name), folder.parents[name.count("/")].name
     stage = _STAGES.get(base, base)
     made = experiment.manifest if experiment else {}
     command = made.get("command", f"{COMMANDS.get(base, 'make')} MODEL={model}")

@@ -69,6 +69,12 @@ EXPERIMENTS = {
         "Trained for photos, on views that are centred and err as a landmark detector does; tested "
         "on other faces of the same model, on such views and on exact ones.",
     ),
+    "lifting/hard": (
+        "Hard views, against the limit",
+        "Faces turned far, seen from near, with errors and without some of their landmarks: what "
+        "each method makes of them, and what no method can know. {test_faces} test faces; the face "
+        "model is fitted to {fitted_faces}.",
+    ),
 }
 TABLES = {
     "seeds": "Over the seeds: median, mean, s.d. of a sample, and range.",
@@ -94,6 +100,9 @@ FIGURES = {
     "error_per_pose": "Error by projection and pose.",
     "error_per_expression": "Error by expression.",
     "scans": "Photos, scans, the landmarks found on them, and how far they are from the true ones.",
+    "errors_by_yaw": "Error by yaw; below the dashed limit no method can be.",
+    "errors_by_condition": "Error by noise, and by missing landmarks; dashed the limit.",
+    "reliability": "Share of the true coordinates within intervals of their predicted s.d.",
     "errors": "Share of the faces whose error is smaller.",
     "learning_curves": "Learning curves.",
     "poses": "Error by pose and field of view; the shaded part was trained on.",

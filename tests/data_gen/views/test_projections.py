@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from data_gen.views.projections import Cameras, in_camera_frame, project, rotations, sample_cameras
+from data_gen.views.projections import (
+    PROJECTIONS,
+    Cameras,
+    in_camera_frame,
+    project,
+    rotations,
+    sample_cameras,
+    sample_hard_cameras,
+)
 from deepmds_keras.io.errors import InputError
 
 
@@ -104,3 +112,17 @@ def test_same_random_numbers_same_cameras():
 def test_unknown_protocol_is_named():
     with pytest.raises(InputError, match="protocol must be one of paper, released. Received 'new'"):
         sample_cameras(3, np.random.default_rng(0), "new")
+
+
+def test_hard_views_are_as_far_turned_and_as_near_as_they_say():
+    cameras = sample_hard_cameras(20_000, np.random.default_rng(0))
+    for angles, most in ((cameras.yaw, 60), (cameras.pitch, 30), (cameras.roll, 20)):
+        assert np.abs(angles).max() <= most
+        np.testing.assert_allclose(np.quantile(angles, [0.25, 0.5, 0.75]) / most, [-0.5, 0, 0.5],
+                                   atol=0.03)  # fmt: skip
+    perspective = cameras.projection == PROJECTIONS.index("perspective")
+    assert perspective.mean() == pytest.approx(0.5, abs=0.02)
+    assert not cameras.field_of_view[~perspective].any()
+    assert cameras.field_of_view[perspective].mean() == pytest.approx(30, abs=1)
+    again = sample_hard_cameras(20_000, np.random.default_rng(0))
+    assert np.array_equal(again.yaw, cameras.yaw)

@@ -20,7 +20,7 @@ from experiments.inputs import Faces
 from experiments.manifest import clear_results, files_of, read_manifest, write_manifest
 from experiments.presets import SMOKE
 from experiments.records import write_text
-from experiments.report.experiment import load_experiments
+from experiments.report.experiment import load_experiments, name_of, result_folders
 from experiments.report.overview import reports_elsewhere
 from experiments.report.page import page as html_page
 from experiments.report.report import main
@@ -435,6 +435,17 @@ def test_runs_with_other_seeds_have_other_networks(results):
     main(["--preset", "smoke", "--results", str(results)])
     text = (folder_of(results, "report") / "report.md").read_text()
     assert "## The paper's BFM table (seed1)" in text
+
+
+def test_a_folder_of_several_results_is_none_itself(tmp_path):
+    for name in ("bfm", "lifting/hard", "lifting/hard-seed1"):
+        (tmp_path / "openhead" / name).mkdir(parents=True)
+        write_text(tmp_path / "openhead" / name / "table.csv", "a,b\n")
+    found = result_folders(tmp_path / "openhead")
+    assert [name_of(path) for path in found] == ["bfm", "lifting/hard", "lifting/hard-seed1"]
+    listed = "\n".join(stale(tmp_path / "openhead"))
+    assert "lifting/hard-seed1 has no readable manifest.json" in listed
+    assert "run: rm -f build/openhead/*/hard*.json && make lifting MODEL=openhead" in listed
 
 
 def test_without_results_there_is_no_report(tmp_path, capsys):
