@@ -112,12 +112,14 @@ def test_clone_has_the_parameters_and_no_weights(small):
     assert DeepMDS().get_params()["variant"] == "paper"
 
 
+@pytest.mark.slow
 def test_same_seed_same_prediction(small):
     model, shapes = small
     again = clone(model).fit(shapes[..., :2], shapes)
     assert np.array_equal(again.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
 
 
+@pytest.mark.slow
 def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
     model, shapes = small
     views, calls = shapes[..., :2], []
@@ -169,6 +171,7 @@ def test_only_what_this_model_would_have_trained_is_restored(small, kept, parame
         clone(model).set_params(**parameters).restore(kept, shapes)
 
 
+@pytest.mark.slow
 def test_a_training_that_was_stopped_is_not_restored(small, tmp_path):
     model, shapes = small
 

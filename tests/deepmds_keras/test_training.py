@@ -45,7 +45,9 @@ def whole(faces, tmp_path_factory):
     return *autoencoder(faces, checkpoint=path), path
 
 
-@pytest.mark.parametrize("train", [autoencoder, dissimilarity_net])
+@pytest.mark.parametrize(
+    "train", [autoencoder, pytest.param(dissimilarity_net, marks=pytest.mark.slow)]
+)
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path, request, train):
     def stop_after_the_second(losses, epochs=[]):  # noqa: B006 (counts the calls)
         epochs.append(losses)
@@ -84,6 +86,7 @@ def test_losses_fall_and_inference_is_that_of_the_network(faces):
     assert np.isclose(history["inference"][-1], own, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_released_variant_sees_self_pairs_too(faces):
     """The paper's pairs are those i < j; the released code also trains the diagonal towards 0."""
     recipe = Recipe(4, 500, "cosine", learning_rate=0.01)

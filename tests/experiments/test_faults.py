@@ -48,7 +48,7 @@ STORMS = [
 
 @pytest.fixture(
     scope="module",
-    params=["quick", *(pytest.param(own, marks=pytest.mark.slow) for own in STORMS)],
+    params=[pytest.param(own, marks=pytest.mark.slow) for own in ("quick", *STORMS)],
     ids=lambda own: own if own == "quick" else f"{own[0]}-{own[1]}",
 )
 def storm(request, tmp_path_factory):

@@ -163,6 +163,7 @@ def test_landmarks_vary_as_much_as_in_ict_facekit(model):
     assert ratio.min() > 0.6 and ratio.max() < 1.5
 
 
+@pytest.mark.slow
 def test_build_repeats_the_first_trial(model):
     """Up to the origin; the trial sampled no mirror images, so its mean is a bit asymmetric."""
     with np.load(needs(SHARED / "openhead" / "open_head_199_f16.npz"), allow_pickle=False) as trial:

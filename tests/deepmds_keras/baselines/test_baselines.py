@@ -128,6 +128,7 @@ def test_zhao_learns_a_few_faces_by_heart_in_one_unit(faces):
     assert zhao.history_["train"][-1] < 0.1 * zhao.history_["train"][0]
 
 
+@pytest.mark.slow
 def test_zhao_seed_decides_the_weights(faces):
     _, shapes = faces
     one, same, other = (quick_zhao(seed=seed).fit(shapes).network_ for seed in (1, 1, 2))
@@ -136,6 +137,7 @@ def test_zhao_seed_decides_the_weights(faces):
         assert not np.array_equal(a, c)
 
 
+@pytest.mark.slow
 def test_zhao_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path):
     class StoppedError(Exception):
         pass

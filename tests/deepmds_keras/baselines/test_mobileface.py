@@ -91,6 +91,7 @@ def test_training_learns_and_predictions_are_in_the_models_frame(toy):
     assert np.allclose(shapes, 1 + np.tensordot(found, basis[:, :L], 1), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_stopped_training_goes_on_to_the_same_weights(toy, tmp_path):
     images, coefficients, basis = toy
     whole = toy_model(basis).fit(images, coefficients)

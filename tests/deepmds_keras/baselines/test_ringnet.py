@@ -209,6 +209,7 @@ def test_rings_are_of_one_subject_and_a_stranger():
     assert not np.array_equal(rings, draw_rings(members, 70, 6, 0, 1))
 
 
+@pytest.mark.slow
 def test_training_learns_without_a_3d_shape_and_predicts_in_the_models_frame(
     toy, bases, small_body
 ):
@@ -226,6 +227,7 @@ def test_training_learns_without_a_3d_shape_and_predicts_in_the_models_frame(
     assert model.n_parameters == count_trainable(model.network_)
 
 
+@pytest.mark.slow
 def test_stopped_training_goes_on_to_the_same_weights(toy, bases, small_body, tmp_path):
     whole = toy_model(bases).fit(*toy)
 

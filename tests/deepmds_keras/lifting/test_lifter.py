@@ -233,6 +233,7 @@ def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
         LandmarkLifter.pretrained("none")
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
     resumed = clone(lifter).fit(sample_faces, checkpoint=checkpoint)
     assert resumed.history_ == lifter.history_

@@ -151,6 +151,7 @@ def texts(axes):
     return [text.get_text() for text in axes.texts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [*PLOTS, draw_small_qualitative])
 def test_equal_inputs_give_equal_bytes(draw, tmp_path):
     first = style.save(draw(np.random.default_rng(0)), tmp_path / "first", "figure")
@@ -308,6 +309,7 @@ def test_summary_writes_both_numbers_and_a_dash_where_there_is_none():
     assert depth[2] == "71.9400 ± 0.0020"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not OPEN_HEAD.exists(), reason="the open head is not in ../shared")
 def test_eleven_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
     rng = np.random.default_rng(0)
@@ -327,6 +329,7 @@ def rendered():
     return render(scene, faces, range(24), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_contact_sheet_of_real_renders_is_small_and_has_their_landmarks(apart, tmp_path):
     images, landmarks = apart(rendered)
     figure = renders(images, landmarks, SCHEME)

@@ -37,6 +37,7 @@ def test_fewer_faces_are_fewer_than_all():
     assert all(variant.faces < PAPER.train_faces for variant in fewer_faces(run))
 
 
+@pytest.mark.slow
 def test_shuffled_pairs_are_of_many_faces_and_train_the_net():
     """Faces of one shape each, a shuffled mini-batch of which holds pairs of nearly all."""
     rng = np.random.default_rng(0)
@@ -52,6 +53,7 @@ def test_shuffled_pairs_are_of_many_faces_and_train_the_net():
     assert shuffled["train"][-1] < shuffled["train"][0]
 
 
+@pytest.mark.slow
 def test_training_loss_of_shuffled_pairs_is_that_of_all_faces():
     """If one face differs from all others, mini-batches of one face show it in their losses."""
     rng = np.random.default_rng(0)

@@ -17,6 +17,8 @@ from experiments.run import Run
 from experiments.scoring.scores import score
 from experiments.studies.shards import Shards
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(whole_bfm, tmp_path_factory):

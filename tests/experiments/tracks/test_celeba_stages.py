@@ -14,6 +14,7 @@ from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.io.archives import read_arrays
 
 TF_FLAME = SHARED / "tf_flame"
+pytestmark = pytest.mark.slow
 
 
 def results(folder, name="celeba"):

@@ -17,6 +17,8 @@ from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from experiments.presets import TINY
 from experiments.run import AUTHORS_FILES
 
+pytestmark = pytest.mark.slow
+
 
 def run(stage, folder, *more):
     return runs.run(stage, folder, "--track", "flame", *more)

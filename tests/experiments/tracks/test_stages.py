@@ -159,6 +159,7 @@ def test_unusable_arguments_end_with_one_line_and_status_2(tmp_path, arguments, 
     assert not [*tmp_path.rglob("*.npz")]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent")
 def test_the_authors_weights_join_a_run_that_is_done(whole):
     done = run("predictions", whole, "--authors", str(RELEASED))
