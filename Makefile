@@ -117,7 +117,7 @@ PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytes
 
 test: | $(READY) ## the tests, but for what takes long                (13 min)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
-	$(PYTEST) -n 2 --dist loadfile -m 'not slow'
+	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1 h)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'

@@ -19,6 +19,13 @@ os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
+@pytest.hookimpl(trylast=True)  # once those that are not to run have left
+def pytest_collection_modifyitems(items):
+    """Make the run that several modules read first and read it last, so that nobody waits."""
+    readers = list(dict.fromkeys(i.path for i in items if "whole_bfm" in i.fixturenames))
+    items.sort(key=lambda i: 1 if i.path not in readers else 0 if i.path == readers[0] else 2)
+
+
 @pytest.fixture(scope="session")
 def apart():
     """Calls a function of a test module in another process, one that has not loaded TensorFlow."""
