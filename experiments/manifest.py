@@ -56,7 +56,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
     }
     done = {record["stage"] for record in stages if record["build"] == run.work.name}
     own = [stage for goal in stages_to(target) for stage in goal.needed if stage.switch]
-    for variable in {stage.switch for stage in own if stage.track == run.track}:
+    for variable in sorted({stage.switch for stage in own if stage.track == run.track}):
         if not done & {stage.name for stage in own if stage.switch == variable}:
             variables[variable] = "no"
     given = " ".join(f"{key}={shlex.quote(value)}" for key, value in variables.items() if value)
