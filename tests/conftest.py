@@ -51,25 +51,19 @@ def once(tmp_path_factory):
     return once
 
 
-def _bfm(folder: Path, *more: str) -> runs.Measured:
-    """Scored without MobileFace, whose table is kept apart, then with it."""
-    first = runs.measure(("faces", "networks", "predictions", "bfm"), folder, *more)
-    (table,) = (folder / "results").glob("*/*/bfm/table.csv")
-    shutil.copy(table, folder / "without_mobileface.csv")
-    second = runs.measure(("images", "mobileface", "bfm"), folder, *more)
-    return runs.Measured(folder, first.seconds | second.seconds, first.sizes | second.sizes)
+_BFM = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
 
 
 @pytest.fixture(scope="session")
 def whole_bfm(once):
     """The BFM experiment at the smallest size, which nothing disturbed: nobody may write to it."""
-    return once("bfm", lambda folder: _bfm(folder, "--jobs", "1"))
+    return once("bfm", lambda folder: runs.measure(_BFM, folder, "--jobs", "1"))
 
 
 @pytest.fixture(scope="session")
 def smoke_bfm(once):
     """The same at the size that users can ask for, for tests that take long."""
-    return once("bfm-smoke", lambda folder: _bfm(folder, "--preset", "smoke"))
+    return once("bfm-smoke", lambda folder: runs.measure(_BFM, folder, "--preset", "smoke"))
 
 
 @pytest.fixture(scope="session")

@@ -79,6 +79,7 @@ def test_loss_is_the_mean_squared_error_of_the_meshes(toy, standardise):
     assert np.allclose(found, mse(*meshes), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_training_learns_and_predictions_are_in_the_models_frame(toy):
     images, coefficients, basis = toy
     model = toy_model(basis, epochs=3, steps_per_epoch=20)
