@@ -95,6 +95,21 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
     return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
 
 
+def metric_embed(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
+    """Points whose distances are nearest to the dissimilarities, to compare with `embed`.
+
+    scikit-learn's metric `MDS` from the same start, with the same limits: `(n, L, L)` →
+    `(n, L, n_components)`, turned as it comes.
+
+    Raises:
+        InputError: As for `embed`.
+    """
+    matrices = check_dissimilarities(dissimilarities)
+    starts = classical_scaling(matrices, n_components)
+    found = (sklearn_mds(*face, metric=True)[0] for face in zip(matrices, starts, strict=True))
+    return np.array([*found])
+
+
 @functools.cache
 def compiled_solver() -> Callable | None:
     """Return `compiled_mds`, None where numba cannot be imported, which takes it a second."""
@@ -182,24 +197,30 @@ def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
 
 
 def sklearn_mds(
-    dissimilarities: np.ndarray, start: np.ndarray, max_iter: int = 300, eps: float = 1e-6
+    dissimilarities: np.ndarray,
+    start: np.ndarray,
+    max_iter: int = 300,
+    eps: float = 1e-6,
+    *,
+    metric: bool = False,
 ) -> tuple[np.ndarray, float, int]:
     """Points, stress-1 and iterations of one face, as `compiled_mds`, by scikit-learn."""
-    scaling = non_metric_mds(start.shape[1], n_init=1, max_iter=max_iter, eps=eps)
+    scaling = precomputed_mds(start.shape[1], metric, n_init=1, max_iter=max_iter, eps=eps)
     points = scaling.fit_transform(dissimilarities, init=start)
     return points, scaling.stress_, scaling.n_iter_
 
 
-def non_metric_mds(n_components: int, **options) -> MDS:
-    """scikit-learn's non-metric `MDS` of dissimilarities, with Kruskal's stress-1.
+def precomputed_mds(n_components: int, metric: bool = False, **options) -> MDS:
+    """scikit-learn's `MDS` of dissimilarities, with Kruskal's stress-1.
 
     Args:
         n_components: Dimensions of the embedding.
+        metric: Whether the distances are to have the size of the dissimilarities, or their order.
         **options: Of `MDS`.
     """
     # scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7.
     if "metric_mds" in inspect.signature(MDS).parameters:
-        kind = {"metric_mds": False, "metric": "precomputed", "init": "random"}
+        kind = {"metric_mds": metric, "metric": "precomputed", "init": "random"}
     else:
-        kind = {"metric": False, "dissimilarity": "precomputed"}
+        kind = {"metric": metric, "dissimilarity": "precomputed"}
     return MDS(n_components, normalized_stress=True, **kind, **options)

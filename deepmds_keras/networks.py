@@ -34,7 +34,7 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
         InputError: No whole number of landmarks, or fewer than 3.
     """
     check_n_landmarks(n_landmarks)
-    dense = _dense_blocks(seed)
+    dense = dense_blocks(seed)
     view = keras.Input((2 * n_landmarks,), name="view")
     x = dense(view, 64, "encode_1")
     x = dense(x, 32, "encode_2")
@@ -68,18 +68,29 @@ def build_dissimilarity_net(
     """
     if variant not in VARIANTS:
         raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
-    dense = _dense_blocks(seed)
     pair = keras.Input((VARIANTS[variant],), name="pair_features")
-    x = dense(pair, 20, "hidden_1")
-    second = x = dense(x, 20, "hidden_2")
-    x = dense(x, 20, "hidden_3")
-    x = dense(x, 20, "hidden_4")
-    if short_connection:
-        x = layers.Concatenate(name="short_connection")([second, x])
-    x = dense(x, 20, "hidden_5")
-    distance = dense(x, 1, "distance", activated=False)
+    distance = distance_layers(dense_blocks(seed), pair, 20, short_connection=short_connection)
     name = f"dissimilarity_{variant}" + "_chain" * (not short_connection)
     return keras.Model(pair, distance, name=name)
+
+
+def distance_layers(dense: Callable, pair, units: int, *, short_connection: bool = True):
+    """Layers of the dissimilarity net, from what is known of pairs to their distances.
+
+    Args:
+        dense: As from `dense_blocks`.
+        pair: Tensor `(P, F)`.
+        units: Of each hidden layer.
+        short_connection: As for `build_dissimilarity_net`.
+    """
+    x = dense(pair, units, "hidden_1")
+    second = x = dense(x, units, "hidden_2")
+    x = dense(x, units, "hidden_3")
+    x = dense(x, units, "hidden_4")
+    if short_connection:
+        x = layers.Concatenate(name="short_connection")([second, x])
+    x = dense(x, units, "hidden_5")
+    return dense(x, 1, "distance", activated=False)
 
 
 def draw_kernels(network: keras.Model, seed: int) -> None:
@@ -148,7 +159,7 @@ def _graph(network: keras.Model) -> Callable:
     return network.inference_graph
 
 
-def _dense_blocks(seed: int):
+def dense_blocks(seed: int) -> Callable:
     """The repeated trio dense → LeakyReLU → batch normalisation, each layer seeded in turn."""
     seeds = iter(range(1000 * seed, 1000 * seed + 1000))
 

@@ -87,7 +87,8 @@ def load_aldrian(run: Run) -> Aldrian:
 # The paper's method
 
 
-def _deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
+def deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
+    """The untrained method, of the landmarks and sizes of a run."""
     from deepmds_keras.pipeline import DeepMDS
 
     return DeepMDS(
@@ -122,14 +123,14 @@ def fit_deep_mds(model: DeepMDS, views: np.ndarray, shapes: np.ndarray, **option
 
 def train_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
     """Train both networks; a data set has centred its views already if they are to be."""
-    model, train = _deep_mds(run, variant, schedule), load_faces(run, "train")
+    model, train = deep_mds(run, variant, schedule), load_faces(run, "train")
     return fit_deep_mds(model, train.views, train.shapes, checkpoint=run.networks)
 
 
 def load_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
     """Return the method as trained, for views that need not be centred on the FLAME track."""
     centred = run.track == "flame" and run.protocol == "paper"
-    model = _deep_mds(run, variant, schedule).set_params(centre_views=centred)
+    model = deep_mds(run, variant, schedule).set_params(centre_views=centred)
     with _trained_by(run, "networks"):
         return model.restore(run.networks, load_faces(run, "train").shapes)
 

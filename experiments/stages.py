@@ -105,6 +105,9 @@ STAGES = (
     Stage("bfm", "pretrained", "studies.pretrained", reads=_MODEL,
           target="pretrained", always=True),
     Stage("bfm", "hard", "lifting.hard", reads=_MODEL, target="lifting", always=True),
+    Stage("bfm", "anatomy", "lifting.anatomy", needs=("networks",), reads=_MODEL,
+          target="lifting", always=True),
+    Stage("bfm", "transfer", "lifting.transfer", reads=_MODEL, target="lifting", always=True),
     Stage("bfm", "bench", "bench.bench", reads=_MODEL, target="bench", always=True),
 )  # fmt: skip
 

@@ -26,7 +26,7 @@ def draw_photo_views(
     n: int,
     rng: np.random.Generator,
     *,
-    detector_sd: float = DETECTOR_SD_MM,
+    detector_sd: float | np.ndarray = DETECTOR_SD_MM,
 ) -> tuple[np.ndarray, np.ndarray, Cameras]:
     """Random faces, one view of each.
 
@@ -38,7 +38,7 @@ def draw_photo_views(
         scheme: Landmark scheme.
         n: Number of faces.
         rng: Source of the random numbers.
-        detector_sd: Millimetres.
+        detector_sd: Millimetres; of each face, `(n, 1, 1)`, or one number.
 
     Returns:
         Views `(n, L, 2)` with the detector's errors and landmarks `(n, L, 3)`, both millimetres,

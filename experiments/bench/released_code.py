@@ -16,7 +16,7 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import Cameras, project, sample_cameras
-from deepmds_keras.embedding import check_dissimilarities, non_metric_mds
+from deepmds_keras.embedding import check_dissimilarities, precomputed_mds
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.pipeline import DeepMDS
@@ -94,7 +94,7 @@ def predict(model: DeepMDS, views: np.ndarray, *, loops: bool) -> tuple[np.ndarr
 
 def embed(dissimilarities: np.ndarray, seed: int = 0) -> np.ndarray:
     """Points `(n, L, 3)` of `(n, L, L)`: the best of four random starts, of each face in turn."""
-    scaling = non_metric_mds(3, n_init=_STARTS, random_state=seed)
+    scaling = precomputed_mds(3, n_init=_STARTS, random_state=seed)
     return np.stack([scaling.fit_transform(own) for own in check_dissimilarities(dissimilarities)])
 
 

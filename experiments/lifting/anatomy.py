@@ -1,0 +1,191 @@
+"""Anatomy of Deep-MDS: its parts replaced one at a time by better ones, down to the limit.
+
+On the first test faces of the paper's protocol. Each dissimilarity matrix goes through the
+non-metric MDS of the method and through metric MDS.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+
+from data_gen.datasets.dataset import load_dataset
+from deepmds_keras.embedding import embed, metric_embed
+from experiments.arguments import parse_run
+from experiments.build_key import is_done, needs_of
+from experiments.figures.staircase import staircase
+from experiments.figures.style import save
+from experiments.inputs import Faces, load_faces
+from experiments.lifting.limit import limit
+from experiments.lifting.views import HardFaces, landmark_model
+from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.methods import load
+from experiments.progress import Bar, EpochBar
+from experiments.records import load_record, write_text
+from experiments.run import Run
+from experiments.running import peak_memory_mb, quiet_tensorflow, stage
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import plus_minus, power
+from experiments.scoring.scores import score
+from experiments.scoring.tables import to_csv
+from experiments.streams import Stream
+
+_METHOD = "ours_stable"
+_NAMED, _SEEING = "landmarks_known", "whole_view"
+TITLES = {
+    "mean_shape": "Mean shape",
+    "deep_mds": "Deep-MDS, cosine schedule",
+    "true_frontal": "The true frontal view, not the autoencoder's",
+    _NAMED: "A dissimilarity net that knows which landmarks it sees",
+    _SEEING: "One that also sees the whole view, as it was given",
+    "lifting": "The distances of the lifting network",
+    "true_distances": "The true distances",
+    "limit": "Limit: with the face model and the camera known",
+}
+EMBEDDINGS = {"non_metric": "Non-metric MDS", "metric": "Metric MDS", "none": "Without MDS"}
+_UNIT = 1e-6
+_NOTHING = 1e-12  # an error that is rounding
+
+
+def net_file(run: Run, step: str) -> Path:
+    """Checkpoint of a net that is trained here, on the frontal views of the networks as they are.
+
+    Args:
+        run: The run, whose networks are made.
+        step: Of `TITLES`.
+    """
+    made_by = needs_of(run, "anatomy")["bfm/networks"]
+    return run.work / "anatomy" / f"{step}-{made_by[:12]}.npz"
+
+
+def train(run: Run) -> list[int]:
+    """Train the two nets that are told more, a process each.
+
+    Returns:
+        Peak memory of each process, MB.
+    """
+    with parallel_config("loky"):  # training ends with this process, on this machine
+        jobs = min(2, effective_n_jobs(run.jobs))
+        steps = (_NAMED, _SEEING)
+        memory = Parallel(jobs)(delayed(_train)(run, step, os.getpid()) for step in steps)
+    return memory if jobs > 1 else []
+
+
+def _train(run: Run, step: str, parent: int) -> int:
+    quiet_tensorflow()
+    EpochBar.parent = parent
+    _net(run, step)
+    return peak_memory_mb()
+
+
+def _net(run: Run, step: str):
+    """Train a net, or read it if its checkpoint is complete."""
+    from deepmds_keras.training import Recipe
+    from experiments.lifting.pair_nets import train_pair_net
+
+    train, preset = load_faces(run, "train"), run.preset
+    with EpochBar(step, preset.dissimilarity_epochs) as bar:
+        return train_pair_net(
+            load(run, _METHOD).frontalise(train.views),
+            train.views,
+            train.shapes,
+            Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, "cosine"),
+            whole_view=step == _SEEING,
+            seed=run.seed,
+            checkpoint=net_file(run, step),
+            progress=bar.losses,
+        )
+
+
+def dissimilarities(run: Run, test: Faces) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield each step and its matrices `(n, L, L)`."""
+    from experiments.lifting.pair_nets import net_dissimilarities
+
+    deep_mds = load(run, _METHOD)
+    frontal, net = deep_mds.frontalise(test.views), deep_mds.dissimilarity_net_
+    yield "deep_mds", net_dissimilarities(net, frontal, test.views)
+    yield "true_frontal", net_dissimilarities(net, test.shapes[..., :2], test.views)
+    for step in (_NAMED, _SEEING):
+        yield step, net_dissimilarities(_net(run, step), frontal, test.views)
+    yield "lifting", distances(load(run, "lifting").predict(test.views))
+    yield "true_distances", distances(test.shapes)
+
+
+def distances(shapes: np.ndarray) -> np.ndarray:
+    """Euclidean distances of all landmarks: `(n, L, 3)` → `(n, L, L)`."""
+    return np.linalg.norm(shapes[:, :, None].astype(float) - shapes[:, None], axis=-1)
+
+
+def measure(run: Run) -> list[tuple]:
+    """Measure every step on the first test faces.
+
+    Returns:
+        Rows of `step, embedding, mse, sem, n_faces`.
+    """
+    faces = slice(run.preset.audited_faces)
+    test = load_faces(run, "test")[faces]
+    rows = [
+        _row("mean_shape", "none", score(load(run, "mean_shape").predict(test.views), test).mse)
+    ]
+    with Bar(total=6 * len(test.views), desc="anatomy", unit="face") as bar:
+        for step, matrices in dissimilarities(run, test):
+            matrices = np.abs(matrices)  # as in `DeepMDS.predict`
+            shapes = {
+                "non_metric": embed(matrices, n_jobs=run.jobs, progress=bar.update),
+                "metric": metric_embed(matrices),
+            }
+            rows += [_row(step, kind, score(own, test).mse) for kind, own in shapes.items()]
+    dataset = load_dataset(run.work / "test.npz")
+    seen = HardFaces(
+        *(array[faces].astype(float) for array in (dataset.identity, dataset.landmarks)),
+        dataset.views[faces],
+        dataset.cameras[faces],
+    )
+    rng = np.random.default_rng([run.seed, Stream.ANATOMY_LIMIT])
+    return [*rows, _row("limit", "none", limit(landmark_model(run), seen, 0.0, rng))]
+
+
+def _row(step: str, embedding: str, mse: np.ndarray) -> tuple:
+    sem = mse.std(ddof=1) / len(mse) ** 0.5
+    return step, embedding, float(mse.mean()), float(sem), len(mse)
+
+
+def cells(table: pd.DataFrame) -> pd.DataFrame:
+    """The table as it is read: a row a step, a column an embedding, mean ± standard error."""
+    found = table.set_index(["step", "embedding"])
+    rows = []
+    for step in dict.fromkeys(table["step"]):
+        row = [TITLES[step]]
+        for kind in EMBEDDINGS:
+            own = (step, kind) in found.index
+            row.append(_quoted(*found.loc[(step, kind), ["mse", "sem"]]) if own else "")
+        rows.append(row)
+    return pd.DataFrame(rows, columns=[f"MSE ({power(_UNIT)})", *EMBEDDINGS.values()])
+
+
+def _quoted(mse: float, sem: float) -> str:
+    return "0" if mse < _NOTHING else plus_minus(mse, sem, _UNIT)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    run = parse_run(__doc__, arguments)
+    folder = run.experiment_results("lifting/anatomy")
+    if not is_done(run, "anatomy"):
+        with stage(run, "anatomy") as record:
+            record["processes_mb"] = train(run)
+            record["rows"] = measure(run)
+    columns = ["step", "embedding", "mse", "sem", "n_faces"]
+    table = pd.DataFrame(load_record(run, "anatomy")["rows"], columns=columns)
+    clear_results(folder)
+    write_text(folder / "table.csv", to_csv(table))
+    write_text(folder / "table.tex", tabular(cells(table), "lrrr"))
+    save(staircase(table, TITLES), folder / "figures", "anatomy")
+    write_manifest(run, "lifting", records_of(run, "anatomy"), folder)
+    print(f"\n{run.model}, {table['n_faces'].max()} test faces, mean ± standard error\n")
+    print(cells(table).to_string(index=False))
+    print(f"\nTables, figure and manifest: {folder}/")
