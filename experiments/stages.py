@@ -150,6 +150,8 @@ RESULTS = (
     Result("stream", "bfm/stream"),
     Result("pretrained", "bfm/pretrained"),
     Result("lifting/hard", "bfm/hard"),
+    Result("lifting/anatomy", "bfm/anatomy"),
+    Result("lifting/transfer", "bfm/transfer"),
 )
 
 

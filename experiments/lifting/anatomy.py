@@ -22,6 +22,7 @@ from experiments.figures.staircase import staircase
 from experiments.figures.style import save
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.limit import limit
+from experiments.lifting.study_tables import STEPS, anatomy_cells
 from experiments.lifting.views import HardFaces, landmark_model
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import load
@@ -30,26 +31,12 @@ from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import peak_memory_mb, quiet_tensorflow, stage
 from experiments.scoring.latex import tabular
-from experiments.scoring.numbers import plus_minus, power
 from experiments.scoring.scores import score
 from experiments.scoring.tables import to_csv
 from experiments.streams import Stream
 
 _METHOD = "ours_stable"
 _NAMED, _SEEING = "landmarks_known", "whole_view"
-TITLES = {
-    "mean_shape": "Mean shape",
-    "deep_mds": "Deep-MDS, cosine schedule",
-    "true_frontal": "The true frontal view, not the autoencoder's",
-    _NAMED: "A dissimilarity net that knows which landmarks it sees",
-    _SEEING: "One that also sees the whole view, as it was given",
-    "lifting": "The distances of the lifting network",
-    "true_distances": "The true distances",
-    "limit": "Limit: with the face model and the camera known",
-}
-EMBEDDINGS = {"non_metric": "Non-metric MDS", "metric": "Metric MDS", "none": "Without MDS"}
-_UNIT = 1e-6
-_NOTHING = 1e-12  # an error that is rounding
 
 
 def net_file(run: Run, step: str) -> Path:
@@ -57,7 +44,7 @@ def net_file(run: Run, step: str) -> Path:
 
     Args:
         run: The run, whose networks are made.
-        step: Of `TITLES`.
+        step: Of `STEPS`.
     """
     made_by = needs_of(run, "anatomy")["bfm/networks"]
     return run.work / "anatomy" / f"{step}-{made_by[:12]}.npz"
@@ -129,9 +116,8 @@ def measure(run: Run) -> list[tuple]:
     """
     faces = slice(run.preset.audited_faces)
     test = load_faces(run, "test")[faces]
-    rows = [
-        _row("mean_shape", "none", score(load(run, "mean_shape").predict(test.views), test).mse)
-    ]
+    mean_shapes = load(run, "mean_shape").predict(test.views)
+    rows = [_row("mean_shape", "none", score(mean_shapes, test).mse)]
     with Bar(total=6 * len(test.views), desc="anatomy", unit="face") as bar:
         for step, matrices in dissimilarities(run, test):
             matrices = np.abs(matrices)  # as in `DeepMDS.predict`
@@ -142,34 +128,19 @@ def measure(run: Run) -> list[tuple]:
             rows += [_row(step, kind, score(own, test).mse) for kind, own in shapes.items()]
     dataset = load_dataset(run.work / "test.npz")
     seen = HardFaces(
-        *(array[faces].astype(float) for array in (dataset.identity, dataset.landmarks)),
-        dataset.views[faces],
-        dataset.cameras[faces],
+        identity=dataset.identity[faces].astype(float),
+        shapes=dataset.landmarks[faces].astype(float),
+        views=dataset.views[faces],
+        sd_mm=np.zeros(len(test.views)),
+        cameras=dataset.cameras[faces],
     )
     rng = np.random.default_rng([run.seed, Stream.ANATOMY_LIMIT])
-    return [*rows, _row("limit", "none", limit(landmark_model(run), seen, 0.0, rng))]
+    return [*rows, _row("limit", "none", limit(landmark_model(run), seen, rng))]
 
 
 def _row(step: str, embedding: str, mse: np.ndarray) -> tuple:
     sem = mse.std(ddof=1) / len(mse) ** 0.5
     return step, embedding, float(mse.mean()), float(sem), len(mse)
-
-
-def cells(table: pd.DataFrame) -> pd.DataFrame:
-    """The table as it is read: a row a step, a column an embedding, mean ± standard error."""
-    found = table.set_index(["step", "embedding"])
-    rows = []
-    for step in dict.fromkeys(table["step"]):
-        row = [TITLES[step]]
-        for kind in EMBEDDINGS:
-            own = (step, kind) in found.index
-            row.append(_quoted(*found.loc[(step, kind), ["mse", "sem"]]) if own else "")
-        rows.append(row)
-    return pd.DataFrame(rows, columns=[f"MSE ({power(_UNIT)})", *EMBEDDINGS.values()])
-
-
-def _quoted(mse: float, sem: float) -> str:
-    return "0" if mse < _NOTHING else plus_minus(mse, sem, _UNIT)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -183,9 +154,9 @@ def main(arguments: list[str] | None = None) -> None:
     table = pd.DataFrame(load_record(run, "anatomy")["rows"], columns=columns)
     clear_results(folder)
     write_text(folder / "table.csv", to_csv(table))
-    write_text(folder / "table.tex", tabular(cells(table), "lrrr"))
-    save(staircase(table, TITLES), folder / "figures", "anatomy")
+    write_text(folder / "table.tex", tabular(anatomy_cells(table), "lrrr"))
+    save(staircase(table, STEPS), folder / "figures", "anatomy")
     write_manifest(run, "lifting", records_of(run, "anatomy"), folder)
     print(f"\n{run.model}, {table['n_faces'].max()} test faces, mean ± standard error\n")
-    print(cells(table).to_string(index=False))
+    print(anatomy_cells(table).to_string(index=False))
     print(f"\nTables, figure and manifest: {folder}/")

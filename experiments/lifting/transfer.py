@@ -24,18 +24,17 @@ from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import centre, normalise
 from experiments.arguments import parse_run
 from experiments.build_key import is_done
-from experiments.face_models import FACE_MODELS, TITLES
+from experiments.face_models import TITLES
 from experiments.figures.across_models import across_models
 from experiments.figures.style import save
+from experiments.lifting.study_tables import left_out_notes, transfer_cells
 from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.methods import title
 from experiments.progress import Bar
 from experiments.recipes import deep_mds, fit_deep_mds, fit_lifter
 from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import call_single_threaded, single_threaded, stage
 from experiments.scoring.latex import tabular
-from experiments.scoring.numbers import plus_minus, power
 from experiments.scoring.tables import to_csv
 from experiments.streams import Stream
 
@@ -46,7 +45,6 @@ _MOST_NOISE_MM = 6.0  # in training
 # A component below it moves no landmark by what can be seen: the fit takes it for noise.
 _LEAST_SD_MM = 0.3
 _FACES_PER_TASK = 250
-_UNIT = 1e-5
 
 
 def tested_models(run: Run) -> tuple[dict[str, MorphableModel], list[str]]:
@@ -167,16 +165,6 @@ def measure(run: Run, models: dict[str, MorphableModel]) -> list[tuple]:
     return rows
 
 
-def cells(table: pd.DataFrame) -> pd.DataFrame:
-    """The table as it is read: a row a method and model, a column a noise."""
-    rows = []
-    for (tested, method), own in table.groupby(["tested", "method"], sort=False):
-        errors = [plus_minus(*values, _UNIT) for values in own[["mse", "sem"]].to_numpy()]
-        rows.append([TITLES[tested], title(method), *errors])
-    heads = [f"{noise:g} mm" for noise in dict.fromkeys(table["noise_mm"])]
-    return pd.DataFrame(rows, columns=["Tested on", f"MSE ({power(_UNIT)})", *heads])
-
-
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     folder = run.experiment_results("lifting/transfer")
@@ -189,15 +177,12 @@ def main(arguments: list[str] | None = None) -> None:
             record |= {"left_out": left_out, "rows": measure(run, models)}
     columns = ["trained", "tested", "noise_mm", "method", "mse", "sem", "n_faces"]
     table = pd.DataFrame(load_record(run, "transfer")["rows"], columns=columns)
-    notes = [
-        f"Not tested on {TITLES[name]}, which DATA= does not hold: {FACE_MODELS[name][1]}."
-        for name in left_out
-    ]
+    notes = left_out_notes(left_out)
     clear_results(folder)
     write_text(folder / "table.csv", to_csv(table))
-    write_text(folder / "table.tex", tabular(cells(table), "llrrr", notes))
+    write_text(folder / "table.tex", tabular(transfer_cells(table), "llrrr", notes))
     save(across_models(table), folder / "figures", "transfer")
     write_manifest(run, "lifting", records_of(run, "transfer"), folder)
     print(f"\ntrained on {TITLES[run.model]}, {table['n_faces'].max():,} test faces, by noise\n")
-    print(cells(table).to_string(index=False), *notes, sep="\n")
+    print(transfer_cells(table).to_string(index=False), *notes, sep="\n")
     print(f"\nTables, figure and manifest: {folder}/")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from experiments.lifting import hard_tables as tables
+from experiments.lifting.study_tables import anatomy_cells, transfer_cells
 from experiments.markup.markdown import Table
 from experiments.methods import METHODS, title
 from experiments.metrics import METRICS
@@ -55,6 +56,15 @@ def hard_tables(experiment: Experiment) -> list[Table]:
     first, *others = tables.HEADS
     captions = {first: " ".join(tables.remarks(table))} | {m: tables.HEADS[m] for m in others}
     return [Table(caption, tables.cells(table, m)) for m, caption in captions.items()]
+
+
+def study_table(experiment: Experiment) -> Table:
+    """Errors of the anatomy or of the transfer."""
+    caption, table = "Mean ± standard error.", experiment.table()
+    if experiment.base == "lifting/anatomy":
+        return Table(caption, anatomy_cells(table))
+    rows = transfer_cells(table)
+    return Table(caption, rows, words=tuple(rows.columns[:2]))
 
 
 def plain_table(experiment: Experiment) -> Table:

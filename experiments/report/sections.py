@@ -95,6 +95,8 @@ def _tables(experiment: Experiment) -> list[Table]:
         return [report_tables.ablation_table(experiment)]
     if experiment.base == "lifting/hard":
         return report_tables.hard_tables(experiment)
+    if experiment.base in ("lifting/anatomy", "lifting/transfer"):
+        return [report_tables.study_table(experiment)]
     if not experiment.compared:
         return [report_tables.plain_table(experiment)]
     return [

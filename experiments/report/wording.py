@@ -75,6 +75,17 @@ EXPERIMENTS = {
         "each method makes of them, and what no method can know. {test_faces} test faces; the face "
         "model is fitted to {fitted_faces}.",
     ),
+    "lifting/anatomy": (
+        "Anatomy of Deep-MDS",
+        "Its parts replaced one at a time by better ones, down to what no method can know; on the "
+        "first {audited_faces} test faces. The two dissimilarity nets that are told more are "
+        "trained here, on shuffled pairs.",
+    ),
+    "lifting/transfer": (
+        "Faces of another model",
+        "Trained on {train_faces} faces of this model and tested on {test_faces} of either open "
+        "one: with expressions, posed as in photos, with errors of the landmarks.",
+    ),
 }
 TABLES = {
     "seeds": "Over the seeds: median, mean, s.d. of a sample, and range.",
@@ -100,6 +111,8 @@ FIGURES = {
     "error_per_pose": "Error by projection and pose.",
     "error_per_expression": "Error by expression.",
     "scans": "Photos, scans, the landmarks found on them, and how far they are from the true ones.",
+    "anatomy": "Error step by step; what lies in the shaded part no method can know.",
+    "transfer": "Error by noise, on faces of either model.",
     "errors_by_yaw": "Error by yaw; below the dashed limit no method can be.",
     "errors_by_condition": "Error by noise, and by missing landmarks; dashed the limit.",
     "reliability": "Share of the true coordinates within intervals of their predicted s.d.",

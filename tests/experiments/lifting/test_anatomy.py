@@ -9,7 +9,8 @@ import runs
 
 from deepmds_keras.pipeline import DeepMDS
 from experiments.inputs import load_faces
-from experiments.lifting.anatomy import EMBEDDINGS, TITLES, distances, net_file
+from experiments.lifting.anatomy import distances, net_file
+from experiments.lifting.study_tables import EMBEDDINGS, STEPS
 from experiments.manifest import files_of, read_manifest
 from experiments.methods import load
 from experiments.presets import TINY
@@ -36,7 +37,7 @@ def run(folder):
 @pytest.fixture(scope="module")
 def errors(folder):
     table = pd.read_csv(runs.results(folder, "lifting/anatomy") / "table.csv")
-    assert {*table["step"]} == TITLES.keys() and {*table["embedding"]} == EMBEDDINGS.keys()
+    assert {*table["step"]} == STEPS.keys() and {*table["embedding"]} == EMBEDDINGS.keys()
     assert (table["n_faces"] == TINY.audited_faces).all()
     return table.set_index(["step", "embedding"])["mse"]
 
