@@ -215,6 +215,7 @@ def test_edges_that_are_hidden_or_against_something_near_are_left_out():
     assert len(alone.points) > 40  # it is seen where nothing hides it
 
 
+@pytest.mark.slow
 def test_edges_bring_the_outline_and_the_pose_nearer_to_the_truth(model, faces, detected, fits):
     identity, poses, _, _ = faces
     distances = []

@@ -112,6 +112,7 @@ def test_a_face_is_found_once_whatever_its_size(find_all, heads):
         assert len(find_all(scaled)) == 1
 
 
+@pytest.mark.slow
 def test_a_large_image_is_searched_when_made_smaller_and_marked_as_it_is(find, heads, monkeypatch):
     canvas = np.full((2500, 4900, 3), 255, np.uint8)
     large = canvas.copy()

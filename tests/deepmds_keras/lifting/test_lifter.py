@@ -244,6 +244,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
         clone(lifter).set_params(seed=4).fit(sample_faces, checkpoint=checkpoint)
 
 
+@pytest.mark.slow
 def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypatch, tiny):
     views, shapes, sd = sample_faces(60, np.random.default_rng(4))
     errors, now, path = iter([2.0, 1.0, 3.0]), [], tmp_path / "checkpoint.npz"
