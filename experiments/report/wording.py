@@ -82,7 +82,7 @@ EXPERIMENTS = {
         "trained here, on shuffled pairs.",
     ),
     "lifting/transfer": (
-        "Faces of another model",
+        "Transfer between face models",
         "Trained on {train_faces} faces of this model and tested on {test_faces} of either open "
         "one: with expressions, posed as in photos, with errors of the landmarks.",
     ),
