@@ -42,12 +42,14 @@ def errors(folder):
     return table.set_index(["step", "embedding"])["mse"]
 
 
+@pytest.mark.slow
 def test_first_step_is_the_method_as_it_is(run, errors):
     test = load_faces(run, "test")[: TINY.audited_faces]
     own = score(load(run, "ours_stable").predict(test.views), test).mse.mean()
     assert errors["deep_mds", "non_metric"] == pytest.approx(own, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_of_euclidean_distances_either_embedding_gives_the_shape_back(run, errors):
     test = load_faces(run, "test")[: TINY.audited_faces]
     own = score(load(run, "lifting").predict(test.views), test).mse.mean()
@@ -57,6 +59,7 @@ def test_of_euclidean_distances_either_embedding_gives_the_shape_back(run, error
     assert errors["limit", "none"] < own < errors["mean_shape", "none"]
 
 
+@pytest.mark.slow
 def test_folder_says_what_made_it(folder):
     results = runs.results(folder, "lifting/anatomy")
     made = read_manifest(results)
