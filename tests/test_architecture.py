@@ -84,3 +84,13 @@ def test_only_embedding_imports_mds():
 def test_embedding_alone_does_not_load_tensorflow():
     code = "import sys, deepmds_keras; deepmds_keras.embed; sys.exit('tensorflow' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_modules_with_tasks_do_not_load_tensorflow():
+    """A worker of a cluster reads them before it is told how TensorFlow is to run."""
+    modules = (ROOT / "experiments").rglob("*.py")
+    paths = [path for path in modules if "experiments.tasks.unordered" in imports(path)]
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
+    assert len(names) > 4
+    code = f"import sys, {', '.join(names)}; sys.exit('tensorflow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -12,13 +12,13 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_gen.datasets.dataset import load_dataset, make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.pipeline import DeepMDS
 from experiments.inputs import as_seen
 from experiments.progress import Bar
 from experiments.run import Run
@@ -26,6 +26,9 @@ from experiments.running import peak_memory_mb
 from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.tasks import unordered
+
+if TYPE_CHECKING:
+    from deepmds_keras.pipeline import DeepMDS
 
 # Those that take no longer to score than to read, beside the method itself.
 BESIDE = ("mean_shape", "linear")
@@ -141,4 +144,7 @@ def _model(name: str, data: str | None):
 @functools.cache
 def _method(networks: Path, digest: str) -> DeepMDS:
     """By the digest, since a worker of a cluster may live longer than the networks in a shard."""
+    # Here, since workers of a cluster read this module before they are told how it is to run.
+    from deepmds_keras.pipeline import DeepMDS
+
     return DeepMDS.load(networks).set_params(solver="batched", n_jobs=1)

@@ -41,7 +41,8 @@ def test_ablation_has_every_variant_and_criterion(audited):
     table = pd.read_csv(results(audited, "ablation") / "table.csv")
     assert {*table["variant"]} == TITLES.keys()
     assert {*table["metric"]} == {*METRICS}
-    assert (table["mean"] > 0).all()
+    # Of so few faces none may be frontal.
+    assert ((table["mean"] > 0) | (table["metric"] == "mse_frontal")).all()
     mse = table[table["metric"] == "mse"].set_index("variant")["mean"]
     assert mse["no_autoencoder"] > mse["same_face"], "posed views mislead the net"
     for name in (
