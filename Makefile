@@ -115,11 +115,11 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 # Two at a time: a stage keeps about a core busy.
 PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
 
-test: | $(READY) ## the tests, but for what takes long                (13 min)
+test: | $(READY) ## the tests, but for what takes long                (5 min)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
 	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
-nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1 h)
+nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1.5 h)
 	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
 	KILLS=30 FUZZ=10 $(PYTEST)
 
