@@ -87,7 +87,7 @@ def test_a_stage_that_was_killed_goes_on_and_a_second_run_does_nothing(tmp_path)
     while stage.wait(0.2) is None and len([*networks.glob("*.npz")]) < 2:
         pass
     stage.kill()
-    stage.wait()
+    stage.done()
     assert not runs.results(killed, hard.FOLDER).exists()
     kept = {path: path.stat().st_mtime_ns for path in networks.glob("*.npz")}
     runs.succeed("hard", killed, "--jobs", "1")
