@@ -6,13 +6,11 @@ non-metric MDS of the method and through metric MDS.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.embedding import embed, metric_embed
@@ -29,11 +27,12 @@ from experiments.methods import load
 from experiments.progress import Bar, EpochBar
 from experiments.records import load_record, write_text
 from experiments.run import Run
-from experiments.running import peak_memory_mb, quiet_tensorflow, stage
+from experiments.running import stage
 from experiments.scoring.latex import tabular
 from experiments.scoring.scores import score
 from experiments.scoring.tables import to_csv
 from experiments.streams import Stream
+from experiments.trainings import side_by_side
 
 _METHOD = "ours_stable"
 _NAMED, _SEEING = "landmarks_known", "whole_view"
@@ -56,18 +55,11 @@ def train(run: Run) -> list[int]:
     Returns:
         Peak memory of each process, MB.
     """
-    with parallel_config("loky"):  # training ends with this process, on this machine
-        jobs = min(2, effective_n_jobs(run.jobs))
-        steps = (_NAMED, _SEEING)
-        memory = Parallel(jobs)(delayed(_train)(run, step, os.getpid()) for step in steps)
-    return memory if jobs > 1 else []
+    return side_by_side(run.jobs, _train, [(run, step) for step in (_NAMED, _SEEING)])[1]
 
 
-def _train(run: Run, step: str, parent: int) -> int:
-    quiet_tensorflow()
-    EpochBar.parent = parent
+def _train(run: Run, step: str) -> None:
     _net(run, step)
-    return peak_memory_mb()
 
 
 def _net(run: Run, step: str):

@@ -7,15 +7,13 @@ the paper. All come from the sampler of the condition.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.lifting import LandmarkLifter
@@ -28,11 +26,11 @@ from experiments.lifting.views import (
     sample_training,
     training_faces,
 )
-from experiments.progress import EpochBar
-from experiments.recipes import fit_deep_mds, fit_lifter
+from experiments.methods import METHODS
+from experiments.recipes import deep_mds, fit_deep_mds, fit_lifter
 from experiments.records import write_json
 from experiments.run import Run
-from experiments.running import peak_memory_mb, quiet_tensorflow
+from experiments.trainings import side_by_side
 
 if TYPE_CHECKING:
     from deepmds_keras.pipeline import DeepMDS
@@ -102,15 +100,10 @@ def train(run: Run) -> list[int]:
         Peak memory of each process, MB.
     """
     todo = [training for training in trainings(run) if not training.file(run).exists()]
-    with parallel_config("loky"):  # training ends with this process, on this machine
-        jobs = min(max(len(todo), 1), effective_n_jobs(run.jobs))
-        memory = Parallel(jobs)(delayed(_train)(run, training, os.getpid()) for training in todo)
-    return sorted(memory)[-jobs:]  # a process trains one after the other, and only ever grows
+    return side_by_side(run.jobs, _train, [(run, training) for training in todo])[1]
 
 
-def _train(run: Run, training: Training, parent: int) -> int:
-    quiet_tensorflow()
-    EpochBar.parent = parent
+def _train(run: Run, training: Training) -> None:
     checkpoint = run.work / "hard" / "checkpoints" / training.id
     goes_on, start = checkpoint.exists(), time.perf_counter()
     checkpoint.mkdir(parents=True, exist_ok=True)
@@ -122,21 +115,11 @@ def _train(run: Run, training: Training, parent: int) -> int:
     described = {"seconds": seconds, "n_parameters": int(network.n_parameters)}
     write_json(training.file(run, "json"), described)
     network.save(training.file(run))
-    return peak_memory_mb()
 
 
 def _train_deep_mds(run: Run, training: Training, checkpoint: Path) -> DeepMDS:
-    from deepmds_keras.pipeline import DeepMDS
-
-    faces, preset = training_faces(run, training.condition), run.preset
-    model = DeepMDS(
-        faces.views.shape[1],
-        schedule="cosine",
-        autoencoder_epochs=preset.autoencoder_epochs,
-        dissimilarity_epochs=preset.dissimilarity_epochs,
-        dissimilarity_steps=preset.dissimilarity_steps,
-        seed=training.seed,
-    )
+    model = deep_mds(replace(run, seed=training.seed), *METHODS[DEEP_MDS].deep_mds)
+    faces = training_faces(run, training.condition)
     return fit_deep_mds(model, faces.views, faces.shapes, checkpoint=checkpoint)
 
 

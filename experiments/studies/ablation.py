@@ -7,10 +7,8 @@ its short connection, the method without its autoencoder, and both networks trai
 from __future__ import annotations
 
 import json
-import os
 
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
@@ -22,12 +20,13 @@ from experiments.inputs import load_faces
 from experiments.manifest import MANIFEST, clear_results, records_of, write_manifest
 from experiments.records import write_text
 from experiments.run import Run
-from experiments.running import peak_memory_mb, stage
+from experiments.running import stage
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import score, subsets
 from experiments.scoring.tables import to_csv
 from experiments.studies.variants import TITLES, VARIANTS, Variant, fewer_faces
+from experiments.trainings import side_by_side
 
 METRICS = (
     "loss_train", "loss_inference", "mse", "mse_sem", "mse_frontal", "mse_posed", "depth_corr",
@@ -65,19 +64,15 @@ def train(run: Run) -> list[int]:
         Peak memory of each process, MB.
     """
     todo = [item for item in trainings(run) if not item[0].file(run, item[1]).exists()]
-    with parallel_config("loky"):  # training ends with this process, on this machine
-        jobs = min(max(len(todo), 1), effective_n_jobs(run.jobs))
-        memory = Parallel(jobs)(delayed(_train)(run, *item, os.getpid()) for item in todo)
-    return sorted(memory)[-jobs:]  # a process trains one after the other, and only ever grows
+    return side_by_side(run.jobs, _train, [(run, *item) for item in todo])[1]
 
 
-def _train(run: Run, variant: Variant, seed: int, parent: int) -> int:
+def _train(run: Run, variant: Variant, seed: int) -> None:
     from experiments.studies.variant_training import (
         train_and_score,  # only these processes load TensorFlow
     )
 
-    train_and_score(run, variant, seed, parent)
-    return peak_memory_mb()
+    train_and_score(run, variant, seed)
 
 
 def collected(run: Run) -> tuple[pd.DataFrame, pd.DataFrame]:

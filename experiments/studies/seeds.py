@@ -6,12 +6,10 @@ run of `make reproduce-bfm SEED=…` cut down to two methods, whose files that c
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.weights import checkpoint_files
@@ -30,6 +28,7 @@ from experiments.scoring.scores import load_prediction, score
 from experiments.scoring.tables import to_csv
 from experiments.tracks.bfm.faces import make_faces
 from experiments.tracks.networks import train_chain
+from experiments.trainings import side_by_side
 
 _COMPARED = ("ours", "ours_stable")
 
@@ -42,9 +41,7 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
     """
     from experiments.tracks.predictions import predict
 
-    with parallel_config("loky"):  # training ends with this process, on this machine
-        jobs = min(len(_COMPARED), effective_n_jobs(run.jobs))
-        Parallel(jobs)(delayed(train_chain)(run, (method,), os.getpid()) for method in _COMPARED)
+    side_by_side(run.jobs, train_chain, [(run, (method,)) for method in _COMPARED])
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
     for method in _COMPARED:

@@ -14,7 +14,6 @@ from experiments.methods import load
 from experiments.progress import EpochBar
 from experiments.records import write_json
 from experiments.run import Run
-from experiments.running import quiet_tensorflow
 from experiments.scoring.scores import score, subsets
 from experiments.studies.variants import Variant
 
@@ -22,17 +21,14 @@ _AUTOENCODER_BATCH = 16
 _METHODS = {"constant": "ours", "cosine": "ours_stable"}
 
 
-def train_and_score(run: Run, variant: Variant, seed: int, parent: int) -> None:
+def train_and_score(run: Run, variant: Variant, seed: int) -> None:
     """Write the losses of a variant's dissimilarity net, and its errors on the first test subset.
 
     Args:
         run: The run, whose faces and networks are made.
         variant: What to change.
         seed: Of the initial weights and the order of what is changed.
-        parent: Process on whose behalf this one trains.
     """
-    quiet_tensorflow()
-    EpochBar.parent = parent
     train, test = load_faces(run, "train"), load_faces(run, "test")
     train = train[slice(variant.faces)]
     encoder = _encoder(run, variant, train, seed)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 
 from experiments.arguments import parse_run
 from experiments.methods import METHODS, methods_of
-from experiments.progress import EpochBar
 from experiments.run import Run
-from experiments.running import peak_memory_mb, quiet_tensorflow, stage
+from experiments.running import stage
+from experiments.trainings import side_by_side
 
 
 def chains(run: Run) -> list[list[str]]:
@@ -27,27 +25,20 @@ def chains(run: Run) -> list[list[str]]:
 
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
-    # A chain ends with this process, and so has to be on this machine.
-    with stage(run, "networks") as record, parallel_config("loky"):
-        todo = chains(run)
-        jobs = min(len(todo), effective_n_jobs(run.jobs))
-        done = Parallel(jobs)(delayed(train_chain)(run, chain, os.getpid()) for chain in todo)
-        if jobs > 1:
-            record["processes_mb"] = [memory for *_, memory in done]
-        record["final_rms_error"] = {k: v for errors, *_ in done for k, v in errors.items()}
-        record["training_seconds"] = {k: v for _, taken, _ in done for k, v in taken.items()}
+    with stage(run, "networks") as record:
+        todo = [(run, chain) for chain in chains(run)]
+        done, record["processes_mb"] = side_by_side(run.jobs, train_chain, todo)
+        record["final_rms_error"] = {k: v for errors, _ in done for k, v in errors.items()}
+        record["training_seconds"] = {k: v for _, taken in done for k, v in taken.items()}
 
 
-def train_chain(run: Run, methods: Sequence[str], parent: int) -> tuple[dict, dict, int]:
-    """Train methods in turn, in the process `parent` or in one of its own that ends with it.
+def train_chain(run: Run, methods: Sequence[str]) -> tuple[dict, dict]:
+    """Train methods in turn.
 
     Returns:
-        Root of the last losses of the paper's method by network and mode, seconds of each method
-        (of what earlier ones, or a run that was stopped, had not trained), and the process's peak
-        memory in MB.
+        Root of the last losses of the paper's method by network and mode, and seconds of each
+        method (of what earlier ones, or a run that was stopped, had not trained).
     """
-    quiet_tensorflow()
-    EpochBar.parent = parent
     errors, seconds = {}, {}
     for method in methods:
         clock = time.perf_counter()
@@ -57,4 +48,4 @@ def train_chain(run: Run, methods: Sequence[str], parent: int) -> tuple[dict, di
             errors[f"{method}/{network}"] = {
                 mode: round(float(np.sqrt(loss[-1])), 6) for mode, loss in losses.items()
             }
-    return errors, seconds, peak_memory_mb()
+    return errors, seconds
