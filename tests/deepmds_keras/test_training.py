@@ -45,9 +45,8 @@ def whole(faces, tmp_path_factory):
     return *autoencoder(faces, checkpoint=path), path
 
 
-@pytest.mark.parametrize(
-    "train", [autoencoder, pytest.param(dissimilarity_net, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("train", [autoencoder, dissimilarity_net])
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path, request, train):
     def stop_after_the_second(losses, epochs=[]):  # noqa: B006 (counts the calls)
         epochs.append(losses)

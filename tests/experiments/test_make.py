@@ -252,6 +252,7 @@ def test_a_path_that_does_not_exist_is_refused_whatever_is_done(run, capsys, opt
     assert said.startswith(f"error: --{option} must be") and "/nonexistent" in said
 
 
+@pytest.mark.slow
 def test_unusable_weights_of_the_authors_are_found_before_the_long_work(tmp_path):
     command = [sys.executable, "-m", "experiments", "make"]
     command += runs.arguments("reproduce-bfm", tmp_path)

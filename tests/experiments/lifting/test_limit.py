@@ -62,7 +62,9 @@ def test_the_limit_grows_with_noise_and_with_missing_landmarks(run):
     assert noise[1] < missing[0] < missing[1]
 
 
-@pytest.mark.parametrize("name", ["paper_0", "hard_1_missing_50"])
+@pytest.mark.parametrize(
+    "name", ["hard_1_missing_50", pytest.param("paper_0", marks=pytest.mark.slow)]
+)
 def test_every_method_is_above_the_limit(run, name):
     faces, best = hard_faces(run, BY_ID[name]), errors(run, name).mean()
     truth = normalise(faces.shapes)

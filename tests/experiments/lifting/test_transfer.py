@@ -15,6 +15,8 @@ from experiments.presets import TINY
 from experiments.run import Run
 from experiments.streams import Stream
 
+pytestmark = pytest.mark.slow
+
 METHODS = ["mean_shape", "linear", "aldrian", "ours_stable", "lifting"]
 
 

@@ -84,6 +84,7 @@ def test_without_mobileface_the_rest_is_the_same(whole, tmp_path):
     pd.testing.assert_frame_equal(rest, table.loc[rest.index], check_exact=True)
 
 
+@pytest.mark.slow
 def test_the_released_evaluator_scores_the_same_predictions(whole):
     done = run("bfm", whole, "--evaluator", "released")
     assert done.returncode == 0, done.stderr
