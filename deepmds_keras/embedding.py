@@ -84,6 +84,12 @@ def embed(
     return (points, stress) if return_stress else points
 
 
+def pairwise_distances(points: np.ndarray) -> np.ndarray:
+    """Euclidean distances of all pairs of points: `(…, L, d)` → `(…, L, L)`, double precision."""
+    points = np.asarray(points, float)
+    return np.linalg.norm(points[..., :, None, :] - points[..., None, :, :], axis=-1)
+
+
 def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
     """Classical (Torgerson) scaling of each matrix: `(n, L, L)` → `(n, L, n_components)`.
 

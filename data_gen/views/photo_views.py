@@ -20,7 +20,7 @@ YAW, PITCH, ROLL, FIELD_OF_VIEW = 50.0, 25.0, 30.0, 25.0
 DETECTOR_SD_MM = 3.0
 
 
-def draw_photo_views(
+def sample_photo_views(
     model: MorphableModel,
     scheme: str,
     n: int,

@@ -20,13 +20,13 @@ from experiments.figures import audit_curves as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
-from experiments.records import write_json, write_text
+from experiments.records import write_json
 from experiments.running import stage
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.verdicts import counted, phrase
 
 POSES = ("yaw", "pitch", "roll", "field_of_view")
-DISTURBANCES = ("noise_percent", "missing_percent")
+PERTURBATIONS = ("noise_percent", "missing_percent")
 # Of the views of the paper, section "Datasets"; see `data_gen.views.projections.sample_cameras`.
 TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view": (0, 5)}
 
@@ -69,7 +69,7 @@ def curves_of(numbers: Mapping[str, Mapping]) -> pd.DataFrame:
 def draw(numbers: Mapping[str, Mapping], curves: pd.DataFrame, folder: Path) -> None:
     """Write every figure."""
     save(figures.error_curves(curves, POSES, TRAINED), folder, "poses")
-    save(figures.error_curves(curves, DISTURBANCES, {}), folder, "perturbations")
+    save(figures.error_curves(curves, PERTURBATIONS, {}), folder, "perturbations")
     save(figures.spectra(numbers["dissimilarity"]["spectra"]), folder, "spectra")
     save(figures.timings(pd.DataFrame(numbers["complexity"]["timings"])), folder, "timings")
     save(figures.bias(numbers["bias"]["bias"]), folder, "bias")
@@ -84,8 +84,8 @@ def main(arguments: list[str] | None = None) -> None:
         record["tables"] = inputs.tables
         clear_results(folder)
         curves = curves_of(numbers)
-        write_text(folder / "claims.csv", to_csv(table))
-        write_text(folder / "curves.csv", to_csv(curves))
+        write_csv(folder / "claims.csv", table)
+        write_csv(folder / "curves.csv", curves)
         draw(numbers, curves, folder / "figures")
     write_manifest(run, "audit", records_of(inputs.run, "audit"), folder)
     together = combine(run.model_results.parent, TITLES)

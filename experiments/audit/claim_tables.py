@@ -14,7 +14,7 @@ from experiments.markup.markdown import markdown
 from experiments.records import write_text
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import NOTHING
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.verdicts import VERDICTS, listed, read_claims, side_by_side
 
 COLUMNS = ("id", "where", "claim", "check", "model", "verdict", "condition", "evidence")
@@ -53,7 +53,7 @@ def combine(root: Path, names: Mapping[str, str]) -> Path:
     files = [root / model / "audit" / "claims.csv" for model in names]
     table = _sorted(pd.concat([read_claims(path) for path in files if path.exists()]))
     folder = root / "audit"
-    write_text(folder / "claims.csv", to_csv(table))
+    write_csv(folder / "claims.csv", table)
     page = markdown("markup/claims_page.md.j2", of=listed(table, names))
     write_text(folder / "claims.md", page)
     write_text(folder / "claims.tex", latex(table, names))

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepmds_keras.alignment import align, is_mirrored
-from deepmds_keras.embedding import check_dissimilarities, classical_scaling, embed
+from deepmds_keras.embedding import (
+    check_dissimilarities,
+    classical_scaling,
+    embed,
+    pairwise_distances,
+)
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
@@ -186,13 +191,8 @@ def eigenvalues(dissimilarities: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, order, 1) / np.abs(values).sum(1, keepdims=True)
 
 
-def distances(points: np.ndarray) -> np.ndarray:
-    """Of all pairs: `(n, L, d)` → `(n, L, L)`."""
-    return np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-
-
 def _from_exact(shapes, mean_shapes):
-    exact = distances(shapes)
+    exact = pairwise_distances(shapes)
     non_metric = embed(exact)
     unreflected = mse(align(non_metric, shapes, reflection=False), shapes)
     return {
@@ -206,7 +206,11 @@ def _from_exact(shapes, mean_shapes):
 
 def _of_learnt(learnt, frontal, shapes):
     learnt = check_dissimilarities(np.abs(learnt))
-    matrices = {_TRUE: distances(shapes), _LEARNT: learnt, _FRONTAL: distances(frontal)}
+    matrices = {
+        _TRUE: pairwise_distances(shapes),
+        _LEARNT: learnt,
+        _FRONTAL: pairwise_distances(frontal),
+    }
     shares = {name: eigenvalues(own) for name, own in matrices.items()}
     roots = np.sqrt(matrices[_FRONTAL])
     in_a_plane = np.pad(classical_scaling(learnt, 2), ((0, 0), (0, 0), (0, 1)))
@@ -234,7 +238,7 @@ def _ranks(shapes, rng):
     few = rng.standard_normal((_CLOUDS, _FEW_POINTS, _MANY_DIMENSIONS))
     rows, residual = [], 0.0
     for points in (*clouds, shapes):
-        matrices, n_dimensions = distances(points), points.shape[-1]
+        matrices, n_dimensions = pairwise_distances(points), points.shape[-1]
         back = align(classical_scaling(matrices, n_dimensions), points)
         residual = max(residual, np.mean((back - points) ** 2) / _variance(points).mean())
         rows.append(
@@ -248,8 +252,8 @@ def _ranks(shapes, rng):
     return {
         "ranks": rows,
         "residual": float(residual),
-        "flat_rank": _rank(doubly_centred(distances(shapes * (1, 1, 0)))),
-        "few_points_rank": _rank(doubly_centred(distances(few))),
+        "flat_rank": _rank(doubly_centred(pairwise_distances(shapes * (1, 1, 0)))),
+        "few_points_rank": _rank(doubly_centred(pairwise_distances(few))),
     }
 
 
@@ -267,7 +271,7 @@ def _classes(model, faces, rng):
 
 
 def _class_errors(model, shapes):
-    exact = distances(shapes)
+    exact = pairwise_distances(shapes)
     learnt = np.zeros_like(exact)
     first, second = np.triu_indices(shapes.shape[1], 1)
     learnt[:, first, second] = np.abs(net_outputs(model, shapes[..., :2]))

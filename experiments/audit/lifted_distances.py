@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from deepmds_keras.alignment import align
-from deepmds_keras.embedding import embed
+from deepmds_keras.embedding import embed, pairwise_distances
 from deepmds_keras.metrics import mse
-from experiments.audit.dissimilarity import distances
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds
 from experiments.methods import title
@@ -30,7 +29,7 @@ def measure(inputs: Inputs) -> dict:
     """
     test = inputs.test[inputs.audited]
     shapes = inputs.method("lifting").predict(test.views).astype(float)
-    points, stress = embed(distances(shapes), return_stress=True)
+    points, stress = embed(pairwise_distances(shapes), return_stress=True)
     truth = test.shapes.astype(float)
     learnt = np.abs(inputs.method("ours").dissimilarities(test.views))
     return {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import sem
 
 from deepmds_keras.landmarks import LandmarkScheme
 from deepmds_keras.normalisation import normalise
@@ -38,7 +39,7 @@ def measure(inputs: Inputs) -> dict:
         for percent, own in noisy.items():
             mse = mean_errors(inputs.method(method), own, test)
             row = {"sweep": _SWEEP, "value": percent, "method": method, "mse": float(mse.mean())}
-            curves.append(row | {"sem": float(mse.std(ddof=1) / np.sqrt(len(mse)))})
+            curves.append(row | {"sem": float(sem(mse))})
     return {"n_faces": len(views), "curves": curves}
 
 

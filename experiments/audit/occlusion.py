@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.stats import sem
 
 from data_gen.views.hidden import hidden_by_head
 from deepmds_keras.normalisation import normalise
@@ -169,8 +170,7 @@ def _thin(inputs: Inputs, faces: np.ndarray, models: dict, fillers: dict) -> lis
         for name, put in fillers.items():
             for method, mse in _errors(models, put(views, missing), truth).items():
                 row = {"sweep": SWEEPS[name], "value": percent, "method": method}
-                sem = mse.std(ddof=1) / len(mse) ** 0.5
-                curves.append(row | {"mse": float(mse.mean()), "sem": float(sem)})
+                curves.append(row | {"mse": float(mse.mean()), "sem": float(sem(mse))})
     return curves
 
 

@@ -6,6 +6,7 @@ import copy
 
 import numpy as np
 import pandas as pd
+from scipy.stats import sem
 
 from data_gen.views.projections import PROJECTIONS, Cameras, project
 from deepmds_keras.alignment import align
@@ -225,10 +226,11 @@ def _curves(models: dict, views: dict[str, np.ndarray], truth: Faces) -> list[di
         faces = np.tile(np.arange(len(truth.shapes)), len(values))
         for method, model in models.items():
             mse = score(model.predict(views[sweep]), truth[faces]).mse.reshape(len(values), -1)
-            sem = mse.std(1, ddof=1) / np.sqrt(mse.shape[1])
             curves += [
                 {"sweep": sweep, "value": value, "method": method, "mse": mean, "sem": own}
-                for value, mean, own in zip(values, mse.mean(1).tolist(), sem.tolist(), strict=True)
+                for value, mean, own in zip(
+                    values, mse.mean(1).tolist(), sem(mse, axis=1).tolist(), strict=True
+                )
             ]
     return curves
 

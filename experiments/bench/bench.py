@@ -18,11 +18,10 @@ from experiments.figures import bench_times as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
-from experiments.records import write_text
 from experiments.run import Run
 from experiments.running import single_threaded, stage
 from experiments.scoring.numbers import factor
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 
 _ONE_THREAD = {"TF_NUM_INTRAOP_THREADS": "1", "TF_NUM_INTEROP_THREADS": "1"}
 
@@ -40,9 +39,9 @@ def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
     """Rows of all but the training steps, the solvers' agreement, and the face model's hash."""
     # TensorFlow reads how many threads it may use when it is loaded.
     from experiments.bench import agreement, growth, parts
-    from experiments.bench.workload import make_material
+    from experiments.bench.workload import make_workload
 
-    workload = make_material(run)
+    workload = make_workload(run)
     # The growth with faces is last: what was measured before tells which rows would take too long.
     pieces = {
         "parts": parts.comparisons,
@@ -79,8 +78,8 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "bench") as record:
         table, agreed, record["model_sha256"] = measure_all(run)
         clear_results(folder)
-        write_text(folder / "bench.csv", to_csv(table))
-        write_text(folder / "agreement.csv", to_csv(agreed))
+        write_csv(folder / "bench.csv", table)
+        write_csv(folder / "agreement.csv", agreed)
         save(figures.bench(table), folder / "figures", "bench")
     write_manifest(run, "bench", records_of(run, "bench"), folder)
     print(f"\n{summary(table)}\n\n{agreed.to_string(index=False)}")

@@ -20,12 +20,12 @@ def in_own_process(run: Run) -> list[dict]:
 def training_steps(run: Run) -> list[dict]:
     """`in_own_process` in this one."""
     from experiments.bench import steps
-    from experiments.bench.workload import make_material
+    from experiments.bench.workload import make_workload
 
     quiet_tensorflow()
     passes, rows = run.preset.bench_passes, []
     with Bar(desc="bench, training", unit="row") as bar:
-        for ways in steps.comparisons(make_material(run)):
+        for ways in steps.comparisons(make_workload(run)):
             rows += measure("training", ways, passes)
             bar.update(len(ways))
     return rows

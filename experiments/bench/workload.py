@@ -66,7 +66,7 @@ class Workload:
         return np.random.default_rng([self.run.seed, Stream.BENCH, *numbers])
 
 
-def make_material(run: Run) -> Workload:
+def make_workload(run: Run) -> Workload:
     """Random faces of the run's model, and what the shipped weights make of them."""
     model = load_model(run.model, run.data, SCHEME)
     networks = DeepMDS.pretrained(WEIGHTS)

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.stats import sem
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.embedding import embed, metric_embed
+from deepmds_keras.embedding import embed, metric_embed, pairwise_distances
 from experiments.arguments import parse_run
 from experiments.build_key import is_done, needs_of
 from experiments.figures.staircase import staircase
@@ -30,7 +31,7 @@ from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.latex import tabular
 from experiments.scoring.scores import score
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.streams import Stream
 from experiments.trainings import side_by_side
 
@@ -91,13 +92,8 @@ def dissimilarities(run: Run, test: Faces) -> Iterator[tuple[str, np.ndarray]]:
     yield "true_frontal", net_dissimilarities(net, test.shapes[..., :2], test.views)
     for step in (_NAMED, _SEEING):
         yield step, net_dissimilarities(_net(run, step), frontal, test.views)
-    yield "lifting", distances(load(run, "lifting").predict(test.views))
-    yield "true_distances", distances(test.shapes)
-
-
-def distances(shapes: np.ndarray) -> np.ndarray:
-    """Euclidean distances of all landmarks: `(n, L, 3)` → `(n, L, L)`."""
-    return np.linalg.norm(shapes[:, :, None].astype(float) - shapes[:, None], axis=-1)
+    yield "lifting", pairwise_distances(load(run, "lifting").predict(test.views))
+    yield "true_distances", pairwise_distances(test.shapes)
 
 
 def measure(run: Run) -> list[tuple]:
@@ -131,8 +127,7 @@ def measure(run: Run) -> list[tuple]:
 
 
 def _row(step: str, embedding: str, mse: np.ndarray) -> tuple:
-    sem = mse.std(ddof=1) / len(mse) ** 0.5
-    return step, embedding, float(mse.mean()), float(sem), len(mse)
+    return step, embedding, float(mse.mean()), float(sem(mse)), len(mse)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -145,7 +140,7 @@ def main(arguments: list[str] | None = None) -> None:
     columns = ["step", "embedding", "mse", "sem", "n_faces"]
     table = pd.DataFrame(load_record(run, "anatomy")["rows"], columns=columns)
     clear_results(folder)
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", tabular(anatomy_cells(table), "lrrr"))
     save(staircase(table, STEPS), folder / "figures", "anatomy")
     write_manifest(run, "lifting", records_of(run, "anatomy"), folder)

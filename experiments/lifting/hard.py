@@ -58,7 +58,7 @@ from experiments.progress import Bar
 from experiments.records import write_text
 from experiments.run import Run
 from experiments.running import stage
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.streams import Stream
 from experiments.tasks import unordered
 
@@ -141,7 +141,7 @@ def write(run: Run, folder: Path) -> None:
         ("by_yaw", curves),
         ("calibration", levels),
     ):
-        write_text(folder / f"{name}.csv", to_csv(rows))
+        write_csv(folder / f"{name}.csv", rows)
     write_text(folder / "table.tex", latex(table))
     draw(table, curves, levels, folder / "figures")
 

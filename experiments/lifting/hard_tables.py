@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
+from scipy.stats import sem
 
 from data_gen.views.projections import HARD_YAW
 from experiments.lifting.calibration import NOMINAL, WITHIN
@@ -186,8 +187,7 @@ def remarks(table: pd.DataFrame) -> list[str]:
 
 def _mean(values: np.ndarray) -> tuple[float, float, int]:
     """Mean, its standard error, and of how many."""
-    n = len(values)
-    return values.mean(), values.std(ddof=1) / np.sqrt(n), n
+    return values.mean(), sem(values), len(values)
 
 
 def _limit(errors: Mapping[Cell, np.ndarray], cell: Cell) -> np.ndarray:

@@ -11,10 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from scipy.stats import sem
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model, model_files
-from data_gen.views.photo_views import draw_photo_views
+from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
@@ -35,7 +36,7 @@ from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import call_single_threaded, single_threaded, stage
 from experiments.scoring.latex import tabular
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.streams import Stream
 
 NOISES_MM = (0.0, 1.0, 3.0)
@@ -68,7 +69,9 @@ def training_faces(run: Run, model: MorphableModel) -> tuple[np.ndarray, np.ndar
     """
     rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
     sd = _MOST_NOISE_MM * rng.random(run.preset.train_faces) ** 2
-    views, shapes, _ = draw_photo_views(model, _SCHEME, len(sd), rng, detector_sd=sd[:, None, None])
+    views, shapes, _ = sample_photo_views(
+        model, _SCHEME, len(sd), rng, detector_sd=sd[:, None, None]
+    )
     return views, shapes, sd
 
 
@@ -152,14 +155,13 @@ def measure(run: Run, models: dict[str, MorphableModel]) -> list[tuple]:
             for noise in NOISES_MM:
                 # The same faces, and the same errors but for their size.
                 rng = np.random.default_rng([run.seed, Stream.TRANSFER_TESTS])
-                views, shapes, _ = draw_photo_views(
+                views, shapes, _ = sample_photo_views(
                     model, _SCHEME, run.preset.test_faces, rng, detector_sd=noise
                 )
                 truth = normalise(shapes)
                 for method, found in trained.predict(views, noise):
                     error = mse(align(found, truth), truth)
-                    sem = error.std(ddof=1) / len(error) ** 0.5
-                    values = float(error.mean()), float(sem), len(error)
+                    values = float(error.mean()), float(sem(error)), len(error)
                     rows.append((run.model, name, noise, method, *values))
                     bar.update()
     return rows
@@ -179,7 +181,7 @@ def main(arguments: list[str] | None = None) -> None:
     table = pd.DataFrame(load_record(run, "transfer")["rows"], columns=columns)
     notes = left_out_notes(left_out)
     clear_results(folder)
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", tabular(transfer_cells(table), "llrrr", notes))
     save(across_models(table), folder / "figures", "transfer")
     write_manifest(run, "lifting", records_of(run, "transfer"), folder)

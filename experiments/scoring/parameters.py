@@ -12,7 +12,7 @@ from experiments.records import write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import NOTHING
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 
 _LEGEND = (
     "Paper: quoted from Kamyab and Azimifar. Total: with the moving "
@@ -85,7 +85,7 @@ def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
     """Write `table.csv` and `table.tex` into `results/<model>/parameters`."""
     folder = run.model_results / "parameters"
     table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table))
 
 

@@ -106,9 +106,9 @@ def write_tables(
         What `table.csv` holds.
     """
     table = summarise(metrics, experiment, notes, subset_size=subset_size, beside=beside)
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
-    write_text(folder / "wilcoxon.csv", to_csv(wilcoxon_tests(metrics, per_face)))
+    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face))
     return table
 
 
@@ -135,9 +135,10 @@ def wilcoxon_tests(
     return pd.concat([f for f in frames if len(f)] or frames[:1], ignore_index=True)
 
 
-def to_csv(table: pd.DataFrame) -> str:
-    """CSV with eight significant digits, alike on every system."""
-    return table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+def write_csv(path: Path, table: pd.DataFrame) -> None:
+    """Write CSV with eight significant digits, alike on every system."""
+    text = table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    write_text(path, text)
 
 
 def _checked(metrics: pd.DataFrame) -> pd.DataFrame:

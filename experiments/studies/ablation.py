@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 
 import pandas as pd
+from scipy.stats import sem
 
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
@@ -24,7 +25,7 @@ from experiments.running import stage
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import score, subsets
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.studies.variants import TITLES, VARIANTS, Variant, fewer_faces
 from experiments.trainings import side_by_side
 
@@ -112,7 +113,7 @@ def training_curve(run: Run, table: pd.DataFrame) -> pd.DataFrame:
         for method, model in (("mean_shape", MeanShape()), ("linear", Linear())):
             model.fit(train.views[:n], train.shapes[:n])
             mse = score(model.predict(tested.views), tested).mse
-            rows.append((n, method, mse.mean(), mse.std(ddof=1) / len(mse) ** 0.5))
+            rows.append((n, method, mse.mean(), sem(mse)))
     found = table[table["seed"] == run.seed].pivot(
         index=["variant", "faces"], columns="metric", values="value"
     )
@@ -162,7 +163,7 @@ def write(run: Run) -> None:
         ("table", table),
         ("curves", curve),
     ):
-        write_text(folder / f"{name}.csv", to_csv(rows))
+        write_csv(folder / f"{name}.csv", rows)
     write_text(folder / "table.tex", latex(table))
     in_batches = losses[losses["variant"].isin(_IN_BATCHES)]
     save(mini_batches(in_batches), folder / "figures", "mini_batches")

@@ -16,7 +16,7 @@ import pandas as pd
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from data_gen.views.photo_views import DETECTOR_SD_MM, draw_photo_views
+from data_gen.views.photo_views import DETECTOR_SD_MM, sample_photo_views
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
@@ -61,7 +61,7 @@ def measure(
     for views_are, sd in (("detected", _ERRORS_MM[scheme]), ("exact", 0.0)):
         rng = np.random.default_rng(seed)
         n = run.preset.test_faces
-        views, shapes, _ = draw_photo_views(model, scheme, n, rng, detector_sd=sd)
+        views, shapes, _ = sample_photo_views(model, scheme, n, rng, detector_sd=sd)
         truth = normalise(shapes)
         for method, fitted in methods.items():
             error = mse(align(fitted.predict(normalise(centre(views))), truth), truth)
@@ -84,7 +84,7 @@ def make(run: Run, number: int, scheme: str) -> tuple[Path, list[dict], str]:
     seed = [run.seed, Stream.PRETRAINED, number]
     rng = np.random.default_rng([*seed, 0])
     n, sd = run.preset.train_faces, _ERRORS_MM[scheme]
-    views, shapes, _ = draw_photo_views(model, scheme, n, rng, detector_sd=sd)
+    views, shapes, _ = sample_photo_views(model, scheme, n, rng, detector_sd=sd)
     deep_mds = train(run, views, shapes)
     path = run.work / "pretrained" / f"{run.model}-{scheme}.npz"
     deep_mds.save(path)

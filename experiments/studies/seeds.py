@@ -21,11 +21,11 @@ from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
 from experiments.manifest import clear_results, write_manifest
 from experiments.methods import DEEP_MDS, METHODS, load, title
-from experiments.records import load_record, write_text
+from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.scores import load_prediction, score
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.tracks.bfm.faces import make_faces
 from experiments.tracks.networks import train_chain
 from experiments.trainings import side_by_side
@@ -113,9 +113,9 @@ def main(arguments: list[str] | None = None) -> None:
     metrics = pd.concat(frames, ignore_index=True)[["method", "seed", "metric", "value"]]
     folder = first.experiment_results("seeds")
     clear_results(folder)
-    write_text(folder / "metrics.csv", to_csv(metrics))
+    write_csv(folder / "metrics.csv", metrics)
     table = spread(metrics)
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     save(seed_spread(metrics), folder / "figures", "seed_spread")
     save(batchnorm_lag(autoencoder_histories(first, metrics)), folder / "figures", "batchnorm_lag")
     write_manifest(first, "seeds", records, folder)

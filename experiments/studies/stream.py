@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from scipy.stats import sem
 
 from deepmds_keras.io.checksums import sha256_of
 from experiments.arguments import parse_run
@@ -11,9 +12,8 @@ from experiments.figures.errors import error_distribution
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import load, title
-from experiments.records import write_text
 from experiments.running import single_threaded, stage
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
 
 _QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
@@ -21,12 +21,11 @@ _QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
 
 def summarise(values: np.ndarray) -> dict[str, float]:
     """Mean over all faces, how sure it is, and how the faces spread."""
-    std = values.std(ddof=1)
     return {
         "n_faces": len(values),
         "mean": values.mean(),
-        "std": std,
-        "standard_error": std / np.sqrt(len(values)),
+        "std": values.std(ddof=1),
+        "standard_error": sem(values),
         **{name: np.quantile(values, share) for name, share in _QUANTILES.items()},
         "maximum": values.max(),
     }
@@ -53,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
                 for (method, metric), own in values.items()
             ]
         )
-        write_text(folder / "table.csv", to_csv(table))
+        write_csv(folder / "table.csv", table)
         errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
         save(error_distribution(errors), folder / "figures", "errors")
     write_manifest(run, "stream", records_of(run, "stream"), folder)

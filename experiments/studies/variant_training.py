@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keras
+from scipy.stats import sem
 
 from data_gen.views.projections import PROJECTIONS
 from deepmds_keras.networks import forward
@@ -57,7 +58,7 @@ def train_and_score(run: Run, variant: Variant, seed: int) -> None:
         "loss_train": history["train"][-1],
         "loss_inference": history["inference"][-1],
         "mse": scores.mse.mean(),
-        "mse_sem": scores.mse.std(ddof=1) / len(scores.mse) ** 0.5,
+        "mse_sem": sem(scores.mse),
         "mse_frontal": scores.mse[facing].mean(),
         "mse_posed": scores.mse[~facing].mean(),
         "depth_corr": scores.depth_corr.mean(),

@@ -13,10 +13,9 @@ from experiments.figures.style import save
 from experiments.figures.summary import summary
 from experiments.manifest import clear_results
 from experiments.methods import DEEP_MDS, notes
-from experiments.records import write_text
 from experiments.run import Run
 from experiments.scoring.scores import Scores, per_face
-from experiments.scoring.tables import to_csv, write_tables
+from experiments.scoring.tables import write_csv, write_tables
 
 
 def write_results(
@@ -38,7 +37,7 @@ def write_results(
     """
     found = {method: own.found for method, own in scores.items()}
     clear_results(folder)
-    write_text(folder / "metrics.csv", to_csv(metrics))
+    write_csv(folder / "metrics.csv", metrics)
     table = write_tables(
         folder,
         metrics,

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from deepmds_keras import InputError, align, embed
-from deepmds_keras.embedding import SOLVERS, classical_scaling, compiled_solver
+from deepmds_keras.embedding import SOLVERS, classical_scaling, compiled_solver, pairwise_distances
 
 
 @pytest.fixture
@@ -150,3 +150,10 @@ def test_with_numba_the_batched_solver_is_compiled():
 def test_unknown_solver_is_named():
     with pytest.raises(InputError, match="solver must be one of sklearn, batched. Received 'new'"):
         embed(np.ones((4, 4)), solver="new")
+
+
+def test_distances_are_those_of_all_pairs():
+    points = np.random.default_rng(0).random((2, 5, 3))
+    found = pairwise_distances(points)
+    assert found.shape == (2, 5, 5)
+    assert found[1, 2, 4] == pytest.approx(np.linalg.norm(points[1, 2] - points[1, 4]))

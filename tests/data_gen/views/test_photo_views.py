@@ -12,7 +12,7 @@ from data_gen.views.photo_views import (
     PITCH,
     ROLL,
     YAW,
-    draw_photo_views,
+    sample_photo_views,
 )
 from data_gen.views.projections import project
 from deepmds_keras.io.errors import InputError
@@ -28,7 +28,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def drawn(model):
-    return draw_photo_views(model, "ibug51", N, np.random.default_rng(0))
+    return sample_photo_views(model, "ibug51", N, np.random.default_rng(0))
 
 
 def lips_apart(landmarks):
@@ -52,7 +52,7 @@ def test_views_are_the_projected_landmarks_with_the_detectors_errors(drawn):
 
 
 def test_a_detector_without_errors_sees_the_same_faces(model, drawn):
-    views, landmarks, cameras = draw_photo_views(
+    views, landmarks, cameras = sample_photo_views(
         model, "ibug51", N, np.random.default_rng(0), detector_sd=0
     )
     assert np.array_equal(landmarks, drawn[1])
@@ -93,16 +93,16 @@ def test_faces_differ_in_identity_and_expression(model, drawn):
 
 
 def test_the_generator_alone_decides(model, drawn):
-    again = draw_photo_views(model, "ibug51", 50, np.random.default_rng(3))
-    same = draw_photo_views(model, "ibug51", 50, np.random.default_rng(3))
-    other = draw_photo_views(model, "ibug51", 50, np.random.default_rng(4))
+    again = sample_photo_views(model, "ibug51", 50, np.random.default_rng(3))
+    same = sample_photo_views(model, "ibug51", 50, np.random.default_rng(3))
+    other = sample_photo_views(model, "ibug51", 50, np.random.default_rng(4))
     assert np.array_equal(again[0], same[0])
     assert np.array_equal(again[1], same[1])
     assert not np.array_equal(again[1], other[1])
 
 
 def test_either_scheme_is_of_the_same_faces(model):
-    both = [draw_photo_views(model, s, 20, np.random.default_rng(0)) for s in ("ibug51", "bfm72")]
+    both = [sample_photo_views(model, s, 20, np.random.default_rng(0)) for s in ("ibug51", "bfm72")]
     assert [views.shape[1] for views, _, _ in both] == [51, 72]
     assert np.array_equal(both[0][2].yaw, both[1][2].yaw)
     # The corners of the mouth are the same points: of iBUG 49 and 55, of the paper's 7 and 51.
@@ -112,6 +112,6 @@ def test_either_scheme_is_of_the_same_faces(model):
 def test_what_cannot_be_drawn_is_named(model):
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="scheme must be one of .*ibug51.* Received 'dlib'"):
-        draw_photo_views(model, "dlib", 2, rng)
+        sample_photo_views(model, "dlib", 2, rng)
     with pytest.raises(InputError, match="expressions must have the names of ARKit's blendshapes"):
-        draw_photo_views(replace(model, expression_names=()), "ibug51", 2, rng)
+        sample_photo_views(replace(model, expression_names=()), "ibug51", 2, rng)

@@ -17,7 +17,7 @@ from places import ROOT, SHARED
 from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views.photo_views import draw_photo_views
+from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras import DeepMDS, __version__
 from deepmds_keras.__main__ import main
 from deepmds_keras.detection import dlib_landmarks
@@ -212,7 +212,7 @@ def test_landmarks_of_every_order_are_taken(tmp_path, run, landmarks, n):
 
 
 def test_the_papers_72_landmarks_have_their_own_weights(tmp_path, run):
-    views, _, _ = draw_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))
+    views, _, _ = sample_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))
     status, said, _ = run(save(tmp_path / "points.npy", views), "--y-up", "--format", "json,ply")
     assert (status, "2 faces" in said) == (0, True)
     content = json.loads((tmp_path / "out" / "points.json").read_bytes())

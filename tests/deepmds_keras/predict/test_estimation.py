@@ -7,7 +7,7 @@ import pytest
 from places import SHARED
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views.photo_views import draw_photo_views
+from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras import DeepMDS, InputError, weights
 from deepmds_keras.alignment import align
 from deepmds_keras.io.archives import read_arrays, write_arrays
@@ -35,14 +35,14 @@ def found(landmarks, scheme="ibug51", is_photo=False):
 def drawn(request):
     """Scheme, landmarks in pixels, true shapes and cameras of faces that no weights have seen."""
     rng = np.random.default_rng(77)
-    views, shapes, cameras = draw_photo_views(load_openhead(), request.param, N, rng)
+    views, shapes, cameras = sample_photo_views(load_openhead(), request.param, N, rng)
     return request.param, 3 * views * (1, -1) + (700, 500), shapes, cameras
 
 
 @pytest.fixture(scope="module")
 def landmarks():
     """Of five faces."""
-    views, _, _ = draw_photo_views(load_openhead(), "ibug51", 5, np.random.default_rng(78))
+    views, _, _ = sample_photo_views(load_openhead(), "ibug51", 5, np.random.default_rng(78))
     return views * (1, -1)
 
 

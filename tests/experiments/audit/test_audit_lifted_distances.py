@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deepmds_keras.embedding import pairwise_distances
 from deepmds_keras.normalisation import normalise
 from experiments.audit import lifted_distances
-from experiments.audit.dissimilarity import distances
 from experiments.verdicts import DOES_NOT_HOLD, HOLDS
 
 N, L = 3, 24
@@ -32,7 +32,7 @@ class DeepMDS:
 
     def dissimilarities(self, views):
         noise = np.random.default_rng(2).random((N, L, L))
-        return distances(self.shapes) * (1 + (noise + noise.swapaxes(1, 2)) / 4)
+        return pairwise_distances(self.shapes) * (1 + (noise + noise.swapaxes(1, 2)) / 4)
 
 
 class Faces:

@@ -16,7 +16,7 @@ from experiments.records import write_text
 from experiments.report.report import main
 from experiments.report.staleness import stale
 from experiments.run import Run
-from experiments.scoring.tables import to_csv
+from experiments.scoring.tables import write_csv
 from experiments.studies.ablation import HEADS
 
 TABLE = "smoke/openhead/ablation/table.csv"
@@ -35,12 +35,12 @@ def results(tmp_path):
     metrics = ("loss_train", "loss_inference", "mse")
     rows = [("no_autoencoder", 4800, m, 2e-4, 2e-4, 1e-5, 1e-4, 3e-4, 5) for m in metrics]
     heads = ["variant", "faces", "metric", "median", "mean", "std", "min", "max", "count"]
-    write_text(folder / "table.csv", to_csv(pd.DataFrame(rows, columns=heads)))
+    write_csv(folder / "table.csv", pd.DataFrame(rows, columns=heads))
     write_manifest(run, "ablation", [STAGE], folder)
     findings = dict.fromkeys(CHECKS, does_not_hold("1 > 2."))
     findings |= {"symmetric": holds("0 < 1."), "occlusion": holds_if("if <few>", "3 | 4.")}
     folder = run.experiment_results("audit")
-    write_text(folder / "claims.csv", to_csv(table_of(load_claims(), findings, "openhead")))
+    write_csv(folder / "claims.csv", table_of(load_claims(), findings, "openhead"))
     digest = sha256_of([tmp_path / TABLE])
     audit = STAGE | {"stage": "audit", "tables": {"ablation/table.csv": digest}}
     write_manifest(run, "audit", [STAGE, audit], folder)

@@ -9,7 +9,7 @@ import runs
 
 from deepmds_keras.pipeline import DeepMDS
 from experiments.inputs import load_faces
-from experiments.lifting.anatomy import distances, net_file
+from experiments.lifting.anatomy import net_file
 from experiments.lifting.study_tables import EMBEDDINGS, STEPS
 from experiments.manifest import files_of, read_manifest
 from experiments.methods import load
@@ -83,13 +83,6 @@ def test_what_is_trained_is_kept_and_belongs_to_the_networks(folder, run):
     networks.unlink()
     networks.write_text(json.dumps(record))  # the same, laid out in another way
     assert net_file(run, "whole_view") != path
-
-
-def test_distances_are_those_of_all_pairs():
-    points = np.random.default_rng(0).random((2, 5, 3))
-    found = distances(points)
-    assert found.shape == (2, 5, 5)
-    assert found[1, 2, 4] == pytest.approx(np.linalg.norm(points[1, 2] - points[1, 4]))
 
 
 def test_net_of_the_method_gives_its_own_dissimilarities():

@@ -7,7 +7,7 @@ import runs
 from places import SHARED
 
 from data_gen.models.registry import load_model
-from data_gen.views.photo_views import draw_photo_views
+from data_gen.views.photo_views import sample_photo_views
 from experiments.lifting import transfer
 from experiments.lifting.transfer import NOISES_MM, principal_components, training_faces
 from experiments.manifest import files_of, read_manifest
@@ -80,7 +80,7 @@ def test_errors_in_training_have_the_strength_that_is_told():
     views, shapes, sd = training_faces(run, model)
     rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
     rng.random(len(sd))
-    exact, same, _ = draw_photo_views(model, "ibug51", len(sd), rng, detector_sd=0)
+    exact, same, _ = sample_photo_views(model, "ibug51", len(sd), rng, detector_sd=0)
     assert np.array_equal(shapes, same)
     assert ((views - exact) / sd[:, None, None]).std() == pytest.approx(1, abs=0.02)
     assert (sd < 1).mean() > 0.3 and sd.max() > 4

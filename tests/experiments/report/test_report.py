@@ -29,7 +29,7 @@ from experiments.report.staleness import stale
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.scoring.scores import Scores
-from experiments.scoring.tables import to_csv, write_tables
+from experiments.scoring.tables import write_csv, write_tables
 from experiments.studies.seeds import spread
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
@@ -63,7 +63,7 @@ def write_experiment(run, name, mse, stages, notes, unit=1e-4, target="reproduce
     folder = run.experiment_results(name)
     clear_results(folder)
     metrics = metrics_of(mse, unit)
-    write_text(folder / "metrics.csv", to_csv(metrics))
+    write_csv(folder / "metrics.csv", metrics)
     track, rng = name.split("-")[0], np.random.default_rng(0)
     per_face = {"mse": {method: mean * rng.random(20) for method, mean in mse.items()}}
     write_tables(folder, metrics, experiment=track, subset_size=10, notes=notes, per_face=per_face)
@@ -115,7 +115,7 @@ def made(tmp_path_factory):
     ]
     heads = ["method", "trainable", "total", "paper", "complexity_paper", "complexity",
              "ms_per_face"]  # fmt: skip
-    write_text(folder / "table.csv", to_csv(pd.DataFrame(parameters, columns=heads)))
+    write_csv(folder / "table.csv", pd.DataFrame(parameters, columns=heads))
     write_manifest(run, "reproduce-bfm", of_bfm, folder)
     rows = [
         (method, seed, metric, 1e-4 * (seed + 1))
@@ -125,7 +125,7 @@ def made(tmp_path_factory):
     ]
     table = spread(pd.DataFrame(rows, columns=["method", "seed", "metric", "value"]))
     folder = run.experiment_results("seeds")
-    write_text(folder / "table.csv", to_csv(table))
+    write_csv(folder / "table.csv", table)
     write_manifest(run, "seeds", [stage("seeds", 9)], folder)
     return results
 
