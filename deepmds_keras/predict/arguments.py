@@ -22,8 +22,9 @@ examples:
   deepmds predict photos/ --out faces --jobs 4
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
-A run that was stopped goes on by the same command. Exit status: 0, or 1 if a source could not be
-used (the others are done), 2 for wrong arguments, 130 if Ctrl-C stopped it."""
+A run that was stopped goes on by the same command; what no run wrote is never overwritten. Exit
+status: 0, or 1 if a source could not be used (the others are done), 2 for wrong arguments, 130 if
+Ctrl-C stopped it."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Options:
         sources: Photos, folders of photos, files of landmarks.
         out: Folder of the results.
         formats: Some of `FORMATS`; None leaves it to the number of faces.
+        force: Whether to do again what is done.
         view: Whether to write a page.
         detector: One of `DETECTORS`.
         mediapipe_python: Interpreter of the environment with MediaPipe, or None.
@@ -47,6 +49,7 @@ class Options:
     sources: list[str]
     out: Path
     formats: tuple[str, ...] | None
+    force: bool
     view: bool
     detector: str
     mediapipe_python: str | None
@@ -80,6 +83,7 @@ def parse(arguments: list[str] | None = None) -> Options:
     add("--format", dest="formats", type=_formats, metavar="LIST",
         help=f"some of {', '.join(FORMATS)} (default: csv,json,ply,obj; of many faces in one file "
         "csv,npz)")  # fmt: skip
+    add("--force", action="store_true", help="do again what is done already")
     add("--view", action="store_true", help="write an HTML page too, on which faces can be turned")
     add("--detector", choices=DETECTORS, default="dlib",
         help=", ".join(f"{name} ({row.terms})" for name, row in DETECTORS.items())

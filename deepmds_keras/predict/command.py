@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from deepmds_keras.predict.estimation import (
 )
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.predict.outputs import FORMATS, write_outputs
+from deepmds_keras.predict.outputs import FORMATS, output_files, write_output
 from deepmds_keras.predict.page import write_page
 from deepmds_keras.predict.picture import draw_face, draw_summary, write_picture
 from deepmds_keras.predict.record import Record
@@ -68,12 +69,12 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     todo = [
         (source, name)
         for source, name in zip(sources, names, strict=True)
-        if not record.is_done(source, name)
+        if not record.is_done(source, name) or options.force
     ]
     if len(todo) < len(sources):
         print(
             f"{len(sources) - len(todo)} of {len(sources)} sources are done already, by what "
-            f"{_printable(str(record.path))} says; delete it to do them again."
+            f"{_printable(str(record.path))} says; --force does them again."
         )
     if not todo:
         return len(errors)
@@ -84,12 +85,12 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     with tqdm(total=len(todo), unit="source", disable=len(todo) == 1) as bar:
         for chunk in _chunks(todo, options.jobs * _SOURCES_PER_TASK):
             try:
-                for source, faces, files in _results(options, chunk):
+                for source, faces, files in _results(options, chunk, record):
                     if isinstance(faces, InputError):
                         complain(faces)
                         failed += 1
                     else:
-                        record.add(source, files)
+                        record.add(source)
                         shown += faces
                         tqdm.write("\n".join(map(_printable, _told(source, faces, files))))
                     bar.update()
@@ -100,6 +101,12 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     if len(shown) > 1 and len(todo) > 1:
         photos = (None if face.photo is None else open_photo(face.photo) for face in shown)
         path = options.out / "summary.png"
+        try:
+            record.claim([path])
+            record.save()
+        except InputError as error:
+            complain(error)
+            return failed + 1
         write_picture(path, draw_summary(shown, photos))
         print(f"faces of this run: {_printable(str(path))}")
     return failed
@@ -135,10 +142,17 @@ def _ready(
 
 
 def _results(
-    options: Options, chunk: list[tuple[Path, str]]
+    options: Options, chunk: list[tuple[Path, str]], record: Record
 ) -> Iterator[tuple[Path, list[Face] | InputError, list[Path]]]:
     """Of each source its faces and files, as soon as these are written, or why there are none."""
     estimated = [_estimated(options, found) for found in _found(options, chunk)]
+    for i, ((source, name), faces) in enumerate(zip(chunk, estimated, strict=True)):
+        try:
+            if not isinstance(faces, InputError):
+                record.claim([*_writers(options, name, faces)], source)
+        except InputError as error:
+            estimated[i] = error
+    record.save()  # before the files are there, lest the next run takes them for another's
     tasks = [
         delayed(_written)(options, name, faces)
         for (_, name), faces in zip(chunk, estimated, strict=True)
@@ -202,22 +216,41 @@ def _estimated(options: Options, found: Found | InputError) -> list[Face] | Inpu
 
 def _written(options: Options, name: str, faces: list[Face]) -> list[Path] | InputError:
     """Writes tables, pictures and the page of one source."""
-    many = len(faces) > _DRAWN_FACES
-    formats = options.formats or (("csv", "npz") if many else ("csv", "json", "ply", "obj"))
-    drawn = faces[:_DRAWN_FACES]
+    writers = _writers(options, name, faces)
     try:
-        model = describe_model(faces[0].scheme, options.model)
-        files = write_outputs(options.out, name, faces, formats, model)
-        photo = open_photo(faces[0].photo) if faces[0].photo else None
-        for face in drawn:
-            files.append(options.out / f"{face.name}.png")
-            write_picture(files[-1], draw_face(face, photo))
-        if options.view:
-            files.append(options.out / f"{name}.html")
-            write_page(files[-1], drawn, [photo] * len(drawn))
+        for path, write in writers.items():
+            write(path)
     except InputError as error:
         return error
-    return files
+    return [*writers]
+
+
+def _writers(
+    options: Options, name: str, faces: list[Face]
+) -> dict[Path, Callable[[Path], object]]:
+    """Files of one source, each with what writes it."""
+    many = len(faces) > _DRAWN_FACES
+    formats = options.formats or (("csv", "npz") if many else ("csv", "json", "ply", "obj"))
+    model = describe_model(faces[0].scheme, options.model)
+    drawn = faces[:_DRAWN_FACES]
+
+    @cache
+    def photo() -> np.ndarray | None:
+        return open_photo(faces[0].photo) if faces[0].photo else None
+
+    writers = {
+        path: partial(write_output, faces=held, model=model)
+        for path, held in output_files(options.out, name, faces, formats).items()
+    }
+    for face in drawn:
+        writers[options.out / f"{face.name}.png"] = lambda path, face=face: write_picture(
+            path, draw_face(face, photo())
+        )
+    if options.view:
+        writers[options.out / f"{name}.html"] = lambda path: write_page(
+            path, drawn, [photo()] * len(drawn)
+        )
+    return writers
 
 
 def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:

@@ -32,38 +32,48 @@ _COLUMNS = "face,number,name,x,y,z,image_x,image_y"
 _DIGITS = 7  # significant ones
 
 
-def write_outputs(
-    folder: Path, name: str, faces: Sequence[Face], formats: Iterable[str], model: Mapping
-) -> list[Path]:
-    """Write the faces of one source; each file appears whole or not at all.
+def output_files(
+    folder: Path, name: str, faces: Sequence[Face], formats: Iterable[str]
+) -> dict[Path, Sequence[Face]]:
+    """Files of the faces of one source, each with the faces that it holds.
 
     `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`; of `ply` and `obj` every face
     has its own, by the face's name.
 
     Args:
-        folder: Made if it does not exist.
+        folder: Of the results.
         name: Of the source.
         faces: One or more, of one scheme and unit.
-        formats: Some of `FORMATS`.
-        model: What made the shapes, as JSON has it; `"name"` and where its weights come from.
-
-    Returns:
-        The files, in the order of the formats.
+        formats: Some of `FORMATS`, in whose order the files come.
 
     Raises:
-        InputError: Unknown format, or the folder cannot be written to.
+        InputError: Unknown format.
     """
-    written, formats = [], list(formats)
+    files, formats = {}, list(formats)
     for kind in formats:
         if kind not in FORMATS:
             raise InputError(f"format must be one of {', '.join(FORMATS)}. Received {kind!r}.")
-    for kind in formats:
         one_each = {face.name: [face] for face in faces}
         for stem, held in ({name: faces} if kind in _TABLES else one_each).items():
-            path = folder / f"{stem}.{kind}"
-            _write(path, FORMATS[kind](held, model))
-            written.append(path)
-    return written
+            files[folder / f"{stem}.{kind}"] = held
+    return files
+
+
+def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
+    """Write a file of `output_files`, whole or not at all.
+
+    Args:
+        path: Its suffix is the format; its folder is made if it does not exist.
+        faces: That it holds.
+        model: What made the shapes, as JSON has it; `"name"` and where its weights come from.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    content = FORMATS[path.suffix[1:]](faces, model)
+    if isinstance(content, str):
+        content = content.encode("utf-8", "backslashreplace")  # of a file name that is no text
+    write_bytes(path, content)
 
 
 def csv_text(faces: Sequence[Face], model: Mapping) -> str:
@@ -200,12 +210,6 @@ def _rounded(values) -> list | float:
     """With as many digits after the point as give the largest number its significant ones."""
     largest = max(np.abs(values).max(), 1e-9)
     return np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))).tolist()
-
-
-def _write(path: Path, content: str | bytes) -> None:
-    if isinstance(content, str):
-        content = content.encode("utf-8", "backslashreplace")  # of a file name that is no text
-    write_bytes(path, content)
 
 
 _TABLES = ("csv", "json", "npz")

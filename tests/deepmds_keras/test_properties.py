@@ -25,7 +25,7 @@ from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.predict.outputs import write_outputs
+from deepmds_keras.predict.outputs import write_output
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -435,7 +435,8 @@ class TestFiles:
             name, source, None, "bfm72", view * [1, -1], shape, "normalised", pose, ("a note",)
         )
         with tempfile.TemporaryDirectory() as folder:
-            (path,) = write_outputs(Path(folder), "run", [face], [kind], {"name": "a model"})
+            path = Path(folder) / f"run.{kind}"
+            write_output(path, [face], {"name": "a model"})
             np.testing.assert_allclose(
                 read_landmarks(path)[0], face.landmarks, rtol=0, atol=1e-6 * np.abs(view).max()
             )

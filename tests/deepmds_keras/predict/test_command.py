@@ -269,8 +269,72 @@ def test_what_is_done_is_not_done_again_unless_something_changed(tmp_path, run, 
     assert made() == ["a"]
     assert made("--interocular", "90") == ["a", "b"]
     assert made("--interocular", "90") == []
-    (out / "deepmds.json").write_text('{"a": {"files": 3}}')
-    assert made("--interocular", "90") == ["a", "b"]
+    assert made("--interocular", "90", "--force") == ["a", "b"]
+    assert made("--interocular", "90") == []
+
+
+def test_what_no_run_wrote_is_never_overwritten(tmp_path, run, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("a.png", "summary.png"):
+        (out / name).write_text("mine")
+    for options in ((), ("--force",)):
+        status, said, errors = run(first, second, "--format", "csv", *options)
+        assert status == 1
+        assert "b.npy: 1 face" in said
+        (line,) = errors
+        assert f"{out / 'a.png'} must not be there yet, or be in the record" in line
+        assert {path.read_text() for path in (out / "a.png", out / "summary.png")} == {"mine"}
+        assert written(out) == ["a.png", "b.csv", "b.png", "deepmds.json", "summary.png"]
+    (out / "a.png").unlink()
+    status, _, (line,) = run(first, second, "--format", "csv", "--force")
+    assert (status, "summary.png must not" in line) == (1, True)
+    assert (out / "summary.png").read_text() == "mine"
+    (out / "summary.png").unlink()
+    assert run(first, second, "--format", "csv", "--force")[0] == 0  # its own it may
+    assert run(first, second, "--format", "csv", "--force")[0] == 0
+
+
+def test_a_file_of_the_records_name_that_is_none_is_left(tmp_path, run, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    out = tmp_path / "out"
+    out.mkdir()
+    for content in ("hello", "[]", '{"a": {"files": 3}}'):
+        (out / "deepmds.json").write_text(content)
+        status, said, (line,) = run(points, "--force")
+        assert (status, said) == (1, "")
+        assert "deepmds.json must be the record of earlier results" in line
+        assert (out / "deepmds.json").read_text() == content
+        assert written(out) == ["deepmds.json"]
+
+
+def test_files_that_a_source_gives_no_longer_stay_those_of_the_runs(tmp_path, run, landmarks):
+    """One face, then two, then one: a.png of the first run is overwritten by the third."""
+    for n in (1, 2, 1, 2):
+        points = save(tmp_path / "a.npy", np.repeat(landmarks[None], n, 0))
+        assert run(points, "--format", "ply")[0] == 0
+    assert written(tmp_path / "out") == sorted(
+        ["deepmds.json", *(f"a{i}.{kind}" for i in ("", "-1", "-2") for kind in ("ply", "png"))]
+    )
+
+
+def test_files_that_a_killed_run_wrote_are_known_to_the_next(tmp_path, run, landmarks, monkeypatch):
+    """Killed after the files and before their record."""
+    points = save(tmp_path / "a.npy", landmarks)
+
+    def killed(*_):
+        raise SystemError("no more")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command.Record, "add", killed)
+        patch.setattr(command, "write_picture", killed)
+        options = parse(["predict", str(points), "--out", str(tmp_path / "out"), "--jobs", "1"])
+        with pytest.raises(SystemError):
+            command.run(options)
+    assert "a.csv" in written(tmp_path / "out")
+    status, said, errors = run(points)
+    assert (status, errors, "1 face" in said) == (0, [], True)
 
 
 def test_other_weights_make_everything_anew(tmp_path, run, landmarks):
@@ -309,10 +373,11 @@ def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
     assert errors.endswith("Stopped. The same command goes on from here.\n")
     assert "Traceback" not in errors
     done = json.loads((out / "deepmds.json").read_bytes())
-    assert 3 <= len(done) < 60
+    finished = [entry for entry in done.values() if "made" in entry]
+    assert 3 <= len(finished) < 60
     assert not [name for name in written(out) if "partial" in name]
     complete = [path for path in files if (out / f"{path.stem}.png").exists()]
-    assert len(complete) - len(done) <= 1  # the one it was just at
+    assert len(complete) - len(finished) <= 1  # the one it was just at
 
 
 def test_a_stop_whose_exception_was_lost_counts_after_the_source(tmp_path, landmarks):
@@ -320,13 +385,16 @@ def test_a_stop_whose_exception_was_lost_counts_after_the_source(tmp_path, landm
     options = parse(["predict", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "1"])
     with pytest.raises(KeyboardInterrupt):
         command.run(options, lambda: True)
-    assert len(json.loads((tmp_path / "out" / "deepmds.json").read_bytes())) == 1
+    done = json.loads((tmp_path / "out" / "deepmds.json").read_bytes())
+    assert [path for path, entry in done.items() if "made" in entry] == [str(files[0])]
 
 
 def test_names_of_the_run_are_not_those_of_a_source(tmp_path, run, landmarks):
     files = [save(tmp_path / f"{name}.npy", landmarks) for name in ("deepmds", "Summary", "a")]
     assert run(*files, "--format", "json")[0] == 0
-    assert len(json.loads((tmp_path / "out" / "deepmds.json").read_bytes())) == 3
+    record = json.loads((tmp_path / "out" / "deepmds.json").read_bytes())
+    assert {*record} == {"", *map(str, files)}
+    assert record[""]["files"] == ["summary.png"]
     assert (tmp_path / "out" / "deepmds_npy.json").exists()
     assert (tmp_path / "out" / "Summary_npy.png").exists()
 
@@ -343,7 +411,7 @@ def test_a_folder_that_takes_no_results_is_said_before_the_work(tmp_path, run, l
     good = save(tmp_path / "b.npy", landmarks)
     status, said, (line,) = run(points, good, "--format", "csv")
     assert status == 1
-    assert "a.csv must be a file to write" in line
+    assert "a.csv must not be there yet" in line
     assert (tmp_path / "out" / "b.csv").is_file()
 
 

@@ -13,7 +13,7 @@ from deepmds_keras.camera import head_pose
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.predict.outputs import FORMATS, wireframe_edges, write_outputs
+from deepmds_keras.predict.outputs import FORMATS, output_files, wireframe_edges, write_output
 
 MODEL = {"name": "openhead-bfm72", "trained_on": "20,000 faces of the open head"}
 ODD = 'ä "x",#1%s\n'
@@ -29,7 +29,14 @@ def make_face(name="a", scheme="bfm72", seed=0, unit="normalised", notes=()):
 
 
 def written(folder, kind, *faces, name="run"):
-    return write_outputs(folder, name, faces, [kind], MODEL)
+    return written_all(folder, name, faces, [kind])
+
+
+def written_all(folder, name, faces, kinds):
+    files = output_files(folder, name, faces, kinds)
+    for path, held in files.items():
+        write_output(path, held, MODEL)
+    return [*files]
 
 
 def assert_close(found, expected):
@@ -174,7 +181,7 @@ def test_edges_are_unique_and_within_the_scheme():
 
 def test_tables_hold_all_faces_and_wireframes_one(tmp_path):
     faces = [make_face("a-1"), make_face("a-2", seed=1)]
-    paths = write_outputs(tmp_path / "new" / "folder", "a", faces, FORMATS, MODEL)
+    paths = written_all(tmp_path / "new" / "folder", "a", faces, FORMATS)
     names = ["a.csv", "a.json", "a.npz", "a-1.ply", "a-2.ply", "a-1.obj", "a-2.obj"]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in paths[0].parent.iterdir()) == sorted(names)
@@ -213,5 +220,5 @@ def test_a_file_that_cannot_be_written_leaves_what_there_was(tmp_path):
 
 def test_an_unknown_format_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="one of csv, json, npz, ply, obj. Received 'stl'"):
-        write_outputs(tmp_path, "a", [make_face()], ["csv", "stl"], MODEL)
+        output_files(tmp_path, "a", [make_face()], ["csv", "stl"])
     assert not any(tmp_path.iterdir())
