@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.predict.arguments import parse
+from deepmds_keras.predict.arguments import Export, parse
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
 
@@ -25,6 +25,12 @@ def main(arguments: list[str] | None = None) -> None:
         # Not before: --help and wrong arguments are answered without its many imports.
         from deepmds_keras.predict.command import complain, run
 
+        if isinstance(options, Export):
+            from deepmds_keras.predict.onnx_export import export
+
+            export(options.out, options.model)
+            print(f"{options.model} → {options.out}")
+            return
         failed = run(options, stopped)
     except InputError as error:
         complain(error)

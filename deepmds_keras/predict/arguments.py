@@ -60,7 +60,20 @@ class Options:
     jobs: int
 
 
-def parse(arguments: list[str] | None = None) -> Options:
+@dataclass(frozen=True)
+class Export:
+    """The arguments of `deepmds export`.
+
+    Attributes:
+        out: File of the ONNX model.
+        model: File or name of a lifter's weights.
+    """
+
+    out: Path
+    model: str
+
+
+def parse(arguments: list[str] | None = None) -> Options | Export:
     """Read the command line; wrong arguments end the process, with the usage and status 2."""
     parser = argparse.ArgumentParser(
         prog="deepmds", description="3D face landmarks from a single image, by Deep-MDS."
@@ -102,9 +115,17 @@ def parse(arguments: list[str] | None = None) -> Options:
         "landmarks openhead-bfm72)")  # fmt: skip
     add("--jobs", type=_jobs, default=-1, metavar="N",
         help="processes side by side (default: one for each core)")  # fmt: skip
+    export = commands.add_parser(
+        "export",
+        help="a lifter as an ONNX model",
+        description="Writes a lifter as an ONNX model, whose inputs, outputs, landmarks and axes "
+        "stand in it. It needs pip install 'deepmds-keras[onnx]'.",
+    )
+    export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
+    export.add_argument("--model", required=True, metavar="NAME|FILE",
+        help="shipped weights of a lifter, or a file of LandmarkLifter.save()")  # fmt: skip
     values = vars(parser.parse_args(arguments))
-    values.pop("command")
-    return Options(**values)
+    return (Export if values.pop("command") == "export" else Options)(**values)
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -99,7 +99,7 @@ def hash_weights(model: str | None) -> str:
         InputError: There is no such model.
     """
     digest = hashlib.sha256()
-    for path in map(_weights_path, (model,) if model else PRETRAINED.values()):
+    for path in map(weights_path, (model,) if model else PRETRAINED.values()):
         try:
             digest.update(path.read_bytes())
         except OSError as error:
@@ -116,10 +116,15 @@ def load_model(name: str) -> deepmds_keras.DeepMDS:
     Raises:
         InputError: Neither.
     """
-    return deepmds_keras.DeepMDS.load(_weights_path(name))  # loads TensorFlow, the first time
+    return deepmds_keras.DeepMDS.load(weights_path(name))  # loads TensorFlow, the first time
 
 
-def _weights_path(name: str) -> Path:
+def weights_path(name: str) -> Path:
+    """File of weights: itself, or that of shipped ones by their name.
+
+    Raises:
+        InputError: No file's name, and none of those that ship.
+    """
     path = Path(name)
     if path.suffix or path.exists():
         return path
