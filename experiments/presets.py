@@ -42,6 +42,9 @@ class Preset:
             only in the released way and ours.
         bench_passes: Times that it takes a time anew after the first pass; 0 keeps that one's.
         bench_compared_faces: Test faces of a run on which it compares the two solvers.
+        error_portraits, test_portraits: Photos of each open face model on which `make pretrained`
+            measures the detectors' errors, and the methods.
+        shipped_steps: Mini-batches of the lifters that ship.
         fitted_faces: Test faces of `make lifting` that a face model is fitted to.
         streamed_faces, faces_per_file: Faces of `make stream`, and those of one of its files.
     """
@@ -81,6 +84,9 @@ class Preset:
     bench_variants: bool
     bench_passes: int
     bench_compared_faces: int
+    error_portraits: int
+    test_portraits: int
+    shipped_steps: int
     fitted_faces: int
     streamed_faces: int
     faces_per_file: int
@@ -122,6 +128,9 @@ PAPER = Preset(
     bench_variants=True,
     bench_passes=3,
     bench_compared_faces=500,
+    error_portraits=5_000,
+    test_portraits=1_000,
+    shipped_steps=20_000,
     fitted_faces=500,
     streamed_faces=1_000_000,
     faces_per_file=5_000,
@@ -162,6 +171,9 @@ SMOKE = Preset(
     bench_variants=False,
     bench_passes=0,
     bench_compared_faces=10,
+    error_portraits=40,
+    test_portraits=20,
+    shipped_steps=200,
     fitted_faces=10,
     streamed_faces=1_000,
     faces_per_file=100,
@@ -182,6 +194,9 @@ TINY = replace(
     dissimilarity_steps=53,
     zhao_steps=53,
     lifting_steps=3,
+    error_portraits=12,
+    test_portraits=6,
+    shipped_steps=3,
     train_images=32,
     mobileface_steps=1,
     ring_subjects=4,

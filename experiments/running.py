@@ -25,7 +25,7 @@ from experiments.run import Run
 # Sums of gradients are split between the threads: a network depends on their number.
 _TENSORFLOW_THREADS = "2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO)
+_FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)
 
 
 @contextmanager

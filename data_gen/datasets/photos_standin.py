@@ -5,13 +5,10 @@ CelebA (Liu et al. 2015, doi:10.1109/ICCV.2015.425) is free for research only an
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
-from scipy.ndimage import gaussian_filter
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.rendering.albedo import Albedo
@@ -23,6 +20,7 @@ from data_gen.rendering.backgrounds import (
     lay,
     paint,
 )
+from data_gen.rendering.photograph import photograph
 from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.rendering.visibility import part_of, seen_vertices
 from data_gen.views.projections import Cameras, in_camera_frame, project_with_depth
@@ -136,7 +134,7 @@ class PhotosStandin:
         image = self._drawn(renderer, seen[_ALL], posed[_ALL], frame, places, rng)
         return Photo(
             name=f"{number + 1:06}.jpg",
-            image=_photographed(image[:, _BESIDE:-_BESIDE], rng),
+            image=photograph(image[:, _BESIDE:-_BESIDE], rng),
             identity=identity[0],
             landmarks={scheme: points[0] for scheme, points in landmarks.items()},
             pixels={scheme: places[scheme] - (_BESIDE, 0) for scheme in landmarks},
@@ -202,18 +200,3 @@ def _draw_frame(views: np.ndarray, rng: np.random.Generator) -> Frames:
     corner = (x + (HEIGHT - WIDTH) / 2, HEIGHT - y)
     low = (right + left) / 2 - millimetres * np.array(corner)
     return Frames(low[None], np.full((1, 2), millimetres * HEIGHT), HEIGHT)
-
-
-def _photographed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Image as a camera takes it: exposure, colour cast, a little blur, noise, and JPEG."""
-    light = np.float32(image) ** 2.2
-    light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))
-    photo = light.clip(0, 1) ** (1 / 2.2)
-    blur = rng.uniform(0, 0.8)
-    photo = gaussian_filter(photo, (blur, blur, 0))
-    photo += 0.025 * rng.random() ** 2 * rng.standard_normal(photo.shape, np.float32)
-    file = io.BytesIO()
-    Image.fromarray(np.uint8(np.rint(255 * photo.clip(0, 1)))).save(
-        file, "JPEG", quality=int(rng.integers(70, 96))
-    )
-    return np.asarray(Image.open(file))

@@ -20,6 +20,27 @@ YAW, PITCH, ROLL, FIELD_OF_VIEW = 50.0, 25.0, 30.0, 25.0
 DETECTOR_SD_MM = 3.0
 
 
+def sample_expressive(
+    model: MorphableModel, n: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of random faces in any expression.
+
+    Identities are standard normal. Half of the expressions are moments of performances, half are
+    held ones, and two thirds of all are at full strength.
+
+    Returns:
+        `(n, K)` of identity and `(n, E)` of expression.
+
+    Raises:
+        InputError: The model has no expressions whose names are known.
+    """
+    identity = rng.standard_normal((n, model.n_identity))
+    performed = sample_expressions(model, n, rng)
+    held = scan_expression_weights(model, rng.choice(SCAN_EXPRESSIONS, n), rng)
+    expression = np.where(rng.random((n, 1)) < 0.5, performed, held)
+    return identity, expression * np.minimum(1, 3 * rng.random((n, 1)))
+
+
 def sample_photo_views(
     model: MorphableModel,
     scheme: str,
@@ -29,9 +50,6 @@ def sample_photo_views(
     detector_sd: float | np.ndarray = DETECTOR_SD_MM,
 ) -> tuple[np.ndarray, np.ndarray, Cameras]:
     """Random faces, one view of each.
-
-    Identities are standard normal. Half of the expressions are moments of performances, half are
-    held ones, and two thirds of all are at full strength.
 
     Args:
         model: Morphable model with named expressions and landmarks of the scheme.
@@ -53,11 +71,7 @@ def sample_photo_views(
             f"Received {scheme!r}."
         )
     part = model.restrict(model.landmarks[scheme])
-    identity = rng.standard_normal((n, model.n_identity))
-    performed = sample_expressions(model, n, rng)
-    held = scan_expression_weights(model, rng.choice(SCAN_EXPRESSIONS, n), rng)
-    expression = np.where(rng.random((n, 1)) < 0.5, performed, held)
-    expression = expression * np.minimum(1, 3 * rng.random((n, 1)))
+    identity, expression = sample_expressive(model, n, rng)
     landmarks = part.shape(identity, expression)
     cameras = Cameras(
         projection=np.full(n, PROJECTIONS.index("perspective")),

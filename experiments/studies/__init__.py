@@ -1,1 +1,1 @@
-"""Studies beside the paper's tables: ablation, seeds, a million faces, the weights that ship."""
+"""Studies beside the paper's tables: ablation, seeds, a million faces."""

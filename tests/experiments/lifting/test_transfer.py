@@ -54,7 +54,6 @@ def test_a_model_that_is_not_there_is_left_out_with_the_reason(folder):
     assert made["stages"][0]["left_out"] == ["ict"]
 
 
-@pytest.mark.slow
 def test_networks_are_kept(folder, table):
     work = runs.work(folder, "bfm")
     written = {path: path.stat().st_mtime_ns for path in (work / "transfer").iterdir()}

@@ -1,0 +1,56 @@
+"""Errors of detectors: in the upright face, by yaw, without faces that were not found."""
+
+import numpy as np
+import pytest
+
+from experiments.pretrained.detector_errors import (
+    BINS,
+    errors_on,
+    radii,
+    summarise_errors,
+    turned,
+    upright_errors,
+)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def test_an_error_is_the_same_however_the_face_leans_and_how_large_it_is(rng):
+    view, error = rng.normal(0, 1, (1, 51, 2)), rng.normal(0, 0.05, (1, 51, 2))
+    for roll, size in ((0.0, 1.0), (25.0, 80.0)):
+        roll = np.array([roll])
+        pixels = size * turned(view, roll) * (1, -1) + 100
+        found = size * turned(view + error, roll) * (1, -1) + 100
+        upright = upright_errors(found, pixels, radii(pixels), roll)
+        assert np.allclose(upright, error / radii(view)[:, None, None])
+
+
+def test_summary_keeps_mean_variance_and_what_goes_together(rng):
+    n = 4000
+    yaw = rng.choice(BINS, n)
+    common = rng.normal(0, 0.05, (n, 1, 1)) * np.ones((51, 2))
+    errors = 0.02 * np.sign(yaw)[:, None, None] + common + rng.normal(0, 0.01, (n, 51, 2))
+    found = summarise_errors(errors, yaw)
+    assert np.allclose(found.bias[0], -0.02, atol=0.01)
+    assert np.allclose(found.bias[-1], 0.02, atol=0.01)
+    drawn = found.sample(np.full(5000, BINS[2]), rng)
+    assert np.allclose(drawn.std(0), np.hypot(0.05, 0.01), rtol=0.1)
+    assert np.corrcoef(drawn[:, 3, 0], drawn[:, 40, 1])[0, 1] > 0.9
+
+
+def test_bins_without_faces_say_nothing():
+    found = summarise_errors(np.zeros((0, 51, 2)), np.zeros(0))
+    assert found.bias.shape == (len(BINS), 51, 2) and not found.sd.any()
+
+
+def test_what_is_not_the_face_is_not_its_error(rng):
+    pixels = rng.normal(0, 40, (3, 68, 2)) + 160
+    photos = {"pixels_ibug68": pixels, "roll": np.zeros(3), "dlib": pixels + 1}
+    photos["dlib"][1] += 60
+    photos["dlib"][2] = np.nan
+    errors, found = errors_on(photos, "dlib", "ibug68")
+    assert [*found] == [True, False, False]
+    assert np.allclose(errors[0] * radii(pixels[:1, 17:])[0], (1, -1))
