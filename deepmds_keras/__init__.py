@@ -9,7 +9,7 @@ from importlib import import_module
 _HOME = {
     "DeepMDS": "pipeline",
     "InputError": "io.errors",
-    "LandmarkLifter": "lifting",
+    "LandmarkLifter": "lifting.lifter",
     "align": "alignment",
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",

@@ -15,6 +15,7 @@ from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.networks import (
@@ -281,8 +282,8 @@ class DeepMDS(BaseEstimator):
         tip = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model = cls(n_landmarks, "released")
         model._build()
-        weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
-        weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
+        read_keras2_weights(model.autoencoder_, autoencoder_h5)
+        read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
         model.front_landmark_, model.history_ = tip, {}
         return model
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from deepmds_keras.baselines.ringnet import RingNet
     from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
     from deepmds_keras.baselines.zhao import Zhao
-    from deepmds_keras.lifting import LandmarkLifter
+    from deepmds_keras.lifting.lifter import LandmarkLifter
     from deepmds_keras.pipeline import DeepMDS
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
@@ -172,7 +172,7 @@ def train_lifting(run: Run) -> LandmarkLifter:
     On the FLAME track test views are what a detector finds, those in training exact: errors are
     added, else it takes any for a trait of the face.
     """
-    from deepmds_keras.lifting import LandmarkLifter
+    from deepmds_keras.lifting.lifter import LandmarkLifter
 
     train = load_faces(run, "train")
     lifter = LandmarkLifter(
@@ -189,7 +189,7 @@ def train_lifting(run: Run) -> LandmarkLifter:
 
 def load_lifting(run: Run) -> LandmarkLifter:
     """Return the network as trained."""
-    from deepmds_keras.lifting import LandmarkLifter
+    from deepmds_keras.lifting.lifter import LandmarkLifter
 
     with _trained_by(run, "networks"):
         return LandmarkLifter.load(run.network_file("lifting"))

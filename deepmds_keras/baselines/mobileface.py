@@ -13,6 +13,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_fitted, check_images
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.networks import count_trainable, draw_kernels, forward_images
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.training import (
@@ -22,7 +23,6 @@ from deepmds_keras.training import (
     steps_per_call,
     train_by_epoch,
 )
-from deepmds_keras.weights import read_keras2_weights
 
 STANDARDISED = ("face", "batch")
 _WIDTH = 0.3125  # MobileNet's alpha

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -12,48 +11,13 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
-from deepmds_keras.lifting.network import (
-    SIZES,
-    UNIT,
-    Lift,
-    check_weights,
-    initial_weights,
-    lift,
-)
-from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
-
-_CHUNK = 250  # faces at a time, whose arrays stay in the cache
-_SETTERS = "fit, load or pretrained"
+from deepmds_keras.lifting.network import SIZES, initial_weights
+from deepmds_keras.lifting.trained import SETTERS, TrainedLifter, not_a_lifter, read_lifter
+from deepmds_keras.lifting.views import LEAST_VISIBLE
 
 
-class Pose(NamedTuple):
-    """The cameras that see faces, of `n` views.
-
-    Attributes:
-        rotation: `(n, 3, 3)`, to be multiplied from the left: from the frame of the shapes to that
-            of the camera, +x to the right of the view, +y up, +z towards the viewer.
-        scale: `(n,)` units of the view for a unit of the shape, at the depth of its centre.
-        translation: `(n, 2)` where the centre of the shape is seen.
-        perspective: `(n,)` one over the distance of the camera, in units of the shape; 0 for an
-            orthographic camera.
-    """
-
-    rotation: np.ndarray
-    scale: np.ndarray
-    translation: np.ndarray
-    perspective: np.ndarray
-
-    def project(self, shapes: np.ndarray) -> np.ndarray:
-        """Views of shapes: `(n, L, 3)` → `(n, L, 2)`, y up."""
-        posed = shapes @ np.swapaxes(self.rotation, 1, 2)
-        near = 1 / (1 - self.perspective[:, None, None] * posed[..., 2:])
-        seen = self.scale[:, None, None] * near * posed[..., :2]
-        return seen + self.translation[:, None]
-
-
-class LandmarkLifter(BaseEstimator):
+class LandmarkLifter(TrainedLifter, BaseEstimator):
     """3D landmarks of a face from the 2D landmarks of one image, by a network that knows cameras.
 
     The network is a fit of a face model that is learnt with it, cut short: a few steps that solve
@@ -158,70 +122,9 @@ class LandmarkLifter(BaseEstimator):
         self.training_sd_ = float(faces.held_out.sd.mean())
         return self
 
-    def predict(
-        self,
-        views: np.ndarray,
-        *,
-        landmark_sd: float | np.ndarray | None = None,
-        visible: np.ndarray | None = None,
-        return_std: bool = False,
-    ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """3D landmarks of each view, by NumPy alone.
-
-        Args:
-            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale and place. A
-                landmark with a coordinate that is NaN is missing.
-            landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                views: one number, one for each face `(n,)` or for each landmark `(n, L)`. None
-                takes them to be as in training.
-            visible: `(n, L)` or `(L,)` bool, False where a landmark is missing, whatever `views`
-                has there.
-            return_std: Whether to return standard deviations, too.
-
-        Returns:
-            `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
-            up, +z out of the face, in the unit of `normalise`; true size cannot be seen in one
-            view. The mean of the landmarks is about 0. With `return_std`, also `(n, L, 3)`
-            standard deviations of the errors, where the mean of the true landmarks is 0.
-
-        Raises:
-            InputError: Another number of landmarks, infinity, or not six visible landmarks that
-                are not on one line; `visible` or `landmark_sd` of another shape.
-        """
-        lifted, _ = self._lift(views, landmark_sd, visible)
-        shapes = np.concatenate([part.shapes for part in lifted]).swapaxes(1, 2)
-        if not return_std:
-            return shapes
-        log_sd = np.concatenate([part.log_sd for part in lifted]).swapaxes(1, 2)
-        return shapes, UNIT * np.exp(log_sd)
-
-    def pose(
-        self,
-        views: np.ndarray,
-        *,
-        landmark_sd: float | np.ndarray | None = None,
-        visible: np.ndarray | None = None,
-    ) -> Pose:
-        """The cameras that see the faces, as the last step solved for them.
-
-        Args:
-            views, landmark_sd, visible: As for `predict`.
-
-        Raises:
-            InputError: As for `predict`.
-        """
-        lifted, seen = self._lift(views, landmark_sd, visible)
-        camera = Camera(*map(np.concatenate, zip(*(part.camera for part in lifted), strict=True)))
-        return Pose(
-            rotation=camera.rotation,
-            scale=(camera.scale * seen.radius)[:, 0],
-            translation=camera.shift * seen.radius + seen.centre,
-            perspective=camera.perspective[:, 0],
-        )
-
     def save(self, path: str | Path) -> None:
         """Write parameters and weights into one `.npz` file, complete or not at all."""
-        arrays = check_fitted(self, "weights_", _SETTERS)
+        arrays = check_fitted(self, "weights_", SETTERS)
         described = {
             "parameters": self.get_params(),
             "training_sd": self.training_sd_,
@@ -236,16 +139,14 @@ class LandmarkLifter(BaseEstimator):
         Raises:
             InputError: Missing or damaged file, or weights of another network.
         """
-        arrays, described = weights.read_arrays(path)
+        arrays, described = read_lifter(path)
         try:
             lifter = cls(**described["parameters"])
             lifter._check_parameters()
-            lifter.training_sd_ = float(described["training_sd"])
-            lifter.history_ = described["history"]
-            check_weights(arrays, lifter.n_landmarks, SIZES[lifter.size])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} was not written by LandmarkLifter.save(): {error}.") from None
-        lifter.weights_ = {name: np.float32(array) for name, array in arrays.items()}
+        except TypeError as error:
+            raise not_a_lifter(path, error) from None
+        lifter.weights_, lifter.history_ = arrays, described["history"]
+        lifter.training_sd_ = float(described["training_sd"])
         return lifter
 
     @classmethod
@@ -256,19 +157,6 @@ class LandmarkLifter(BaseEstimator):
             InputError: No weights of that name.
         """
         return cls.load(weights.pretrained_path(name))
-
-    @property
-    def n_parameters(self) -> int:
-        return sum(array.size for array in check_fitted(self, "weights_", _SETTERS).values())
-
-    def _lift(self, views, landmark_sd, visible) -> tuple[list[Lift], Views]:
-        arrays = check_fitted(self, "weights_", _SETTERS)
-        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
-        sd = np.full_like(seen.visible, self.training_sd_) if seen.sd is None else seen.sd
-        inputs = (seen.views, seen.visible, sd)
-        iterations = SIZES[self.size].iterations
-        chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]
-        return [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks], seen
 
     def _check_parameters(self):
         if self.size not in SIZES:

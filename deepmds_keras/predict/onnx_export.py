@@ -11,9 +11,9 @@ from deepmds_keras import __version__
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
-from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
+from deepmds_keras.lifting.trained import TrainedLifter
 from deepmds_keras.predict.estimation import weights_path
 from deepmds_keras.predict.outputs import AXES, SCALE
 from deepmds_keras.predict.writing import write_bytes
@@ -46,7 +46,7 @@ def export(path: str | Path, model: str) -> None:
     if Path(path).exists():
         raise InputError(f"{path} must be the name of a new file. Received one that exists.")
     weights = weights_path(model)
-    lifter = LandmarkLifter.load(weights)
+    lifter = TrainedLifter.read(weights)
     scheme = load_scheme(scheme_of(lifter.n_landmarks))
     shipped = weights.parent == PRETRAINED
     source = "shipped with deepmds-keras, MIT licence" if shipped else "given by the user"
@@ -80,7 +80,7 @@ def export(path: str | Path, model: str) -> None:
 
 
 @np.errstate(all="ignore")  # of the examples
-def _traced(lifter: LandmarkLifter):
+def _traced(lifter: TrainedLifter):
     """The graph of `predict`, which does in float32 what `prepare_views` does before."""
     from onnx import helper, numpy_helper
 

@@ -14,7 +14,7 @@ from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from deepmds_keras.embedding import SOLVERS, embed
-from deepmds_keras.lifting import LandmarkLifter
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import forward
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.lifting import LandmarkLifter
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from experiments.lifting.views import (
     CONDITIONS,
     MIXED,

@@ -84,7 +84,7 @@ class Trained:
     """
 
     def __init__(self, run: Run, model: MorphableModel):
-        from deepmds_keras.lifting import LandmarkLifter
+        from deepmds_keras.lifting.lifter import LandmarkLifter
 
         self._jobs = run.jobs
         views, shapes, sd = training_faces(run, model)

@@ -15,7 +15,7 @@ from data_gen.models.registry import load_model
 from data_gen.views.photo_views import DETECTOR_SD_MM, sample_photo_views
 from deepmds_keras.detection.errors import DetectorErrors
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.lifting import LandmarkLifter
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from experiments.arguments import parse_run
 from experiments.methods import METHODS
 from experiments.pretrained.detector_errors import errors_on, errors_table, summarise_errors

@@ -14,7 +14,7 @@ from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.detection.errors import write_errors
 from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.lifting import LandmarkLifter
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.pipeline import DeepMDS

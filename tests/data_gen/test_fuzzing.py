@@ -62,9 +62,9 @@ from data_gen.views.projections import sample_cameras
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
+from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.weights import read_keras2_weights
 
 resource = pytest.importorskip("resource", reason="memory is limited as on Linux")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as on Linux")
