@@ -1,4 +1,4 @@
-"""Tells landmarks whose axes are flipped from those of a face that leans or turns."""
+"""Which way is up in landmarks: axes that are flipped are told from a face that leans or turns."""
 
 from __future__ import annotations
 
@@ -33,14 +33,8 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
         InputError: The landmarks are not of the scheme's shape, or not upright: the message says
             in which of the three ways and what to do; of several faces it names the first.
     """
-    groups = np.array(load_scheme(scheme).groups)
-    judged = scheme if {*_PARTS} <= {*groups} else "ibug51"  # in which a part may be unknown: NaN
-    faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
-    faces = faces[None] if faces.ndim == 2 else faces
-    groups = np.array(load_scheme(judged).groups)
-    right, left, mouth = (faces[:, groups == part].mean(1) for part in _PARTS)
+    faces, across, down = _eyes_and_mouth(landmarks, scheme)
     size = np.sqrt(np.square(faces - faces.mean(1, keepdims=True)).sum(2).mean(1))
-    across, down = left - right, mouth - (right + left) / 2
     upside_down = down[:, 1] < -_BELOW * size
     # The area that the two span is negative for a mirrored face, however it leans.
     area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
@@ -66,3 +60,34 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
         f"{name}: x must grow to the right, and right and left be the subject's; mirror x, or swap "
         "right and left landmarks. Received a mirrored face."
     )
+
+
+def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
+    """How often each face must be turned by 90 degrees to the left, as `np.rot90` does, to stand.
+
+    Args:
+        landmarks: `(n, L, 2)` as for `check_y_axis`.
+        scheme: Name of their scheme.
+
+    Returns:
+        `(n,)` int, -2 to 2: 0 for a face that leans by less than 45 degrees.
+
+    Raises:
+        InputError: The landmarks are not of the scheme's shape.
+    """
+    _, _, down = _eyes_and_mouth(landmarks, scheme)
+    lean = np.arctan2(-down[:, 0], down[:, 1])
+    return np.rint(np.nan_to_num(lean) / (np.pi / 2)).astype(int)
+
+
+def _eyes_and_mouth(
+    landmarks: np.ndarray, scheme: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Landmarks with those parts, and the ways from the right eye to the left, and to the mouth."""
+    groups = np.array(load_scheme(scheme).groups)
+    judged = scheme if {*_PARTS} <= {*groups} else "ibug51"  # in which a part may be unknown: NaN
+    faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
+    faces = faces[None] if faces.ndim == 2 else faces
+    groups = np.array(load_scheme(judged).groups)
+    right, left, mouth = (faces[:, groups == part].mean(1) for part in _PARTS)
+    return faces, left - right, mouth - (right + left) / 2

@@ -33,6 +33,7 @@ class Options:
 
     Attributes:
         sources: Photos, folders of photos, files of landmarks.
+        recursive: Whether to take the photos in folders within folders.
         out: Folder of the results.
         formats: Some of `FORMATS`; None leaves it to the number of faces.
         force: Whether to do again what is done.
@@ -47,6 +48,7 @@ class Options:
     """
 
     sources: list[str]
+    recursive: bool
     out: Path
     formats: tuple[str, ...] | None
     force: bool
@@ -91,6 +93,7 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
     add("sources", nargs="+", metavar="SOURCE",
         help="photo, folder of photos, or landmarks (csv, npy, pts, json) of "
         f"{said_sizes()} points")  # fmt: skip
+    add("--recursive", action="store_true", help="take the photos in folders within folders too")
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, metavar="LIST",

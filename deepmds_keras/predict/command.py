@@ -18,7 +18,7 @@ from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.photos import open_photo
+from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import SCHEME, faces_in_photos
 from deepmds_keras.predict.estimation import (
@@ -40,6 +40,7 @@ from deepmds_keras.predict.sources import (
     is_photo,
     name_faces,
     name_sources,
+    said_skipped,
 )
 
 _SOURCES_PER_TASK = 8  # of a process: photos are large, and MediaPipe takes a while to start
@@ -60,9 +61,11 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
         InputError: Nothing can be done at all: no detector, no model, no folder.
         KeyboardInterrupt: It was stopped.
     """
-    sources, errors = find_sources(options.sources)
+    sources, errors, skipped = find_sources(options.sources, recursive=options.recursive)
     for error in errors:
         complain(error)
+    if skipped:
+        print(f"skipped: {_printable(said_skipped(skipped))}")
     suffixes = [*(f".{name}" for name in options.formats or FORMATS), ".png", ".html", ".json"]
     check_folder(options.out, sources, suffixes)
     record, names = Record(options, hash_weights(options.model)), name_sources(sources)
@@ -107,7 +110,8 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
         except InputError as error:
             complain(error)
             return failed + 1
-        write_picture(path, draw_summary(shown, photos))
+        drawn = [*map(_in_photo, shown[:_DRAWN_FACES]), *shown[_DRAWN_FACES:]]
+        write_picture(path, draw_summary(drawn, photos))
         print(f"faces of this run: {_printable(str(path))}")
     return failed
 
@@ -232,25 +236,33 @@ def _writers(
     many = len(faces) > _DRAWN_FACES
     formats = options.formats or (("csv", "npz") if many else ("csv", "json", "ply", "obj"))
     model = describe_model(faces[0].scheme, options.model)
-    drawn = faces[:_DRAWN_FACES]
 
     @cache
     def photo() -> np.ndarray | None:
         return open_photo(faces[0].photo) if faces[0].photo else None
 
+    @cache
+    def drawn() -> list[Face]:
+        return [*map(_in_photo, faces[:_DRAWN_FACES])]
+
     writers = {
         path: partial(write_output, faces=held, model=model)
         for path, held in output_files(options.out, name, faces, formats).items()
     }
-    for face in drawn:
-        writers[options.out / f"{face.name}.png"] = lambda path, face=face: write_picture(
-            path, draw_face(face, photo())
+    for i, face in enumerate(faces[:_DRAWN_FACES]):
+        writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
+            path, draw_face(drawn()[i], photo())
         )
     if options.view:
         writers[options.out / f"{name}.html"] = lambda path: write_page(
-            path, drawn, [photo()] * len(drawn)
+            path, drawn(), [photo()] * len(drawn())
         )
     return writers
+
+
+def _in_photo(face: Face) -> Face:
+    """In the pixels of `open_photo`."""
+    return face if face.photo is None else face.reduced(photo_step(face.photo))
 
 
 def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:

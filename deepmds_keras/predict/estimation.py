@@ -13,6 +13,7 @@ import deepmds_keras
 from deepmds_keras.camera import HeadPose, head_poses
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.y_axis import quarter_turns
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.weights import pretrained_path
 
@@ -58,7 +59,8 @@ def estimate(
             f"{model}. Received {len(scheme)}."
         )
     views = found.landmarks * (1, -1)
-    shapes = estimator.set_params(n_jobs=jobs).predict(views, progress=progress)
+    quarters = quarter_turns(found.landmarks, found.scheme)
+    shapes = estimator.set_params(n_jobs=jobs).predict(_turned(views, quarters), progress=progress)
     if interocular is not None:
         right, left = map(scheme.index, _CORNERS)
         apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
@@ -73,10 +75,15 @@ def estimate(
             shape=shape,
             unit="normalised" if interocular is None else "mm",
             pose=pose,
-            notes=_notes(pose, estimator.centre_views),
+            notes=_notes(pose, turns, estimator.centre_views),
         )
-        for name, landmarks, shape, pose in zip(
-            found.names, found.landmarks, shapes, head_poses(views, shapes), strict=True
+        for name, landmarks, shape, pose, turns in zip(
+            found.names,
+            found.landmarks,
+            shapes,
+            head_poses(views, shapes),
+            quarters.tolist(),
+            strict=True,
         )
     ]
 
@@ -134,12 +141,26 @@ def weights_path(name: str) -> Path:
         raise InputError(f"model must be a file of DeepMDS.save(), or its {error}") from None
 
 
-def _notes(pose: HeadPose, centred: bool) -> tuple[str, ...]:
+def _turned(views: np.ndarray, quarters: np.ndarray) -> np.ndarray:
+    """Views turned by so many quarters to the left, each about its middle."""
+    cosines, sines = np.rint(np.cos(quarters * np.pi / 2)), np.rint(np.sin(quarters * np.pi / 2))
+    turns = np.array([[cosines, sines], [-sines, cosines]]).transpose(2, 0, 1)
+    centres = views.mean(1, keepdims=True) * (quarters != 0)[:, None, None]
+    return (views - centres) @ turns + centres
+
+
+def _notes(pose: HeadPose, quarters: int, centred: bool) -> tuple[str, ...]:
     notes = []
+    if quarters:
+        notes.append(
+            f"the face does not stand upright in the image (roll {pose.roll:+.0f}°): it was turned "
+            "upright to be measured"
+        )
+    roll = (pose.roll + 90 * quarters + 180) % 360 - 180  # of the face that was turned
     beyond = {
-        f"{angle} {getattr(pose, angle):+.0f}°": f"±{most}°"
-        for angle, most in _TRAINED.items()
-        if abs(getattr(pose, angle)) > most + _POSE_ERROR
+        f"{angle} {value:+.0f}°": f"±{_TRAINED[angle]}°"
+        for angle, value in (("yaw", pose.yaw), ("pitch", pose.pitch), ("roll", roll))
+        if abs(value) > _TRAINED[angle] + _POSE_ERROR
     }
     if beyond:
         notes.append(

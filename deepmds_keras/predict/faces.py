@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,3 +55,9 @@ class Face:
     unit: str
     pose: HeadPose
     notes: tuple[str, ...] = ()
+
+    def reduced(self, step: float) -> Face:
+        """The face as it is seen in its photo at a `step`-th of the photo's size."""
+        scale, translation = self.pose.scale / step, self.pose.translation / step
+        pose = replace(self.pose, scale=scale, translation=translation)
+        return replace(self, landmarks=self.landmarks / step, pose=pose)

@@ -12,7 +12,8 @@ from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.writing import write_bytes
 
 NAME = "deepmds.json"
-_IRRELEVANT = ("sources", "out", "force", "jobs", "mediapipe_python")  # to what a source gives
+# To what a source gives.
+_IRRELEVANT = ("sources", "recursive", "out", "force", "jobs", "mediapipe_python")
 _NO_SOURCE = ""  # key of files that are of the whole run, or were a source's and are no more
 
 

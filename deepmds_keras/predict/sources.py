@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.predict.landmark_files import SUFFIXES as LANDMARK_SUFFIXES
+from deepmds_keras.predict.record import NAME as RECORD
 
 PHOTO_SUFFIXES = (
-    *(".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".jp2", ".pbm", ".pgm", ".png", ".pnm"),
-    *(".ppm", ".tga", ".tif", ".tiff", ".webp"),
+    *(".avif", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jfif", ".jpeg", ".jpg", ".jp2", ".pbm"),
+    *(".pgm", ".png", ".pnm", ".ppm", ".tga", ".tif", ".tiff", ".webp"),
 )
 _RESERVED = ("deepmds", "summary")  # the record, and the picture of all faces
 
@@ -27,27 +29,43 @@ def is_landmark_file(path: Path) -> bool:
     return path.suffix.lower() in LANDMARK_SUFFIXES
 
 
-def find_sources(paths: Iterable[str | Path]) -> tuple[list[Path], list[InputError]]:
+def find_sources(
+    paths: Iterable[str | Path], *, recursive: bool = False
+) -> tuple[list[Path], list[InputError], Counter[str]]:
     """All that is to be read, and what is wrong with the rest: one bad path does not stop others.
 
     Args:
         paths: Photos and files of landmarks, taken as they are, and folders, of which the photos
-            are taken, by name, but neither hidden files nor what lies in folders within.
+            are taken, by name, but no hidden files.
+        recursive: Take those in folders within too, but for hidden folders, links, and results of
+            earlier runs.
 
     Returns:
-        Files in the order of the paths, each once; and an error for each path that does not exist,
-        each folder without photos, and each file with another suffix.
+        Files in the order of the paths, each once; an error for each path that does not exist,
+        each folder without photos, and each file with another suffix; and how many things in
+        folders were left out, by what they are.
     """
-    sources, errors = {}, []
+    sources, errors, skipped = {}, [], Counter()
     for path in map(Path, paths):
         try:
-            found = _photos_in(path) if os.path.isdir(path) else [_checked(path)]
+            if os.path.isdir(path):
+                found = _photos_in(path, recursive, errors, skipped)
+            else:
+                found = [_checked(path)]
         except InputError as error:
             errors.append(error)
         else:
             for source in found:
                 sources.setdefault(source.resolve(), source)
-    return list(sources.values()), errors
+    return list(sources.values()), errors, skipped
+
+
+def said_skipped(skipped: Counter[str]) -> str:
+    """What `find_sources` left out, as text: `3 .mp4, 2 hidden, 1 subfolder (--recursive)`."""
+    return ", ".join(
+        f"{n:,} {kind.replace('folder', 'folders') if n > 1 and kind[0] != '.' else kind}"
+        for kind, n in skipped.most_common()
+    )
 
 
 def name_sources(sources: Sequence[Path]) -> list[str]:
@@ -105,22 +123,52 @@ def check_folder(folder: Path, sources: Iterable[Path], suffixes: Iterable[str])
             )
 
 
-def _photos_in(folder: Path) -> list[Path]:
-    try:
-        photos = sorted(
-            path
-            for path in folder.iterdir()
-            if is_photo(path) and not path.name.startswith(".") and path.is_file()
-        )
-    except OSError as error:
-        raise InputError(f"{folder} must be a folder that can be read. "
-                         f"Received: {error.strerror}.") from None  # fmt: skip
-    if not photos:
+def _photos_in(
+    folder: Path, recursive: bool, errors: list[InputError], skipped: Counter[str]
+) -> list[Path]:
+    """Photos by name, those of a folder before those within; what cannot be read is appended."""
+
+    def unreadable(error: OSError) -> None:
+        errors.append(InputError(f"{error.filename} must be a folder that can be read. "
+                                 f"Received: {error.strerror}."))  # fmt: skip
+
+    photos, before = [], len(errors)
+    for place, folders, files in os.walk(folder, onerror=unreadable):
+        for path in sorted(Path(place, name) for name in files):
+            if reason := _why_no_photo(path):
+                skipped[reason] += 1
+            else:
+                photos.append(path)
+        within, folders[:] = sorted(folders), []  # os.walk goes on with what is in `folders`
+        for name in within:
+            if reason := _why_not_within(Path(place, name), recursive):
+                skipped[reason] += 1
+            else:
+                folders.append(name)
+    if not photos and len(errors) == before:
         raise InputError(
             f"{folder} must hold photos ({', '.join(PHOTO_SUFFIXES)}). Received none; name files "
             "of landmarks one by one."
         )
     return photos
+
+
+def _why_no_photo(path: Path) -> str | None:
+    if path.name.startswith("."):
+        return "hidden"
+    if not is_photo(path):
+        return path.suffix.lower() or "without suffix"
+    return None if path.is_file() else "no file"
+
+
+def _why_not_within(folder: Path, recursive: bool) -> str | None:
+    if folder.name.startswith("."):
+        return "hidden"
+    if not recursive:
+        return "subfolder (--recursive)"
+    if folder.is_symlink():  # which may lead back
+        return "linked folder"
+    return "folder of results" if (folder / RECORD).is_file() else None
 
 
 def _checked(path: Path) -> Path:

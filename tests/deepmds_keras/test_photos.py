@@ -1,11 +1,13 @@
 """Photos: what is handled (grey, alpha, 16 bits, rotated, any shape), and what is refused."""
 
+import sys
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from deepmds_keras import InputError, read_photo
-from deepmds_keras.photos import check_photo, open_photo
+from deepmds_keras import InputError, photos, read_photo
+from deepmds_keras.photos import check_photo, open_photo, photo_step
 
 RAMP = np.uint8(np.linspace(0, 255, 64))
 
@@ -81,17 +83,69 @@ def test_a_whole_photo_is_opened_pixel_by_pixel_upright_and_on_white(tmp_path, c
     photo[:] = 0  # it is the caller's
 
 
+@pytest.mark.parametrize("kind", ["jpg", "png"])
+def test_a_large_photo_is_halved_and_its_pixels_stay_in_place(tmp_path, monkeypatch, kind):
+    """A square of 16 pixels at (32, 16) of a photo of an odd number of them."""
+    photo = np.zeros((81, 121, 3), np.uint8)
+    photo[16:32, 32:48] = 255
+    path = saved(tmp_path, photo, f"photo.{kind}", **({"quality": 100} if kind == "jpg" else {}))
+    assert photo_step(path) == 1
+    assert open_photo(path).shape == photo.shape
+    box = read_photo(path, (30, 14, 20, 20), size=64)
+    monkeypatch.setattr(photos, "_FULL_PIXELS", 81 * 121 - 1)
+    assert photo_step(path) == 2
+    half = open_photo(path)
+    assert half.shape == (41, 61, 3)
+    inside = np.zeros((41, 61), bool)
+    inside[8:16, 16:24] = True
+    np.testing.assert_array_equal((half > 127).all(2), inside)
+    assert np.abs(read_photo(path, (30, 14, 20, 20), size=64) - box.astype(float)).mean() < 12
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGBA", "CMYK", "I;16", "I", "F"])
+def test_large_photos_of_every_mode_are_halved(tmp_path, monkeypatch, mode):
+    monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
+    path = saved(tmp_path, Image.new(mode, (100, 90)), "photo.tif")
+    assert open_photo(path).shape == (45, 50, 3)
+
+
+def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
+    pytest.importorskip("pillow_heif", reason="pillow-heif is absent: pip install .[heic]")
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    from pillow_heif import register_heif_opener
+
+    register_heif_opener()
+    for name in ("photo.heic", "photo.jpg"):
+        saved(tmp_path, colour[:40], name, format="HEIF", exif=exif.tobytes(), quality=-1)
+        found = open_photo(tmp_path / name).astype(int)
+        assert np.abs(found - np.rot90(colour[:40], -1)).mean() < 6
+    whole = (tmp_path / "photo.heic").read_bytes()
+    (tmp_path / "photo.heic").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="photo.heic must be a photo that can be read"):
+        open_photo(tmp_path / "photo.heic")
+
+
+def test_without_what_reads_heic_its_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    path = tmp_path / "photo.heic"
+    path.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    with pytest.raises(InputError, match=r"photo.heic must be .* 'deepmds-keras\[heic\]'"):
+        open_photo(path)
+
+
 @pytest.mark.parametrize("read", [open_photo, read_photo])
 @pytest.mark.parametrize(
     ("size", "message"),
     [
         ((31, 500), r"at least 32 pixels on each side. Received 31 x 500.$"),
-        ((10_000, 10_000), r"at most 64,000,000 pixels. Received 10000 x 10000.$"),
-        ((14_000, 13_000), r"at most 64,000,000 pixels. Received: Image size \(182000000 pixels"),
+        ((16_010, 16_000), r"at most 256,000,000 pixels. Received 16010 x 16000.$"),
+        ((23_000, 23_000), r"at most 256,000,000 pixels. Received: Image size \(529000000 pixels"),
     ],
 )
 def test_tiny_and_huge_photos_are_refused(tmp_path, read, size, message):
-    path = saved(tmp_path, Image.new("1", size))
+    path = tmp_path / "photo.png"
+    path.write_bytes(b"P5 %d %d 255\n" % size)  # the head of a PGM, which claims to be that large
     with pytest.raises(InputError, match=f"photo.png must.*{message}"):
         read(path)
 

@@ -8,7 +8,7 @@ from data_gen.views.projections import Cameras, project
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.landmarks.y_axis import check_y_axis, quarter_turns
 
 DOWN = np.array((1, -1))
 
@@ -93,3 +93,13 @@ def test_faces_with_nan_are_not_judged():
 def test_the_wrong_number_of_landmarks_is_refused():
     with pytest.raises(InputError, match="L = 72.*Received \\(68, 2\\)"):
         check_y_axis(seen(scheme="ibug68")[0], "bfm72", "a.csv")
+
+
+def test_quarter_turns_bring_faces_upright():
+    rolls = np.array((0, 40, -40, 50, 90, 130, -50, -90, -130, 180))
+    turns = quarter_turns(seen(roll=rolls), "bfm72")
+    # A head that leans to its own right has turned to the left in the image.
+    np.testing.assert_array_equal(turns % 4, np.array((0, 0, 0, -1, -1, -1, 1, 1, 1, 2)) % 4)
+    nodding = seen(np.array((-80, 0, 80)), np.array((30, -40, -30)), 0)
+    assert not quarter_turns(nodding, "bfm72").any()
+    assert not quarter_turns(np.full((1, 72, 2), np.nan), "bfm72").any()

@@ -20,6 +20,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras import DeepMDS, __version__
 from deepmds_keras.__main__ import main
+from deepmds_keras.camera import HeadPose
 from deepmds_keras.detection import dlib_landmarks
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
@@ -83,6 +84,7 @@ def test_help_is_answered_without_what_takes_long_to_load():
     code = """
 import sys
 from deepmds_keras.__main__ import main
+from deepmds_keras.camera import HeadPose
 try:
     main(["predict", "--help"])
 finally:
@@ -126,12 +128,38 @@ def test_a_photo_gives_its_face_and_no_noise(tmp_path, heads):
     assert np.allclose(yaws[0], -10, atol=8)
 
 
+def test_a_photo_without_note_of_which_way_is_up_is_turned_until_it_has_a_face(
+    tmp_path, run, heads
+):
+    """The same shape as of the upright photo, and landmarks and pose in the photo as it is."""
+    upright = heads[0][1]
+    for quarters in range(4):
+        Image.fromarray(np.rot90(upright, quarters)).save(tmp_path / f"{quarters}.png")
+    status, said, errors = run(*(tmp_path / f"{i}.png" for i in range(4)), "--format", "json")
+    assert (status, errors) == (0, [])
+    found = [json.loads((tmp_path / "out" / f"{i}.json").read_bytes())["faces"] for i in range(4)]
+    rolls = []
+    for quarters, (face,) in enumerate(found):
+        x, y = heads[1][1].T
+        n = len(upright)
+        seen = np.stack([(x, y), (y, n - x), (n - x, n - y), (n - y, x)][quarters], 1)
+        assert np.abs(np.subtract(face["landmarks"], seen)).mean() < 4
+        np.testing.assert_allclose(face["shape"], found[0][0]["shape"], atol=0.03)
+        pose = HeadPose(**{k: np.array(v) for k, v in face["pose"].items()})
+        projected = pose.project(np.array(face["shape"])) * (1, -1)
+        assert np.linalg.norm(projected - seen, axis=1).mean() < 12
+        rolls.append(face["pose"]["roll"])
+        assert any("does not stand upright" in note for note in face["notes"]) == (quarters > 0)
+    turned = np.subtract(rolls, rolls[0]) - np.arange(4) * 90
+    np.testing.assert_allclose((turned + 180) % 360, 180, atol=2)
+
+
 def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, run, landmarks):
     folder = tmp_path / "in"
     folder.mkdir()
     (folder / "text.jpg").write_text("hello")
     (folder / "empty.jpg").touch()
-    Image.new("L", (10_000, 10_001)).save(folder / "huge.png")
+    (folder / "huge.png").write_bytes(b"P5 16000 16001 255\n")
     Image.new("RGB", (200, 200)).save(folder / "nobody.png")
     (folder / "broken.json").write_text("{")
     arrays = {
@@ -151,7 +179,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, run, la
     for name, wanted in {
         "text.jpg": "no image",
         "empty.jpg": "0 bytes",
-        "huge.png": "at most 64,000,000 pixels. Received 10000 x 10001",
+        "huge.png": "at most 256,000,000 pixels. Received 16000 x 16001",
         "nobody.png": "no face found by dlib",
         "broken.json": "must be JSON",
         "upside_down.npy": "--y-up",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepmds_keras import InputError
+from deepmds_keras import InputError, photos
 from deepmds_keras.detection.detectors import DETECTORS, Detector
 from deepmds_keras.predict.arguments import parse
 from deepmds_keras.predict.detection import faces_in_photos
@@ -36,8 +36,47 @@ def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_
     assert two.shape == (2, 51, 2) and one.shape == (1, 51, 2)
     np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(17, 68))
     assert isinstance(none, InputError) and isinstance(text, InputError)
-    assert "no face found by made-up; try --detector dlib or mediapipe, or" in str(none)
+    assert (
+        "no face found by made-up, whichever side is up; try --detector dlib or mediapipe, or"
+        in str(none)
+    )
     assert "text.png must be a photo" in str(text)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
+    tmp_path, monkeypatch, quarters
+):
+    """A detector of a white spot in the left upper quarter of a photo that is higher than wide."""
+    looked_at = []
+
+    def detect(photos, found):
+        for photo in photos:
+            looked_at.append(photo.shape)
+            y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
+            height, width = photo.shape[:2]
+            upright = height > width and x < width / 2 and y < height / 2
+            yield np.full((int(upright), 68, 2), (x, y))
+
+    monkeypatch.setitem(DETECTORS, "spots", Detector("ibug68", lambda _: None, detect, ""))
+    upright = np.zeros((120, 90, 3), np.uint8)
+    upright[30:32, 20:24] = 255
+    turned = np.rot90(upright, -quarters)
+    paths = [tmp_path / "upright.png", tmp_path / "turned.png"]
+    for path, photo in zip(paths, (upright, turned), strict=True):
+        Image.fromarray(photo).save(path)
+    first, second = faces_in_photos(paths, "spots", None)
+    assert len(looked_at) == 2 + 3  # what is found upright is not turned
+    for faces, photo in ((first, upright), (second, turned)):
+        y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
+        np.testing.assert_array_equal(faces, np.full((1, 51, 2), (x, y)))
+
+
+def test_landmarks_of_a_large_photo_are_in_its_own_pixels(tmp_path, made_up, monkeypatch):
+    monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
+    Image.new("RGB", (100, 90), (1, 0, 0)).save(tmp_path / "large.png")
+    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "what find returned")
+    np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(17, 68)))
 
 
 def test_the_command_offers_a_third_detector_with_its_terms(made_up, capsys):

@@ -1,5 +1,6 @@
 """What a run reads, and that no result can overwrite another or a source."""
 
+import os
 from itertools import permutations
 from pathlib import Path
 
@@ -13,12 +14,13 @@ from deepmds_keras.predict.sources import (
     is_photo,
     name_faces,
     name_sources,
+    said_skipped,
 )
 
 
 def touched(folder, *names):
     for name in names:
-        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
     return [folder / name for name in names]
 
@@ -27,14 +29,43 @@ def test_a_folder_gives_its_photos_by_name(tmp_path):
     touched(tmp_path, "b.JPG", "a.png", "c.webp", ".hidden.jpg", "._b.jpg", "notes.txt", "a.csv")
     touched(tmp_path, "deeper/d.jpg")
     (tmp_path / "folder.jpg").mkdir()
-    sources, errors = find_sources([tmp_path])
+    sources, errors, skipped = find_sources([tmp_path])
     assert [path.name for path in sources] == ["a.png", "b.JPG", "c.webp"]
     assert not errors
+    assert skipped == {"hidden": 2, ".txt": 1, ".csv": 1, "subfolder (--recursive)": 2}
+
+
+def test_what_a_folder_does_not_give_is_counted_by_its_kind(tmp_path):
+    touched(tmp_path, "a.jpg", "1.mp4", "2.MP4", "3.mp4", ".b", ".c.jpg", "within/d.jpg", "README")
+    touched(tmp_path / "other", "a.jpg", "a/b.jpg", "b.mp4")
+    _, _, skipped = find_sources([tmp_path, tmp_path / "other"])
+    assert said_skipped(skipped) == "4 .mp4, 3 subfolders (--recursive), 2 hidden, 1 without suffix"
+    assert said_skipped(find_sources([tmp_path / "a.jpg"])[2]) == ""
+
+
+def test_folders_within_are_taken_if_asked_for_but_no_results_and_nothing_twice(tmp_path):
+    touched(tmp_path, "b/b.jpg", "b/a/c.jpg", "a/d.heic", "e.jpg", ".hidden/f.jpg", "b/notes.txt")
+    touched(tmp_path, "b/out/g.png", "b/out/deepmds.json")
+    (tmp_path / "a" / "round").symlink_to(tmp_path)
+    sources, errors, skipped = find_sources([tmp_path], recursive=True)
+    names = ["e.jpg", "a/d.heic", "b/b.jpg", "b/a/c.jpg"]
+    assert [str(path.relative_to(tmp_path)) for path in sources] == names
+    assert not errors
+    assert skipped == {"hidden": 1, "linked folder": 1, "folder of results": 1, ".txt": 1}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads every folder")
+def test_a_folder_within_that_cannot_be_read_is_named(tmp_path):
+    touched(tmp_path, "a.jpg", "within/b.jpg")
+    (tmp_path / "within").chmod(0)
+    sources, (error,), _ = find_sources([tmp_path], recursive=True)
+    assert [path.name for path in sources] == ["a.jpg"]
+    assert str(error).startswith(f"{tmp_path / 'within'} must be a folder that can be read")
 
 
 def test_files_stay_in_order_and_are_taken_once(tmp_path):
     b, a, points = touched(tmp_path, "b.jpg", "a.jpg", "points.npy")
-    sources, errors = find_sources([points, b, str(tmp_path), tmp_path / "." / "b.jpg"])
+    sources, errors, _ = find_sources([points, b, str(tmp_path), tmp_path / "." / "b.jpg"])
     assert sources == [points, b, a]
     assert not errors
 
@@ -42,7 +73,7 @@ def test_files_stay_in_order_and_are_taken_once(tmp_path):
 def test_one_bad_path_does_not_stop_the_others(tmp_path):
     photo, text, _ = touched(tmp_path, "a.jpg", "a.txt", "empty/.hidden.jpg")
     bad = [tmp_path / "none.jpg", text, tmp_path / "empty"]
-    sources, errors = find_sources([*bad, photo])
+    sources, errors, _ = find_sources([*bad, photo])
     assert sources == [photo]
     for path, error, said in zip(
         bad, errors, ("does not exist", "'.txt'", "must hold photos"), strict=True
@@ -53,9 +84,9 @@ def test_one_bad_path_does_not_stop_the_others(tmp_path):
 
 
 def test_suffixes_tell_photos_from_landmarks():
-    photos = [Path(name) for name in ("a.jpg", "a.JPEG", "a.tif")]
+    photos = [Path(name) for name in ("a.jpg", "a.JPEG", "a.tif", "a.HEIC")]
     points = [Path(name) for name in ("a.csv", "a.NPY", "a.pts", "a.json")]
-    files = [*photos, *points, Path("a"), Path("a.heic"), Path("jpg")]
+    files = [*photos, *points, Path("a"), Path("a.mp4"), Path("jpg")]
     assert [path for path in files if is_photo(path)] == photos
     assert [path for path in files if is_landmark_file(path)] == points
 
