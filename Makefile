@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead test nightly lint clean
+.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead surface test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -111,6 +111,9 @@ pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
+
+surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies off   [DATA=ICT-FaceKit]
+	@$(PY) -m experiments surface --data '$(DATA)'
 
 # Two at a time: a stage keeps about a core busy.
 PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest

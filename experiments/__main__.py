@@ -14,6 +14,7 @@ _MODULES = {stage.name: stage.module for stage in STAGES} | {
     "pictures": "figures.doc_pictures",
     "report": "report.report",
     "show": "tracks.show",
+    "surface": "pretrained.surface_errors",
 }
 
 

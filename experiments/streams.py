@@ -42,3 +42,4 @@ class Stream(IntEnum):
     ANATOMY_LIMIT = 311
     TRANSFER_TRAINING = 312
     TRANSFER_TESTS = 313
+    SURFACES = 321

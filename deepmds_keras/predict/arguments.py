@@ -38,6 +38,7 @@ class Options:
         formats: Some of `FORMATS`; None leaves it to the number of faces.
         force: Whether to do again what is done.
         view: Whether to write a page.
+        mesh: Whether to write whole heads through the landmarks.
         detector: One of `DETECTORS`.
         mediapipe_python: Interpreter of the environment with MediaPipe, or None.
         y_up: y grows upwards in files of landmarks.
@@ -53,6 +54,7 @@ class Options:
     formats: tuple[str, ...] | None
     force: bool
     view: bool
+    mesh: bool
     detector: str
     mediapipe_python: str | None
     y_up: bool
@@ -101,6 +103,8 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         "csv,npz)")  # fmt: skip
     add("--force", action="store_true", help="do again what is done already")
     add("--view", action="store_true", help="write an HTML page too, on which faces can be turned")
+    add("--mesh", action="store_true",
+        help="write the head through the landmarks too: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
     add("--detector", choices=DETECTORS, default="dlib",
         help=", ".join(f"{name} ({row.terms})" for name, row in DETECTORS.items())
         + " (default: dlib)")  # fmt: skip

@@ -30,6 +30,7 @@ from deepmds_keras.predict.estimation import (
 )
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.predict.landmark_files import read_landmarks
+from deepmds_keras.predict.mesh_files import MESH_SUFFIXES, write_mesh
 from deepmds_keras.predict.outputs import FORMATS, output_files, write_output
 from deepmds_keras.predict.page import write_page
 from deepmds_keras.predict.picture import draw_face, draw_summary, write_picture
@@ -253,6 +254,10 @@ def _writers(
         writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
             path, draw_face(drawn()[i], photo())
         )
+    for face in faces if options.mesh else []:
+        for suffix in MESH_SUFFIXES:
+            path = options.out / f"{face.name}{suffix}"
+            writers[path] = partial(write_mesh, face=face, model=model)
     if options.view:
         writers[options.out / f"{name}.html"] = lambda path: write_page(
             path, drawn(), [photo()] * len(drawn())

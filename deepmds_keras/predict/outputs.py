@@ -81,7 +81,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> str:
     scheme = load_scheme(faces[0].scheme)
     rows = [f"{n},{name},%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g\n"
             for n, name in zip(scheme.numbers, scheme.names, strict=True)]  # fmt: skip
-    parts = [f"# {line}\n" for line in _description(faces, model)]
+    parts = [f"# {line}\n" for line in description(faces, model)]
     parts += [f"# image_x, image_y: {AXES['landmarks']}\n", f"{_COLUMNS}\n"]
     for face in faces:
         # Quoted, so that no character of a file name is taken for one of the table.
@@ -144,7 +144,7 @@ def ply_text(faces: Sequence[Face], model: Mapping) -> str:
         "format ascii 1.0",
         # Some readers take ASCII only.
         *(f"comment {line}".encode("ascii", "replace").decode()
-          for line in _description(faces, model)),
+          for line in description(faces, model)),
         f"element vertex {len(faces[0].shape)}",
         *(f"property float {axis}" for axis in "xyz"),
         f"element edge {len(edges)}",
@@ -160,7 +160,7 @@ def ply_text(faces: Sequence[Face], model: Mapping) -> str:
 def obj_text(faces: Sequence[Face], model: Mapping) -> str:
     """The wireframe of one face: vertices and the lines of its scheme."""
     lines = [
-        *(f"# {line}" for line in _description(faces, model)),
+        *(f"# {line}" for line in description(faces, model)),
         *(f"v {_numbers(vertex)}" for vertex in faces[0].shape),
         *(f"l {' '.join(str(i + 1) for i in line)}"
           for line in load_scheme(faces[0].scheme).polylines),
@@ -188,7 +188,7 @@ def _common(faces: Sequence[Face], model: Mapping) -> dict:
     }
 
 
-def _description(faces: Sequence[Face], model: Mapping) -> list[str]:
+def description(faces: Sequence[Face], model: Mapping) -> list[str]:
     """Lines of text: names are quoted as JSON has them, and so cannot begin another line."""
     scheme = load_scheme(faces[0].scheme)
     unit = faces[0].unit

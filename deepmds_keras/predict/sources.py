@@ -78,7 +78,12 @@ def name_sources(sources: Sequence[Path]) -> list[str]:
     names, taken, numbered = [], {*_RESERVED}, set()
 
     def clashes(name: str) -> bool:
-        return name in taken or name in numbered or _unnumbered(name) in taken
+        return (
+            name in taken
+            or name in numbered
+            or _unnumbered(name) in taken
+            or name.endswith(".mesh")  # of `a.mesh.jpg`: `a.mesh.ply` is a file of `a.jpg`
+        )
 
     for source in sources:
         name = source.stem

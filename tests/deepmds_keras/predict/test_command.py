@@ -513,3 +513,15 @@ def test_the_photos_that_users_have_give_plausible_faces(tmp_path, run):
             centred = shape - shape.mean(0) * (1, 0, 0)
             asymmetry = centred - centred[scheme.mirror] * (-1, 1, 1)
             assert np.linalg.norm(asymmetry, axis=1).mean() < 0.05
+
+
+def test_mesh_writes_a_head_for_each_face(run, landmarks, tmp_path):
+    np.save(tmp_path / "two.npy", np.stack([landmarks, 2 * landmarks]))
+    status, _, errors = run(tmp_path / "two.npy", "--mesh", "--interocular", 90, "--format", "ply")
+    assert (status, errors) == (0, [])
+    for n in (1, 2):
+        kinds = {path.name for path in (tmp_path / "out").glob(f"two-{n}.*")}
+        assert {f"two-{n}.ply", f"two-{n}.mesh.ply", f"two-{n}.mesh.obj"} <= kinds
+        lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
+        vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
+        assert 180 < np.ptp(vertices[:, 1]) < 400  # millimetres of a head

@@ -121,3 +121,7 @@ def test_a_result_may_lie_beside_a_photo_but_not_overwrite_a_source(tmp_path):
     check_folder(tmp_path / "out", [photo, points], [".csv", ".png"])
     with pytest.raises(InputError, match="a.CSV, which a result could overwrite"):
         check_folder(tmp_path / "out" / "..", [photo, points], [".csv", ".png"])
+
+
+def test_no_name_is_that_of_the_mesh_of_another():
+    assert name_sources([Path("a.jpg"), Path("a.mesh.jpg")]) == ["a", "a.mesh_jpg"]

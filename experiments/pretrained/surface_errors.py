@@ -1,0 +1,105 @@
+"""Heads through landmarks: write the model of `deepmds predict --mesh`, measure how far they lie.
+
+`make surface` prints the table of docs/mesh.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+
+import numpy as np
+from vtkmodules.util.numpy_support import (
+    numpy_to_vtk,
+    numpy_to_vtkIdTypeArray,
+    vtk_to_numpy,
+)
+from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
+
+from data_gen.build_openhead.surface import write_surface
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.openhead import read_openhead
+from data_gen.models.registry import load_model
+from data_gen.views.photo_views import sample_expressive
+from deepmds_keras.alignment import procrustes
+from deepmds_keras.predict.surface import FILE, fit_surfaces, surface_landmarks
+from experiments.running import exit_on_user_error
+from experiments.streams import Stream
+
+_SCHEME, _N_FACES, _SEED = "ibug51", 200, 0
+_ERRORS_MM = (0, 2)  # of each coordinate of the landmarks
+_FRONT = 30  # mm from the axis of the head
+_HALF = 127  # of a mask
+_HEAD = """\
+| faces of | error of the landmarks | mean head to surface | mesh to surface | mesh to landmarks |
+|---|---|---|---|---|"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m experiments surface", description=__doc__)
+    parser.add_argument("--data", help="ICT-FaceKit Light, to measure on its faces too")
+    options = parser.parse_args(arguments)
+    with exit_on_user_error():
+        write_surface(FILE)
+        models = [load_model("openhead")]
+        models += [load_model("ict", options.data)] if options.data else []
+        print(_HEAD)
+        for model in models:
+            for error, *distances in measure(model):
+                told = " | ".join(f"{distance:.2f}" for distance in distances)
+                print(f"| {model.name} | {error} | {told} |")
+
+
+def measure(
+    model: MorphableModel, n: int = _N_FACES
+) -> Iterator[tuple[float, float, float, float]]:
+    """Measure heads that are fitted to the landmarks of random faces, mean distances in mm.
+
+    Yields:
+        The standard deviation of the landmarks' errors; the distance of the vertices of the face,
+        without the eyes and the inside of the mouth, from the true surface, of the mean head where
+        it is aligned and of the fitted ones; and the distance of these from the landmarks given.
+    """
+    rng = np.random.default_rng([_SEED, Stream.SURFACES])
+    true = model.shape(*sample_expressive(model, n, rng))
+    landmarks = true[:, model.landmarks[_SCHEME]]
+    own, face, mean = surface_landmarks(_SCHEME), _face(), read_openhead()["mean"]
+    for error in _ERRORS_MM:
+        given = landmarks + rng.normal(0, error, landmarks.shape)
+        fitted = fit_surfaces(given, _SCHEME)
+        rotation, scale, shift = procrustes(np.tile(mean[own], (n, 1, 1)), given, reflection=False)
+        means = scale[:, None, None] * (mean @ rotation) + shift[:, None]
+        yield (
+            error,
+            _distance(means[:, face], true, model.triangles),
+            _distance(fitted[:, face], true, model.triangles),
+            np.linalg.norm(fitted[:, own] - given, axis=2).mean(),
+        )
+
+
+def _face() -> np.ndarray:
+    head = read_openhead()
+    skin = (head["part"] == 0) & (head["mask_inside_mouth"] == 0) & (head["mask_face"] > _HALF)
+    return np.flatnonzero(skin & (head["mean"][:, 2] > _FRONT))
+
+
+def _distance(points: np.ndarray, surfaces: np.ndarray, triangles: np.ndarray) -> float:
+    """Mean distance of points `(n, P, 3)` from the surfaces `(n, V, 3)`."""
+    distances = []
+    for some, vertices in zip(points, surfaces, strict=True):
+        surface, corners, cells = vtkPolyData(), vtkPoints(), vtkCellArray()
+        corners.SetData(numpy_to_vtk(np.ascontiguousarray(vertices)))
+        starts = numpy_to_vtkIdTypeArray(np.arange(0, triangles.size + 1, 3))
+        cells.SetData(starts, numpy_to_vtkIdTypeArray(np.ascontiguousarray(triangles.ravel())))
+        surface.SetPoints(corners), surface.SetPolys(cells)
+        measured, distance = vtkDoubleArray(), vtkImplicitPolyDataDistance()
+        distance.SetInput(surface)
+        distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(some, float)), measured)
+        distances.append(np.abs(vtk_to_numpy(measured)).mean())
+    return float(np.mean(distances))
+
+
+if __name__ == "__main__":
+    main()
