@@ -37,19 +37,39 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
             f"{name} must have shape (faces >= 1, landmarks >= 3, {n_dimensions}). "
             f"Received {points.shape}."
         )
-    for face in np.flatnonzero(~np.isfinite(points).all((1, 2)))[:1]:
-        raise InputError(f"{name} must be finite. Received NaN or infinity in face {face}.")
+    for face, fault in find_faults(points).items():
+        raise InputError(f"{name} {fault} in face {face}.")
+    return points
+
+
+def find_faults(points: np.ndarray) -> dict[int, str]:
+    """Faces from whose landmarks no shape can be told.
+
+    Args:
+        points: `(n, L, d)`.
+
+    Returns:
+        For each such face, 0-based, why: NaN or infinity, landmarks that all coincide or (in two
+        or more dimensions) lie on one line. Ascending.
+    """
+    finite = np.isfinite(points).all((1, 2))
     # In units of the largest coordinate, of which squares neither overflow nor vanish.
+    points = np.where(finite[:, None, None], points, 0)
     size = np.abs(points).max((1, 2), keepdims=True)
     scaled = points / np.where(size > 0, size, 1)
     centred = scaled - scaled.mean(1, keepdims=True)
     spread = np.linalg.svd(np.swapaxes(centred, 1, 2) @ centred, compute_uv=False)
-    for face in np.flatnonzero(spread[:, 0] <= 1e-12)[:1]:
-        raise InputError(f"{name} must spread out. Received one point {len(points[face])} times "
-                         f"in face {face}.")  # fmt: skip
-    for face in np.flatnonzero(spread[:, 1] < 1e-12 * spread[:, 0])[:1]:
-        raise InputError(f"{name} must not be collinear. Received a straight line in face {face}.")
-    return points
+    one_point = spread[:, 0] <= 1e-12
+    line = spread[:, 1] < 1e-12 * spread[:, 0]
+    faults = {}
+    for face in np.flatnonzero(~finite | one_point | line).tolist():
+        if not finite[face]:
+            faults[face] = "must be finite. Received NaN or infinity"
+        elif one_point[face]:
+            faults[face] = f"must spread out. Received one point {points.shape[1]} times"
+        else:
+            faults[face] = "must not be collinear. Received a straight line"
+    return faults
 
 
 def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.ndarray:

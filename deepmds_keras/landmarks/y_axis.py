@@ -15,6 +15,18 @@ _PARTS = ("right_eye", "left_eye", "outer_mouth")
 # when the face is near the camera and nods by 40 degrees; those of a mirrored face turned by 60
 # degrees are 0.63.
 _BELOW, _SWAPPED = 0.2, 0.5
+_ROTATED = (
+    "the face must be upright; turn it, and its photo, by 180 degrees. Received landmarks whose "
+    "eyes lie below the mouth, the right eye to the right."
+)
+_Y_UP = (
+    "y must grow downwards; pass --y-up if it grows upwards. Received landmarks whose eyes lie "
+    "below the mouth."
+)
+_MIRRORED = (
+    "x must grow to the right, and right and left be the subject's; mirror x, or swap right and "
+    "left landmarks. Received a mirrored face."
+)
 
 
 def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
@@ -33,33 +45,31 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
         InputError: The landmarks are not of the scheme's shape, or not upright: the message says
             in which of the three ways and what to do; of several faces it names the first.
     """
+    faults = find_flipped(landmarks, scheme)
+    for face, fault in faults.items():
+        n = len(landmarks) if np.ndim(landmarks) == 3 else 1
+        raise InputError(f"{f'{name}, face {face + 1} of {n}' if n > 1 else name}: {fault}")
+
+
+def find_flipped(landmarks: np.ndarray, scheme: str) -> dict[int, str]:
+    """The faces that `check_y_axis` refuses, 0-based and ascending, each with what to do.
+
+    Raises:
+        InputError: The landmarks are not of the scheme's shape.
+    """
     faces, across, down = _eyes_and_mouth(landmarks, scheme)
     size = np.sqrt(np.square(faces - faces.mean(1, keepdims=True)).sum(2).mean(1))
     upside_down = down[:, 1] < -_BELOW * size
     # The area that the two span is negative for a mirrored face, however it leans.
     area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
     least = _SWAPPED * size * np.linalg.norm(down, axis=1)
-    mirrored = area < -least
-    wrong = upside_down | mirrored
-    if not wrong.any():
-        return
-    first = int(wrong.argmax())
-    if len(faces) > 1:
-        name = f"{name}, face {first + 1} of {len(faces)}"
-    if upside_down[first] and area[first] > least[first]:
-        raise InputError(
-            f"{name}: the face must be upright; turn it, and its photo, by 180 degrees. "
-            "Received landmarks whose eyes lie below the mouth, the right eye to the right."
-        )
-    if upside_down[first]:
-        raise InputError(
-            f"{name}: y must grow downwards; pass --y-up if it grows upwards. "
-            "Received landmarks whose eyes lie below the mouth."
-        )
-    raise InputError(
-        f"{name}: x must grow to the right, and right and left be the subject's; mirror x, or swap "
-        "right and left landmarks. Received a mirrored face."
-    )
+    faults = {}
+    for face in np.flatnonzero(upside_down | (area < -least)).tolist():
+        if upside_down[face] and area[face] > least[face]:
+            faults[face] = _ROTATED
+        else:
+            faults[face] = _Y_UP if upside_down[face] else _MIRRORED
+    return faults
 
 
 def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:

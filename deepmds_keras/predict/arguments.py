@@ -42,6 +42,7 @@ class Options:
         detector: One of `DETECTORS`.
         mediapipe_python: Interpreter of the environment with MediaPipe, or None.
         y_up: y grows upwards in files of landmarks.
+        image_size: Width and height of which their x and y are fractions, or None.
         smooth: Standard deviation of the smoothing over the rows of such files; 0 is none.
         interocular: Millimetres between the outer corners of the eyes, or None.
         model: File or name of weights, or None.
@@ -58,6 +59,7 @@ class Options:
     detector: str
     mediapipe_python: str | None
     y_up: bool
+    image_size: tuple[float, float] | None
     smooth: float
     interocular: float | None
     model: str | None
@@ -112,6 +114,9 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         help="interpreter of the environment with MediaPipe (default: the variable "
         "DEEPMDS_MEDIAPIPE_PYTHON, or .venv-mediapipe/bin/python)")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--image-size", nargs=2, type=_positive, metavar=("W", "H"),
+        help="x and y in files of landmarks are fractions of an image of this size, as MediaPipe "
+        "has them")  # fmt: skip
     add("--smooth", type=_not_negative, default=0.0, metavar="FRAMES",
         help="the rows of a file of landmarks are frames of one face: smooth them by a Gaussian of "
         "this standard deviation")  # fmt: skip

@@ -13,11 +13,10 @@ from joblib import Parallel, cpu_count, delayed
 from scipy.ndimage import gaussian_filter1d
 from tqdm import tqdm
 
-from deepmds_keras.checks import check_points
 from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
-from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.landmarks.y_axis import find_flipped
 from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import SCHEME, faces_in_photos
@@ -29,7 +28,7 @@ from deepmds_keras.predict.estimation import (
     load_model,
 )
 from deepmds_keras.predict.faces import Face, Found
-from deepmds_keras.predict.landmark_files import read_landmarks
+from deepmds_keras.predict.landmark_files import read_faces
 from deepmds_keras.predict.mesh_files import MESH_SUFFIXES, write_mesh
 from deepmds_keras.predict.outputs import FORMATS, output_files, write_output
 from deepmds_keras.predict.page import write_page
@@ -45,6 +44,7 @@ from deepmds_keras.predict.sources import (
 )
 
 _SOURCES_PER_TASK = 8  # of a process: photos are large, and MediaPipe takes a while to start
+_NAMED_FAULTS = 10  # of one source
 _DRAWN_FACES = 24  # of one source, as many as the summary has: more are tables only
 
 
@@ -95,7 +95,10 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
                         failed += 1
                     else:
                         record.add(source)
-                        shown += faces
+                        shown += [face for face in faces if not face.is_gap]
+                        if fault := _said_faults(source, faces):
+                            complain(fault)
+                            failed += 1
                         tqdm.write("\n".join(map(_printable, _told(source, faces, files))))
                     bar.update()
                     if stopped():
@@ -180,26 +183,40 @@ def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | 
     ]
     in_photos = iter([faces for task in _parallel(options, tasks) for faces in task])
     for source, name in chunk:
-        landmarks = next(in_photos) if is_photo(source) else _read(options, source)
-        if isinstance(landmarks, InputError):
+        if not is_photo(source):
+            yield _read(options, source, name)
+        elif isinstance(landmarks := next(in_photos), InputError):
             yield landmarks
         else:
             scheme, names = scheme_of(landmarks.shape[1]), name_faces(name, len(landmarks))
-            yield Found(source, names, scheme, landmarks, is_photo(source))
+            yield Found(source, names, scheme, landmarks, True)
 
 
-def _read(options: Options, source: Path) -> np.ndarray | InputError:
-    """Landmarks of a file, in a scheme that there are weights for."""
+def _read(options: Options, source: Path, name: str) -> Found | InputError:
+    """Landmarks of a file, in a scheme that there are weights for; gaps for faults."""
     try:
-        landmarks = read_landmarks(source, y_up=options.y_up)
-        scheme = scheme_of(landmarks.shape[1])
-        check_y_axis(landmarks, scheme, str(source))
-        if options.smooth and len(landmarks) > 1:
-            landmarks = gaussian_filter1d(landmarks, options.smooth, axis=0, mode="nearest")
-        landmarks = convert(landmarks, scheme, scheme if scheme in PRETRAINED else SCHEME)
-        return check_points(landmarks, str(source), 2)
+        landmarks, faults = read_faces(source, y_up=options.y_up, image_size=options.image_size)
+        n, scheme = len(landmarks), scheme_of(landmarks.shape[1])
+        flipped = find_flipped(landmarks, scheme)
+        landmarks[[*flipped]] = np.nan
+        if np.isnan(landmarks).all():
+            face, fault = min(flipped.items())
+            raise InputError(f"{source}{f', face {face + 1} of {n}' * (n > 1)}: {fault}")
+        landmarks = _smoothed(landmarks, options.smooth)
+        target = scheme if scheme in PRETRAINED else SCHEME
+        landmarks = convert(landmarks, scheme, target)
+        return Found(source, name_faces(name, n), target, landmarks, False, faults | flipped)
     except InputError as error:
         return error
+
+
+def _smoothed(landmarks: np.ndarray, deviation: float) -> np.ndarray:
+    """By a Gaussian over the rows between two gaps."""
+    smooth = landmarks.copy()
+    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if deviation else ():
+        smooth[run] = gaussian_filter1d(landmarks[run], deviation, axis=0, mode="nearest")
+    return smooth
 
 
 def _estimated(options: Options, found: Found | InputError) -> list[Face] | InputError:
@@ -237,6 +254,7 @@ def _writers(
     many = len(faces) > _DRAWN_FACES
     formats = options.formats or (("csv", "npz") if many else ("csv", "json", "ply", "obj"))
     model = describe_model(faces[0].scheme, options.model)
+    some = [face for face in faces if not face.is_gap][:_DRAWN_FACES]
 
     @cache
     def photo() -> np.ndarray | None:
@@ -244,23 +262,23 @@ def _writers(
 
     @cache
     def drawn() -> list[Face]:
-        return [*map(_in_photo, faces[:_DRAWN_FACES])]
+        return [*map(_in_photo, some)]
 
     writers = {
         path: partial(write_output, faces=held, model=model)
         for path, held in output_files(options.out, name, faces, formats).items()
     }
-    for i, face in enumerate(faces[:_DRAWN_FACES]):
+    for i, face in enumerate(some):
         writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
             path, draw_face(drawn()[i], photo())
         )
-    for face in faces if options.mesh else []:
+    for face in (face for face in faces if options.mesh and not face.is_gap):
         for suffix in MESH_SUFFIXES:
             path = options.out / f"{face.name}{suffix}"
             writers[path] = partial(write_mesh, face=face, model=model)
     if options.view:
         writers[options.out / f"{name}.html"] = lambda path: write_page(
-            path, drawn(), [photo()] * len(drawn())
+            path, drawn(), [photo()] * len(some)
         )
     return writers
 
@@ -273,14 +291,31 @@ def _in_photo(face: Face) -> Face:
 def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:
     """Lines that tell the reader of a source."""
     named = [str(files[0]), *(file.name for file in files[1:4]), *["…"] * (len(files) > 4)]
-    yield f"{source}: {len(faces)} face{'s' * (len(faces) > 1)} → {', '.join(named)}"
-    for face in faces[:_DRAWN_FACES]:
+    seen = [face for face in faces if not face.is_gap]
+    gaps = len(faces) - len(seen)
+    counted = f"{len(seen)} face{'s' * (len(seen) > 1)}" + f", {gaps} gap{'s' * (gaps > 1)}" * (
+        gaps > 0
+    )
+    yield f"{source}: {counted} → {', '.join(named)}"
+    for face in seen[:_DRAWN_FACES]:
         angles = (f"{name} {getattr(face.pose, name):+.0f}°" for name in ("yaw", "pitch", "roll"))
         yield f"  {face.name}: {', '.join(angles)}"
         yield from (f"    {note}" for note in face.notes)
-    if len(faces) > _DRAWN_FACES:
-        noted = sum(bool(face.notes) for face in faces[_DRAWN_FACES:])
+    if len(seen) > _DRAWN_FACES:
+        noted = sum(bool(face.notes) for face in seen[_DRAWN_FACES:])
         yield f"  pictures are of the first {_DRAWN_FACES}; {noted} of the others have notes"
+
+
+def _said_faults(source: Path, faces: list[Face]) -> InputError | None:
+    """The faces that are gaps because they cannot be used."""
+    faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
+    if not faults:
+        return None
+    some = [f"{i:,}" for i in faults][:_NAMED_FAULTS]
+    return InputError(
+        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
+        f"{', '.join(some)}{', …' * (len(faults) > len(some))}. The first {min(faults.items())[1]}"
+    )
 
 
 def _parallel(options: Options, tasks: list) -> Iterator:

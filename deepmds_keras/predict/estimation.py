@@ -37,10 +37,10 @@ def estimate(
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> list[Face]:
-    """The shapes of all faces of a source.
+    """The shapes of all faces of a source; gaps stay gaps.
 
     Args:
-        found: Their landmarks.
+        found: Their landmarks, at least one face that is no gap.
         model: File that `DeepMDS.save` wrote, or name of shipped weights; None takes those that
             ship for the scheme.
         interocular: Millimetres between the outer corners of the eyes; None leaves the shapes in
@@ -58,14 +58,16 @@ def estimate(
             f"{found.source} must have {estimator.n_landmarks} landmarks a face for the model "
             f"{model}. Received {len(scheme)}."
         )
-    views = found.landmarks * (1, -1)
-    quarters = quarter_turns(found.landmarks, found.scheme)
+    seen = ~np.isnan(found.landmarks).any((1, 2))
+    landmarks = found.landmarks[seen]
+    views = landmarks * (1, -1)
+    quarters = quarter_turns(landmarks, found.scheme)
     shapes = estimator.set_params(n_jobs=jobs).predict(_turned(views, quarters), progress=progress)
     if interocular is not None:
         right, left = map(scheme.index, _CORNERS)
         apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
         shapes = shapes * (interocular / apart)[:, None, None]
-    return [
+    faces = [
         Face(
             name=name,
             source=found.source,
@@ -78,13 +80,20 @@ def estimate(
             notes=_notes(pose, turns, estimator.centre_views),
         )
         for name, landmarks, shape, pose, turns in zip(
-            found.names,
-            found.landmarks,
+            [found.names[i] for i in np.flatnonzero(seen)],
+            landmarks,
             shapes,
             head_poses(views, shapes),
             quarters.tolist(),
             strict=True,
         )
+    ]
+    rest = iter(faces)
+    return [
+        next(rest)
+        if seen[i]
+        else faces[0].gap(name, (found.faults[i],) if i in found.faults else ())
+        for i, name in enumerate(found.names)
     ]
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,9 @@ class Found:
         source: The photo or file of landmarks.
         names: Of the faces.
         scheme: Of the landmarks.
-        landmarks: `(n, L, 2)`, x right and y down.
+        landmarks: `(n, L, 2)`, x right and y down; NaN are gaps.
         is_photo: Whether the source is a photo.
+        faults: Of gaps that are faces which cannot be used, 0-based, why.
     """
 
     source: Path
@@ -28,11 +30,12 @@ class Found:
     scheme: str
     landmarks: np.ndarray
     is_photo: bool
+    faults: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """One face of one photo, or of one row of a file of landmarks.
+    """One face of one photo, or of one row of a file of landmarks; all is NaN of a gap.
 
     Attributes:
         name: Unique among the faces of a run; begins the names of its files.
@@ -56,8 +59,24 @@ class Face:
     pose: HeadPose
     notes: tuple[str, ...] = ()
 
+    @property
+    def is_gap(self) -> bool:
+        """Whether it stands for a row without a face, or with one that cannot be used."""
+        return math.isnan(self.shape[0, 0])
+
+    def gap(self, name: str, notes: tuple[str, ...]) -> Face:
+        """A gap among faces of which this is one."""
+        pose = replace(self.pose, **_nan(vars(self.pose)))
+        return replace(self, **_nan(vars(self)), name=name, pose=pose, notes=notes)
+
     def reduced(self, step: float) -> Face:
         """The face as it is seen in its photo at a `step`-th of the photo's size."""
         scale, translation = self.pose.scale / step, self.pose.translation / step
         pose = replace(self.pose, scale=scale, translation=translation)
         return replace(self, landmarks=self.landmarks / step, pose=pose)
+
+
+def _nan(values: Mapping) -> dict:
+    """The numbers among them, all NaN."""
+    kinds = (float, np.ndarray)
+    return {key: value * np.nan for key, value in values.items() if isinstance(value, kinds)}

@@ -4,32 +4,38 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.checks import check_points
+from deepmds_keras.checks import find_faults
 from deepmds_keras.io.archives import map_npy
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import face_sizes, said_sizes
 
+_EMPTY = "NaN or an empty cell"
+_FRACTION = 2  # at most, of the width or height of an image; a face may reach beyond it
 _TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow
 _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
 SUFFIXES = tuple(_MAX_BYTES)
+_KEYS = ("faces", "landmarks", "faceLandmarks")  # the last is MediaPipe's in JavaScript
 # Columns of one landmark a row; x and y of our own output are those of the 3D shape.
 _PAIRS = (("image_x", "image_y"), ("x", "y"))
 _COORDINATE = re.compile(r"([xy])_?(\d{1,4})")
 _MATLAB_ORIGIN = 0.5  # whose first pixel has its middle at (1, 1), ours at (0.5, 0.5)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is no finite number is refused
-def read_landmarks(path: str | Path, *, y_up: bool = False) -> np.ndarray:
+def read_landmarks(
+    path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
+) -> np.ndarray:
     """2D landmarks of one or more faces, all with the same L, one of `face_sizes`.
 
-    x and y must be in the same unit: MediaPipe's, which are fractions of the width and of the
-    height, must be multiplied by these before they are written. A third coordinate is ignored.
+    x and y must be in the same unit, or be fractions of the width and of the height, as MediaPipe's
+    are. A third coordinate is ignored.
 
     - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)`, `(n, L, 3)`, or x1, y1, x2, … of a face in each row.
     - `.csv`, separated by commas, semicolons, tabs or spaces; lines of comments (`#`) may come
@@ -38,21 +44,45 @@ def read_landmarks(path: str | Path, *, y_up: bool = False) -> np.ndarray:
       must count up. Two columns need no header. Or one face a row: columns `x1`, `y1`, … or `x_0`,
       …, `y_0`, … (OpenFace), any others being ignored; without a header x1, y1, x2, ….
     - `.pts` (iBUG 300-W), one face, in MATLAB's pixels: 0.5 is subtracted.
-    - `.json`: a list of `[x, y]`, a list of faces, `{"landmarks": …}`, or
-      `{"faces": [{"landmarks": …}, …]}`, as our own output has it.
+    - `.json`: a list of `[x, y]` or, as MediaPipe has it, of `{"x": …, "y": …}`; a list of such
+      faces; `{"landmarks": …}`, `{"faceLandmarks": …}` or `{"faces": [{"landmarks": …}, …]}`, as
+      our own output has it.
 
-    Nothing in the file is executed.
+    A face whose landmarks are all NaN, empty cells or null is a gap. Nothing in the file is
+    executed.
 
     Args:
         path: The file; its suffix tells the format.
         y_up: y grows upwards in the file; it comes back negated.
+        image_size: Width and height of the image, of which x and y are fractions in the file.
 
     Returns:
-        `(n, L, 2)` float64, x right, y down, in the unit of the file.
+        `(n, L, 2)` float64, x right, y down, in the unit of the file, or in pixels with
+        `image_size`; gaps are NaN.
 
     Raises:
         InputError: The file is missing, damaged, too large or of no such format; it has another
-            number of landmarks, text, NaN or infinity; a face is one point or one line.
+            number of landmarks or nothing but gaps; a face has text, some NaN or infinity, or is
+            one point or one line; x and y are fractions as MediaPipe's are without `image_size`,
+            or are none with it.
+    """
+    points, faults = read_faces(path, y_up=y_up, image_size=image_size)
+    for face, fault in faults.items():
+        raise InputError(f"{path}, face {face + 1} of {len(points)}, {fault}.")
+    return points
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what is no finite number is refused
+def read_faces(
+    path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
+) -> tuple[np.ndarray, dict[int, str]]:
+    """`read_landmarks`, with the faces that cannot be used for gaps.
+
+    Returns:
+        The landmarks; and for each face that cannot be used, 0-based and ascending, why.
+
+    Raises:
+        InputError: As `read_landmarks`, but of faces only if none can be used.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -60,18 +90,65 @@ def read_landmarks(path: str | Path, *, y_up: bool = False) -> np.ndarray:
         raise InputError(f"{path} must end in {', '.join(SUFFIXES)}. Received {suffix!r}.")
     try:
         _check_size(path, _MAX_BYTES[suffix])
-        points = _READERS[suffix](path)
+        points, cells = _READERS[suffix](path)
     except (OSError, MemoryError, csv.Error) as error:
         raise InputError(f"{path} must be a file that can be read. {_line(error)}") from None
-    for face, landmark in np.argwhere(~(np.abs(points) < _TOO_LARGE).all(-1))[:1]:
-        x, y = points[face, landmark]
-        raise InputError(
-            f"{path} must hold finite numbers below {_TOO_LARGE:.0e}. "
-            f"Received ({x:g}, {y:g}) in face {face}, landmark {landmark}, counted from 0."
-        )
+    faults = _find_faults(points, cells)
+    points[[*faults]] = np.nan
+    if np.isnan(points).all():
+        if not faults:
+            raise InputError(f"{path} must hold landmarks. Received nothing but gaps (NaN).")
+        face = min(faults)
+        where = f"{path}, face {face + 1} of {len(points)}," if len(points) > 1 else path
+        raise InputError(f"{where} {faults[face]}.")
+    points = _in_pixels(path, points, image_size)
     if y_up:
         points[..., 1] *= -1
-    return check_points(points, str(path), 2)
+    return points, faults
+
+
+def _find_faults(points: np.ndarray, cells: dict[int, str]) -> dict[int, str]:
+    """Why faces cannot be used: by the cells of a table that are no numbers, and by the numbers."""
+    gaps = np.isnan(points).all((1, 2))
+    good = (np.abs(points) < _TOO_LARGE).all(2)
+    faults = find_faults(np.where(good.all(1)[:, None, None], points, np.nan))
+    for face in np.flatnonzero(~good.all(1)).tolist():
+        landmark = int(good[face].argmin())
+        x, y = points[face, landmark]
+        faults[face] = (
+            f"must hold finite numbers below {_TOO_LARGE:.0e}. Received ({x:g}, {y:g}) in landmark "
+            f"{landmark + 1} of {len(points[face])}"
+        )
+    faults |= {
+        face: f"must have a finite number in each cell of a landmark. Received {cell}"
+        for face, cell in cells.items()
+    }
+    for face in np.flatnonzero(gaps).tolist():
+        if cells.get(face, _EMPTY).startswith(_EMPTY):
+            del faults[face]
+    return faults
+
+
+def _in_pixels(
+    path: Path, points: np.ndarray, image_size: tuple[float, float] | None
+) -> np.ndarray:
+    """Fractions of the image times its size."""
+    largest = np.nanmax(np.abs(points))
+    if image_size is not None and largest > _FRACTION:
+        raise InputError(
+            f"{path} must have fractions of the width and height for --image-size. Received "
+            f"coordinates of up to {largest:g}: leave --image-size out."
+        )
+    if (
+        image_size is None
+        and largest <= _FRACTION
+        and points.shape[1] in load_scheme("mediapipe").sizes
+    ):
+        raise InputError(
+            f"{path} must be in pixels, or --image-size W H be given. Received coordinates of up "
+            f"to {largest:.2g}, which seem to be fractions of the image, as MediaPipe has them."
+        )
+    return points if image_size is None else points * image_size
 
 
 def _check_size(path: Path, max_bytes: int) -> None:
@@ -85,22 +162,31 @@ def _check_size(path: Path, max_bytes: int) -> None:
         raise InputError(f"{path} must hold landmarks, in {most}. Received {found}.")
 
 
-def _read_npy(path: Path) -> np.ndarray:
-    return _as_faces(path, map_npy(path))
+def _read_npy(path: Path) -> tuple[np.ndarray, dict[int, str]]:
+    return _as_faces(path, map_npy(path)), {}
 
 
-def _read_json(path: Path) -> np.ndarray:
+def _read_json(path: Path) -> tuple[np.ndarray, dict[int, str]]:
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} must be JSON. {_line(error)}") from None
-    faces = content.get("faces") if isinstance(content, dict) else None
-    if isinstance(faces, list):
-        content = [face.get("landmarks") if isinstance(face, dict) else face for face in faces]
-    elif isinstance(content, dict):
-        if "landmarks" not in content:
-            raise InputError(f'{path} must have a key "landmarks" or "faces". Received neither.')
-        content = content["landmarks"]
+    if isinstance(content, dict):
+        for key in _KEYS:
+            if key in content:
+                content = content[key]
+                break
+        else:
+            keys = ", ".join(f'"{key}"' for key in _KEYS)
+            raise InputError(f"{path} must have one of the keys {keys}. Received none of them.")
+    if isinstance(content, list):
+        content = [face.get("landmarks") if isinstance(face, dict) and "x" not in face else face
+                   for face in content]  # fmt: skip
+        content = [*map(_without_names, content)]
+        some = next((face for face in content if face is not None), None)
+        if isinstance(some, list) and some and isinstance(some[0], list):  # faces, some are gaps
+            gap = [[np.nan] * len(some[0])] * len(some)
+            content = [gap if face is None else face for face in content]
     try:
         array = np.asarray(content)
     except (ValueError, OverflowError, RecursionError):
@@ -108,7 +194,16 @@ def _read_json(path: Path) -> np.ndarray:
             f"{path} must hold [x, y] for each landmark, as many in each face. "
             "Received lists of other lengths."
         ) from None
-    return _as_faces(path, array)
+    return _as_faces(path, array), {}
+
+
+def _without_names(item):
+    """`[x, y]` of a landmark `{"x": …, "y": …}`, or of each of a face; others as they are."""
+    if isinstance(item, dict):
+        return [item.get("x"), item.get("y")]
+    if isinstance(item, list) and item and isinstance(item[0], dict):
+        return [*map(_without_names, item)]
+    return item
 
 
 def _as_faces(path: Path, array: np.ndarray) -> np.ndarray:
@@ -132,7 +227,7 @@ def _as_faces(path: Path, array: np.ndarray) -> np.ndarray:
     return np.array(faces, float)
 
 
-def _read_pts(path: Path) -> np.ndarray:
+def _read_pts(path: Path) -> tuple[np.ndarray, dict[int, str]]:
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     lines = [line.strip() for line in text.splitlines()]
     if "{" not in lines or "}" not in lines:
@@ -152,10 +247,10 @@ def _read_pts(path: Path) -> np.ndarray:
                 f"{path} must have two numbers per landmark. Received {_short(line)!r} in line {i}."
             ) from None
     _check_count(path, len(points))
-    return np.array([points]) - _MATLAB_ORIGIN
+    return np.array([points]) - _MATLAB_ORIGIN, {}
 
 
-def _read_csv(path: Path) -> np.ndarray:
+def _read_csv(path: Path) -> tuple[np.ndarray, dict[int, str]]:
     skipped, first = _first_row(path)
     separator = next((s for s in "\t;," if s in first), None)
     header = next(csv.reader([first], delimiter=separator)) if separator else first.split()
@@ -182,22 +277,23 @@ def _read_csv(path: Path) -> np.ndarray:
             f"{path} must have rows of {len(header)} cells, as the first line has. "
             f"Received {f'{table.shape[1]} cells' if len(filled) else 'none'}."
         )
-    table = table[: filled[-1] + 1]
+    table = table[: len(table) - _blank_lines_at_end(path)]
     first_line = skipped + named + 1
-    x, y = (_numbers(path, table[columns], first_line) for columns in (xs, ys))
-    points = np.stack([x, y], axis=-1)
+    (x, strange), (y, stranger) = (_numbers(table[columns], first_line) for columns in (xs, ys))
+    points, strange = np.stack([x, y], axis=-1), stranger | strange
     if len(xs) > 1:
-        return points
+        return points, strange
     columns = {name.lower(): table[[i]] for i, name in enumerate(header)}
-    points = points.reshape(-1, _landmarks_per_face(path, columns.get("face"), len(table)), 2)
+    n = _landmarks_per_face(path, columns.get("face"), len(table))
+    points = points.reshape(-1, n, 2)
     if "number" in columns:
-        numbers = _numbers(path, columns["number"], first_line).reshape(points.shape[:2])
+        numbers = _numbers(columns["number"], first_line)[0].reshape(points.shape[:2])
         if (np.diff(numbers) != 1).any() or np.ptp(numbers[:, 0]):
             raise InputError(
                 f"{path} must have landmarks in the order of their numbers, the same in each face. "
                 "Received another order in the column number."
             )
-    return points
+    return points, {row // n: strange[row] for row in sorted(strange, reverse=True)}
 
 
 def _first_row(path: Path) -> tuple[int, str]:
@@ -209,6 +305,14 @@ def _first_row(path: Path) -> tuple[int, str]:
             if line.strip() and not line.startswith("#"):
                 return i, line.rstrip("\r\n")
     raise InputError(f"{path} must hold landmarks. Received no rows.")
+
+
+def _blank_lines_at_end(path: Path) -> int:
+    """Without cells, unlike the rows of gaps that may come before them."""
+    with open(path, "rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - (1 << 16), 0))
+        tail = file.read()
+    return max(tail[len(tail.rstrip(b"\r\n")) :].count(b"\n") - 1, 0)
 
 
 def _unnamed_columns(path: Path, n: int) -> tuple[list[int], list[int]]:
@@ -256,16 +360,18 @@ def _landmarks_per_face(path: Path, face: pd.DataFrame | None, n_rows: int) -> i
     return int(counts[0])
 
 
-def _numbers(path: Path, table: pd.DataFrame, first_line: int) -> np.ndarray:
+def _numbers(table: pd.DataFrame, first_line: int) -> tuple[np.ndarray, dict[int, str]]:
+    """The cells, NaN what is no finite number, and what there is instead in each row, if any."""
     numbers = table.apply(pd.to_numeric, errors="coerce").to_numpy(float)
-    for row, column in np.argwhere(~np.isfinite(numbers))[:1]:
-        cell = table.iat[row, column]
-        found = "NaN or an empty cell" if pd.isna(cell) else repr(_short(str(cell)))
-        raise InputError(
-            f"{path} must have a finite number in each cell of a landmark. "
-            f"Received {found} in line {first_line + row}."
-        )
-    return numbers
+    numbers = np.where(np.isinf(numbers), np.nan, numbers)
+    odd = np.isnan(numbers)
+    empty = table.isna().to_numpy()
+    found = {}
+    for row in np.flatnonzero(odd.any(1)).tolist():
+        text = odd[row] & ~empty[row]  # sooner said than what is empty
+        cell = repr(_short(str(table.iat[row, int(text.argmax())]))) if text.any() else _EMPTY
+        found[row] = f"{cell} in line {first_line + row}"
+    return numbers, found
 
 
 def _check_count(path: Path, n: int, where: str = "") -> None:

@@ -37,8 +37,8 @@ def output_files(
 ) -> dict[Path, Sequence[Face]]:
     """Files of the faces of one source, each with the faces that it holds.
 
-    `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`; of `ply` and `obj` every face
-    has its own, by the face's name.
+    `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`, gaps as NaN or null; of `ply`
+    and `obj` every face has its own, by the face's name.
 
     Args:
         folder: Of the results.
@@ -53,7 +53,7 @@ def output_files(
     for kind in formats:
         if kind not in FORMATS:
             raise InputError(f"format must be one of {', '.join(FORMATS)}. Received {kind!r}.")
-        one_each = {face.name: [face] for face in faces}
+        one_each = {face.name: [face] for face in faces if not face.is_gap}
         for stem, held in ({name: faces} if kind in _TABLES else one_each).items():
             files[folder / f"{stem}.{kind}"] = held
     return files
@@ -103,7 +103,7 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
             "source": str(face.source),
             "photo": None if face.photo is None else str(face.photo),
             "notes": face.notes,
-            "pose": {key: _rounded(value) for key, value in vars(face.pose).items()},
+            "pose": _rounded_pose(face),
             "landmarks": _rounded(face.landmarks),
             "shape": _rounded(face.shape),
         }
@@ -206,8 +206,15 @@ def _numbers(vertex: np.ndarray) -> str:
     return " ".join(f"{value:.{_DIGITS}g}" for value in vertex)
 
 
-def _rounded(values) -> list | float:
+def _rounded_pose(face: Face) -> dict | None:
+    pose = {key: _rounded(value) for key, value in vars(face.pose).items()}
+    return None if face.is_gap else pose
+
+
+def _rounded(values) -> list | float | None:
     """With as many digits after the point as give the largest number its significant ones."""
+    if np.isnan(values).all():
+        return None
     largest = max(np.abs(values).max(), 1e-9)
     return np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))).tolist()
 

@@ -26,6 +26,7 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.predict import command
 from deepmds_keras.predict.arguments import parse
+from deepmds_keras.predict.landmark_files import read_landmarks
 
 TABLES = ("csv", "json", "ply", "obj", "png")
 
@@ -246,6 +247,51 @@ def test_the_papers_72_landmarks_have_their_own_weights(tmp_path, run):
     content = json.loads((tmp_path / "out" / "points.json").read_bytes())
     assert (content["scheme"], content["model"]["name"]) == ("bfm72", "openhead-bfm72")
     assert np.shape([face["shape"] for face in content["faces"]]) == (2, 72, 3)
+
+
+def test_gaps_and_faces_that_cannot_be_used_stop_nothing_and_stay_in_the_results(
+    tmp_path, run, landmarks
+):
+    frames = landmarks + np.random.default_rng(1).normal(0, 1, (8, 51, 2))
+    alone = save(tmp_path / "alone.npy", frames[[0, 3, 4, 7]])
+    frames[1] = np.nan
+    frames[2] *= (1, -1)  # upside down
+    frames[5, 3] = np.nan
+    frames[6] = 7
+    points = save(tmp_path / "f.npy", frames)
+    status, said, (line,) = run(points, alone, "--format", "csv,json,npz,ply")
+    assert status == 1
+    assert f"{points}: 3 of 8 faces cannot be used and are gaps: 3, 6, 7. The first y must" in line
+    assert "f.npy: 4 faces, 4 gaps →" in said
+    out = tmp_path / "out"
+    found, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
+    seen = [0, 3, 4, 7]
+    for key in ("shape", "landmarks", "yaw", "rotation"):
+        np.testing.assert_allclose(found[key][seen], expected[key], atol=1e-6)
+        assert np.isnan(np.delete(found[key], seen, 0)).all(), key
+    assert found["face"].tolist() == [f"f-{i}" for i in range(1, 9)]
+    records = json.loads((out / "f.json").read_bytes())["faces"]
+    assert [i for i, face in enumerate(records) if face["shape"] is not None] == seen
+    assert records[1]["notes"] == [] and "--y-up" in records[2]["notes"][0]
+    assert pd.read_csv(out / "f.csv", comment="#").groupby("face").x.count().tolist() == [
+        51 if i in seen else 0 for i in range(8)
+    ]
+    for kind in ("ply", "png"):
+        assert [path.name for path in sorted(out.glob(f"f-*.{kind}"))] == [
+            f"f-{i + 1}.{kind}" for i in seen
+        ]
+    for kind in ("csv", "json"):  # what was written is read with its gaps
+        again = read_landmarks(out / f"f.{kind}")
+        np.testing.assert_allclose(again, found["landmarks"], rtol=1e-5)
+
+
+def test_smoothing_does_not_cross_gaps(tmp_path, run, landmarks):
+    frames = np.repeat(landmarks[None], 6, 0)
+    frames[3:] += 50
+    frames[2] = np.nan
+    points = save(tmp_path / "f.npy", frames)
+    assert run(points, "--smooth", 3, "--format", "npz")[0] == 0
+    np.testing.assert_allclose(arrays_of(tmp_path / "out" / "f.npz")["landmarks"], frames)
 
 
 def test_options_reach_the_results(tmp_path, run, landmarks, monkeypatch):
