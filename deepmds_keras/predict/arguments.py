@@ -104,7 +104,8 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         help=f"some of {', '.join(FORMATS)} (default: csv,json,ply,obj; of many faces in one file "
         "csv,npz)")  # fmt: skip
     add("--force", action="store_true", help="do again what is done already")
-    add("--view", action="store_true", help="write an HTML page too, on which faces can be turned")
+    add("--view", action="store_true",
+        help="write HTML pages too, on which faces can be turned, and index.html")  # fmt: skip
     add("--mesh", action="store_true",
         help="write the head through the landmarks too: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
     add("--detector", choices=DETECTORS, default="dlib",

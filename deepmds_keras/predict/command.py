@@ -28,6 +28,7 @@ from deepmds_keras.predict.estimation import (
     load_model,
 )
 from deepmds_keras.predict.faces import Face, Found
+from deepmds_keras.predict.index_page import write_index
 from deepmds_keras.predict.landmark_files import read_faces
 from deepmds_keras.predict.mesh_files import MESH_SUFFIXES, write_mesh
 from deepmds_keras.predict.outputs import FORMATS, output_files, write_output
@@ -105,18 +106,24 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
                         raise KeyboardInterrupt
             finally:
                 record.save()
+    together: dict[Path, Callable[[Path], object]] = {}
     if len(shown) > 1 and len(todo) > 1:
         photos = (None if face.photo is None else open_photo(face.photo) for face in shown)
-        path = options.out / "summary.png"
-        try:
-            record.claim([path])
-            record.save()
-        except InputError as error:
-            complain(error)
-            return failed + 1
         drawn = [*map(_in_photo, shown[:_DRAWN_FACES]), *shown[_DRAWN_FACES:]]
-        write_picture(path, draw_summary(drawn, photos))
-        print(f"faces of this run: {_printable(str(path))}")
+        together[options.out / "summary.png"] = lambda path: write_picture(
+            path, draw_summary(drawn, photos)
+        )
+    if options.view and len(record.results()) > 1:
+        together[options.out / "index.html"] = lambda path: write_index(path, record.results())
+    try:
+        record.claim([*together])
+        record.save()
+        for path, write in together.items():
+            write(path)
+            print(f"all together: {_printable(str(path))}")
+    except InputError as error:
+        complain(error)
+        return failed + 1
     return failed
 
 
@@ -278,7 +285,7 @@ def _writers(
             writers[path] = partial(write_mesh, face=face, model=model)
     if options.view:
         writers[options.out / f"{name}.html"] = lambda path: write_page(
-            path, drawn(), [photo()] * len(some)
+            path, drawn(), [photo()] * len(some), mesh=options.mesh
         )
     return writers
 

@@ -18,10 +18,18 @@ class Cutout:
     Attributes:
         image: `(H, W, 3)` uint8, RGB.
         landmarks: `(L, 2)` in its pixels, x right, y down.
+        first: `(2,)` pixel of the photo at which it begins.
+        scale: `(2,)` of its pixels for one of the photo, along x and y.
     """
 
     image: np.ndarray
     landmarks: np.ndarray
+    first: np.ndarray
+    scale: np.ndarray
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """Points of the photo in the pixels of the part: `(..., 2)`."""
+        return (points - self.first) * self.scale
 
 
 def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = _SIDE) -> Cutout:
@@ -43,4 +51,5 @@ def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = _SIDE) -> C
     scale = min(1, side / max(image.size))
     small = tuple(max(1, round(scale * length)) for length in image.size)
     image = image.resize(small, Image.Resampling.LANCZOS, reducing_gap=3)
-    return Cutout(np.asarray(image), (landmarks - first) * np.divide(small, last - first))
+    scales = np.divide(small, last - first)
+    return Cutout(np.asarray(image), (landmarks - first) * scales, first, scales)

@@ -80,3 +80,8 @@ def _nan(values: Mapping) -> dict:
     """The numbers among them, all NaN."""
     kinds = (float, np.ndarray)
     return {key: value * np.nan for key, value in values.items() if isinstance(value, kinds)}
+
+
+def seen_shape(face: Face) -> np.ndarray:
+    """Where the landmarks of the shape are seen, turned as the head is: `(L, 2)`, y down."""
+    return face.pose.project(face.shape) * (1, -1)

@@ -17,18 +17,24 @@ from PIL import Image
 from deepmds_keras import __version__
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.cutout import Cutout, cut_out
-from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.faces import Face, seen_shape
 from deepmds_keras.predict.outputs import AXES, SCALE
+from deepmds_keras.predict.surface import fit_surfaces, surface_triangles
 from deepmds_keras.predict.writing import write_bytes
 
 _FOLDER = Path(__file__).parent
 _DIGITS = {"mm": 2}  # after the point; of what is normalised more
 _BARE_SIDE, _BARE_MARGIN = 1000, 120  # of a drawing without a photo
+_MOST = 32767  # of an int16
 _HASHED = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
 
 
 def write_page(
-    path: str | Path, faces: Sequence[Face], photos: Iterable[np.ndarray | None]
+    path: str | Path,
+    faces: Sequence[Face],
+    photos: Iterable[np.ndarray | None],
+    *,
+    mesh: bool = False,
 ) -> None:
     """Write the page, complete or not at all.
 
@@ -40,23 +46,46 @@ def write_page(
         faces: In the order in which they are shown.
         photos: Of each face the whole photo, `(H, W, 3)` uint8 RGB, or None if it has none. Read
             one by one: of a generator only one is in memory.
+        mesh: Whether to show the heads through the landmarks.
 
     Raises:
         InputError: The file cannot be written.
     """
     described = [_described(face, photo) for face, photo in zip(faces, photos, strict=True)]
     schemes = {name: _scheme(name) for name in {face.scheme for face in faces}}
+    shown = {"faces": described, "schemes": schemes, "axes": AXES["shape"]}
+    if mesh:
+        shown["triangles"] = _base64(surface_triangles().astype("<u2").tobytes())
+        for face, shown_face in zip(faces, described, strict=True):
+            shown_face["mesh"] = _mesh(face)
     title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
-    template = (_FOLDER / "page.html").read_text(encoding="utf-8")
-    template = template.replace("{{wireframe}}", wireframe_script())
-    values = {
-        "policy": _policy(template),
-        "version": __version__,
-        "title": html.escape(title),
-        "faces": json_in_html({"faces": described, "schemes": schemes, "axes": AXES["shape"]}),
-    }
+    script = wireframe_script() + (_FOLDER / "mesh.js").read_text(encoding="utf-8")
+    fill_page(
+        path,
+        "page.html",
+        {"title": html.escape(title), "faces": json_in_html(shown)},
+        wireframe=script,
+    )
+
+
+def fill_page(path: str | Path, template: str, values: dict[str, str], **scripts: str) -> None:
+    """Write a template of this folder with values for its fields, complete or not at all.
+
+    Args:
+        path: Of the page.
+        template: Name of the file. A field is `{{name}}`; `policy` and `version` are known.
+        values: HTML of the others.
+        scripts: By field, of which the policy must know; filled in first.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    text = (_FOLDER / template).read_text(encoding="utf-8")
+    for name, script in scripts.items():
+        text = text.replace(f"{{{{{name}}}}}", script)
+    values = {"policy": _policy(text), "version": __version__, **values}
     # In one go, so that a name that looks like a field stays a name.
-    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], template)
+    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], text)
     # A file name may hold bytes that are no text.
     write_bytes(path, page.encode("utf-8", "replace"))
 
@@ -89,33 +118,48 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
         "landmarks": np.round(face.landmarks, 3).tolist(),
         "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
         "notes": face.notes,
-        "photo": _picture(face.landmarks, photo),
+        "photo": _picture(face, photo),
     }
 
 
-def _picture(landmarks: np.ndarray, photo: np.ndarray | None) -> dict:
-    """Picture beside the shape, and the landmarks in its pixels."""
+def _picture(face: Face, photo: np.ndarray | None) -> dict:
+    """Picture beside the shape; in its pixels the landmarks, and the shape as the head turns."""
     if photo is None:
-        low, extent = landmarks.min(0), np.ptp(landmarks, axis=0)
-        scale = _BARE_SIDE / extent.max()
-        points, jpeg = scale * (landmarks - low) + _BARE_MARGIN, None
+        low, extent = face.landmarks.min(0), np.ptp(face.landmarks, axis=0)
+        scale, jpeg = _BARE_SIDE / extent.max(), None
         width, height = scale * extent + 2 * _BARE_MARGIN
+
+        def place(points):
+            return scale * (points - low) + _BARE_MARGIN
     else:
-        cutout = cut_out(photo, landmarks)
-        points, jpeg = cutout.landmarks, _data_uri(cutout)
-        height, width = cutout.image.shape[:2]
+        cutout = cut_out(photo, face.landmarks)
+        place, jpeg, (height, width) = cutout.place, _data_uri(cutout), cutout.image.shape[:2]
     return {
         "jpeg": jpeg,
         "width": round(float(width), 1),
         "height": round(float(height), 1),
-        "landmarks": np.round(points, 1).tolist(),
+        "landmarks": np.round(place(face.landmarks), 1).tolist(),
+        "shape": np.round(place(seen_shape(face)), 1).tolist(),
     }
+
+
+def _mesh(face: Face) -> dict:
+    """Vertices of the head, as whole steps from the lowest."""
+    vertices = fit_surfaces(face.shape[None], face.scheme)[0].astype(float)
+    lowest = vertices.min(0)
+    step = np.ptp(vertices, axis=0).max() / _MOST
+    steps = np.round((vertices - lowest) / step).astype("<i2")
+    return {"lowest": lowest.tolist(), "step": step, "vertices": _base64(steps.tobytes())}
 
 
 def _data_uri(cutout: Cutout) -> str:
     buffer = io.BytesIO()
     Image.fromarray(cutout.image).save(buffer, "jpeg", quality=85, optimize=True)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return "data:image/jpeg;base64," + _base64(buffer.getvalue())
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 def _scheme(name: str) -> dict:
@@ -124,13 +168,14 @@ def _scheme(name: str) -> dict:
 
 
 def _policy(template: str) -> str:
-    """Content-Security-Policy by which nothing is loaded and only the page's own scripts run."""
+    """Content-Security-Policy: only the page's own scripts run, only pictures beside it load."""
     allowed = {"script": [], "style": []}
     for kind, content in _HASHED.findall(template):
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         allowed[kind].append(f"'sha256-{digest}'")
-    scripts, styles = (" ".join(hashes) for hashes in allowed.values())
+    scripts, styles = (" ".join(hashes) or "'none'" for hashes in allowed.values())
+    pictures = "data:" if allowed["script"] else "'self' file:"
     return (
-        f"default-src 'none'; img-src data:; script-src {scripts}; style-src {styles}; "
+        f"default-src 'none'; img-src {pictures}; script-src {scripts}; style-src {styles}; "
         "base-uri 'none'; form-action 'none'"
     )

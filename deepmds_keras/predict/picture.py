@@ -17,7 +17,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.cutout import cut_out
-from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.faces import Face, seen_shape
 from deepmds_keras.predict.outputs import SCALE
 from deepmds_keras.predict.writing import write_bytes
 
@@ -44,7 +44,8 @@ _RC = {
     "xtick.color": "#555555",
     "ytick.color": "#555555",
 }
-_SHAPE_COLOUR, _DOT_COLOUR, _INK, _WARNING = "#D55E00", "#FFD000", "#333333", "#8A4B00"
+_SHAPE_COLOUR, _SEEN_COLOUR, _DOT_COLOUR = "#D55E00", "#FF9448", "#FFD000"
+_INK, _WARNING = "#333333", "#8A4B00"
 _THREE_QUARTERS = 40  # degrees, to the subject's left
 _SHEET_FACES, _SHEET_COLUMNS = 24, 4
 _LINE = 165  # characters of small type across the picture
@@ -174,27 +175,23 @@ def _turned(shape: np.ndarray, yaw: float) -> np.ndarray:
 
 
 def _draw_lines(
-    axes: Axes,
-    points: np.ndarray,
-    face: Face,
-    lines: str,
-    dots: str,
-    dot: float = 5,
-    edge: float = 0,
+    axes: Axes, points: np.ndarray, face: Face, lines: str, dots: str, dot: float = 5
 ) -> None:
     drawn = [points[list(line)] for line in load_scheme(face.scheme).polylines]
     axes.add_collection(LineCollection(drawn, colors=lines, linewidths=0.8, capstyle="round"))
-    axes.scatter(*points.T, s=dot, c=dots, edgecolors=_INK, linewidths=edge, zorder=3)
+    axes.scatter(*points.T, s=dot, c=dots, linewidths=0, zorder=3)
 
 
 def _draw_view(axes: Axes, face: Face, photo: np.ndarray | None, *, ticks: bool = False) -> None:
-    """The photo about the face with its landmarks, or these alone."""
+    """The photo about the face with its landmarks and the lines of the shape, or the former."""
     points = face.landmarks
     if photo is not None:
         cutout = cut_out(photo, points)
-        points, (height, width) = cutout.landmarks, cutout.image.shape[:2]
+        height, width = cutout.image.shape[:2]
         axes.imshow(cutout.image, extent=(0, width, height, 0))
-        _draw_lines(axes, points, face, "#FFFFFFBB", _DOT_COLOUR, 4, 0.25)
+        _draw_lines(axes, cutout.place(seen_shape(face)), face, _SEEN_COLOUR, "none")
+        axes.scatter(*cutout.landmarks.T, s=4, c=_DOT_COLOUR, edgecolors=_INK, linewidths=0.25,
+                     zorder=4)  # fmt: skip
         axes.set(xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
         return
@@ -231,7 +228,8 @@ def _small_type(face: Face) -> list[tuple[str, str]]:
     residual = f"{100 * face.pose.residual:.1f} %"
     pose = (
         f"Head pose: {', '.join(angles).replace('-', '−')} (positive: turned to the subject's "
-        "left, looking up, leaning to the subject's right). "
+        "left, looking up, leaning to the subject's right). In the photo, dots are landmarks as "
+        "found, lines the shape. "
         f"Turned so, the shape lies {residual} of the face's size from the landmarks (RMS)."
     )
     axes = "Axes: x to the subject's left, y up, z out of the face."

@@ -88,6 +88,10 @@ class Record:
         """Note that the files of a source, which were claimed, are written; `save` writes it."""
         self._done[_key(source)] |= self._begun[source]
 
+    def results(self) -> list[list[str]]:
+        """Names of the files of each source that is done."""
+        return [entry["files"] for entry in self._done.values() if "made" in entry]
+
     def save(self) -> None:
         """Write the record, complete or not at all.
 

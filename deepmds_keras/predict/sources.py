@@ -16,7 +16,7 @@ PHOTO_SUFFIXES = (
     *(".avif", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jfif", ".jpeg", ".jpg", ".jp2", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tga", ".tif", ".tiff", ".webp"),
 )
-_RESERVED = ("deepmds", "summary")  # the record, and the picture of all faces
+_RESERVED = ("deepmds", "summary", "index")  # the record, the picture and the page of all
 
 
 def is_photo(path: Path) -> bool:

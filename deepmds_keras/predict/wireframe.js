@@ -12,8 +12,11 @@ const view = drawWireframe(canvas, {
   unit,     // of the points, beside the scale bar
   start,    // {yaw, pitch, roll} in degrees of the first view and of reset()
   onPoint,  // called with the position of the landmark under the pointer, or null
+  surface,  // of shadedMesh: drawn behind the lines, in the colour of --surface (#rrggbb)
+  around,   // points that shall be seen too, such as those of the surface
 });
 view.turnTo({yaw, pitch, roll});  view.reset();  view.show(shapes);  view.showNumbers(true);
+view.showSurface(true);  // null if there is none
 view.mark(position);  // shows which landmark it is, null none
 wireframeButtons(view, photo)  // → element with buttons; photo: angles of "as in the photo", or null
 
@@ -23,13 +26,14 @@ its own right; they apply in this order, and all are 0 from the front. The camer
 The size of the canvas is that of its CSS, which must set width and height (or aspect-ratio);
 text takes the canvas' CSS colour and its halo the CSS background colour. */
 "use strict";
+const FINEST = 400000; // pixels of a surface
 
 function drawWireframe(canvas, options) {
   const home = { yaw: -35, pitch: 10, roll: 0, ...options.start };
   const { title = "3D wireframe", names = [], unit = "", onPoint = () => {} } = options;
   const label = (i) => String(options.numbers ? options.numbers[i] : i + 1);
   const pen = canvas.getContext("2d");
-  const every = options.shapes.flatMap((shape) => shape.points);
+  const every = [...options.shapes.flatMap((shape) => shape.points), ...(options.around ?? [])];
   const centre = [0, 1, 2].map((k) => {
     const values = every.map((point) => point[k]);
     return (Math.min(...values) + Math.max(...values)) / 2;
@@ -41,6 +45,8 @@ function drawWireframe(canvas, options) {
   let { shapes } = options;
   let angles = { ...home }, zoom = 1, shift = [0, 0];
   let marked = null, numbered = false, visible = false, frame = 0, motion = 0;
+  let { surface } = options, pixels = FINEST; // of the surface: fewer while it turns too slowly
+  let still = false, rest = 0;
 
   /* Of a point relative to the centre: [right, up, towards the viewer]. */
   function turned([x, y, z]) {
@@ -64,6 +70,7 @@ function drawWireframe(canvas, options) {
 
   function draw() {
     cancelAnimationFrame(frame), frame = 0;
+    clearTimeout(rest);
     const sharp = window.devicePixelRatio || 1, style = getComputedStyle(canvas);
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     if (!width || !height) return;
@@ -72,6 +79,7 @@ function drawWireframe(canvas, options) {
     pen.lineCap = pen.lineJoin = "round";
     const ink = (colour) =>
       colour?.startsWith("--") ? style.getPropertyValue(colour) : colour || style.color;
+    const covers = surface ? drawSurface(width, height, ink("--surface")) : () => false;
     const marks = []; // what is drawn, with its depth
     for (const shape of shapes) {
       const points = shape.points.map(seen), colour = ink(shape.colour);
@@ -85,7 +93,8 @@ function drawWireframe(canvas, options) {
     }
     for (const { depth, colour, a, b } of marks.sort((m, n) => m.depth - n.depth)) {
       const near = Math.min(Math.max((depth + 0.8) / 1.6, 0), 1);
-      pen.globalAlpha = 0.28 + 0.72 * near; // what is far is faint
+      // What is far is faint.
+      pen.globalAlpha = covers(a, b ?? a) ? 0.1 : surface ? 1 : 0.28 + 0.72 * near;
       pen.strokeStyle = pen.fillStyle = colour;
       pen.lineWidth = 0.8 + near;
       pen.beginPath();
@@ -100,6 +109,22 @@ function drawWireframe(canvas, options) {
     const stand = Object.entries(angles).map(([name, value]) => `${name} ${signed(value)}°`);
     write(style, stand.join("   "), 12, 20, "left");
     if (marked !== null) drawMark(style, width, ink);
+  }
+
+  function drawSurface(width, height, colour) {
+    const begun = performance.now(), spent = still ? FINEST : pixels;
+    const fine = Math.sqrt(spent / (width * height));
+    const place = (point) => seen(point).map((value, k) => (k < 2 ? fine * value : value));
+    const rgb = [1, 3, 5].map((k) => parseInt(colour.trim().slice(k, k + 2), 16));
+    const sizes = [width, height].map((length) => Math.round(fine * length));
+    const { image, depthAt } = surface(...sizes, place, turned, rgb);
+    pen.drawImage(image, 0, 0, width, height);
+    if (!still && performance.now() - begun > 25) pixels = Math.max(0.7 * pixels, 60000);
+    if (spent < FINEST) rest = setTimeout(() => { still = true, draw(), still = false; }, 250);
+    return (a, b) => {
+      const [x, y, depth] = a.map((value, k) => (value + b[k]) / 2);
+      return depthAt(fine * x, fine * y) > depth + 0.06;
+    };
   }
 
   function write(style, text, x, y, align, size = 12) {
@@ -274,6 +299,8 @@ function drawWireframe(canvas, options) {
     mark: (landmark) => mark(landmark === null || !shapes.length ? null : { shape: 0, landmark }),
     show: (others) => { [shapes, marked] = [others, null]; redraw(); },
     showNumbers: (on) => { numbered = on; redraw(); },
+    showSurface: options.surface
+      ? (on) => { surface = on ? options.surface : null; redraw(); } : null,
   };
 }
 
@@ -289,10 +316,12 @@ function wireframeButtons(view, photo = null) {
   add("Side", () => view.turnTo({ yaw: 90, pitch: 0, roll: 0 }));
   if (photo) add("As in the photo", () => view.turnTo(photo));
   add("Reset", view.reset);
-  add("Numbers", (button) => {
+  const toggle = (text, show, pressed) => add(text, (button) => {
     const on = button.getAttribute("aria-pressed") !== "true";
     button.setAttribute("aria-pressed", on);
-    view.showNumbers(on);
-  }).setAttribute("aria-pressed", "false");
+    show(on);
+  }).setAttribute("aria-pressed", pressed);
+  toggle("Numbers", view.showNumbers, false);
+  if (view.showSurface) toggle("Surface", view.showSurface, true);
   return bar;
 }

@@ -114,7 +114,8 @@ def test_a_photo_gives_its_face_and_no_noise(tmp_path, heads):
     faces = [f"{face}.{kind}" for face in ("two-1", "two-2") for kind in ("ply", "obj", "png")]
     pages = ["two.csv", "two.json", "two.html", "turned.html", "one.html"]
     single = [f"{name}.{kind}" for name in ("turned", "one") for kind in TABLES]
-    assert written(out) == sorted([*faces, *pages, *single, "deepmds.json", "summary.png"])
+    whole = ["deepmds.json", "index.html", "summary.png"]
+    assert written(out) == sorted([*faces, *pages, *single, *whole])
 
     table = pd.read_csv(out / "turned.csv", comment="#")
     assert tuple(table.name) == load_scheme("ibug51").names
@@ -563,7 +564,9 @@ def test_the_photos_that_users_have_give_plausible_faces(tmp_path, run):
 
 def test_mesh_writes_a_head_for_each_face(run, landmarks, tmp_path):
     np.save(tmp_path / "two.npy", np.stack([landmarks, 2 * landmarks]))
-    status, _, errors = run(tmp_path / "two.npy", "--mesh", "--interocular", 90, "--format", "ply")
+    np.save(tmp_path / "one.npy", landmarks)
+    sources = tmp_path / "two.npy", tmp_path / "one.npy"
+    status, _, errors = run(*sources, "--view", "--mesh", "--interocular", 90, "--format", "ply")
     assert (status, errors) == (0, [])
     for n in (1, 2):
         kinds = {path.name for path in (tmp_path / "out").glob(f"two-{n}.*")}
@@ -571,3 +574,6 @@ def test_mesh_writes_a_head_for_each_face(run, landmarks, tmp_path):
         lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
         vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
         assert 180 < np.ptp(vertices[:, 1]) < 400  # millimetres of a head
+    index = (tmp_path / "out" / "index.html").read_text()
+    assert "./two.html" in index
+    assert "./one.html" in index

@@ -9,12 +9,14 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from pages import drawn
+from PIL import Image
 
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.camera import HeadPose, head_pose
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.predict.cutout import cut_out
 from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.index_page import write_index
 from deepmds_keras.predict.page import json_in_html, wireframe_script, write_page
 
 PHONE = {
@@ -58,9 +60,9 @@ def photo():
 
 @pytest.fixture
 def page_of(tmp_path, visit):
-    def page_of(faces, photos, **options):
+    def page_of(faces, photos, mesh=False, **options):
         path = tmp_path / "page.html"
-        write_page(path, faces, photos)
+        write_page(path, faces, photos, mesh=mesh)
         return visit(path, **(STILL | options))
 
     return page_of
@@ -398,3 +400,103 @@ def test_poses_reach_the_page_as_they_are(page_of, face, photo):
     assert np.allclose([face.pose.yaw, face.pose.pitch, face.pose.roll], [20, 12, -8])
     text = page_of([face], [photo]).locator(".facts").inner_text()
     assert "yaw 20.0°, pitch 12.0°, roll −8.0°" in text
+
+
+# Frames in half a second while the mesh turns, the most of six such times: others may compute, too.
+FRAMES = """async (canvas) => {
+  const counts = [];
+  for (let k = 0; k < 6; k += 1) {
+    const begun = performance.now();
+    for (counts.push(0); performance.now() - begun < 500; counts[k] += 1) {
+      canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+      await new Promise(requestAnimationFrame);
+    }
+  }
+  return Math.max(...counts);
+}"""
+
+
+@pytest.mark.parametrize("window", [STILL, PHONE], ids=["1280", "390"])
+def test_the_mesh_is_shaded_and_turns_in_thirty_frames_a_second(page_of, face, photo, window):
+    page = page_of([face], [photo], mesh=True, **window)
+    before, canvas = drawn(page), page.locator("canvas")
+    solid = (np.ptp(before[..., :3].astype(int), axis=-1) < 25) & (before[..., 3] == 255)
+    assert solid.mean() > 0.15
+    assert len(np.unique(before[solid], axis=0)) > 50  # of many shades
+    assert coloured(before, (201, 79, 0)) > 300  # the landmarks before it
+    if window is PHONE:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    canvas.focus()
+    assert canvas.evaluate(FRAMES) >= 15
+    page.wait_for_timeout(400)  # then it is drawn finely again
+    page.get_by_role("button", name="Reset").click()
+    page.wait_for_timeout(800)
+    assert (np.abs(drawn(page).astype(int) - before) > 60).mean() < 0.01
+    page.get_by_role("button", name="Surface").click()
+    assert (drawn(page)[..., 3] == 255).mean() < 0.1
+
+
+def test_the_mesh_is_where_the_landmarks_are(page_of, face, photo):
+    page = page_of([face], [photo], mesh=True)
+    page.get_by_role("button", name="Side").click()
+    without = page_of([face], [photo], mesh=True)
+    without.get_by_role("button", name="Side").click()
+    without.get_by_role("button", name="Surface").click()
+    # Above the axes and the scale bar, below the angles.
+    both, lines = (image[len(image) // 10 : -len(image) // 5]
+                   for image in (drawn(page), drawn(without)))  # fmt: skip
+    x = np.flatnonzero((np.abs(lines[..., :3].astype(int) - (201, 79, 0)) < 40).all(-1).any(0))
+    solid = (both[..., 3] == 255).any(0).nonzero()[0]
+    # The tip of the nose ends both, the back of the head is behind all landmarks.
+    assert abs(solid.max() - x.max()) < 12
+    assert solid.min() < x.min() - 60
+
+
+def test_a_landmark_before_the_mesh_is_marked(page_of, face, photo):
+    page = page_of([face], [photo], mesh=True)
+    page.get_by_role("button", name="Front").click()
+    drawn(page)
+    box = page.locator("canvas").bounding_box()
+    image = drawn(page)
+    near = (np.abs(image[..., :3].astype(int) - (201, 79, 0)) < 30).all(-1)
+    # The lowest of the drawn landmarks is one of the chin.
+    y, x = (int(values[-1]) for values in near.nonzero())
+    scale = box["width"] / image.shape[1]
+    page.mouse.move(box["x"] + scale * x, box["y"] + scale * (y - 2))
+    drawn(page)
+    marked = page.locator("svg circle").evaluate_all(
+        "(dots) => dots.flatMap((d, i) => d.classList.contains('marked') ? [i] : [])"
+    )
+    assert len(marked) == 1
+    assert face.shape[marked[0], 1] < np.quantile(face.shape[:, 1], 0.1)
+
+
+def test_lines_over_the_photo_are_those_of_the_shape(page_of, face, photo):
+    wide = replace(face, shape=face.shape * (1.5, 1, 1))
+    right, wider = (
+        max(float(pair.split(",")[0]) for points in page_of([one], [photo])
+            .locator("svg polyline").evaluate_all("(l) => l.map((p) => p.getAttribute('points'))")
+            for pair in points.split())
+        for one in (face, wide)
+    )  # fmt: skip
+    assert wider > right + 10
+
+
+def test_the_index_leads_to_every_page_of_the_folder(tmp_path, browser, face, photo):
+    for name in ("a #1", "b"):
+        write_page(tmp_path / f"{name}.html", [replace(face, name=name)], [photo])
+        Image.fromarray(photo).save(tmp_path / f"{name}.png")
+    results = [["b.csv", "b.png", "b.html"], ["c.csv"], ["a #1.png", "a #1.html"]]
+    write_index(tmp_path / "index.html", results)
+    for window in (STILL, PHONE):
+        context = browser.new_context(offline=True, **window)
+        page = context.new_page()
+        page.goto((tmp_path / "index.html").as_uri())
+        assert page.title() == "Faces of 2 sources"
+        assert page.get_by_role("link").all_inner_texts() == ["a #1", "b"]
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        pictures = page.locator("img").evaluate_all("(all) => all.map((i) => i.naturalWidth)")
+        assert pictures == [640, 640]
+        page.get_by_role("link", name="a #1").click()
+        assert page.title() == "3D face of a #1"
+        context.close()
