@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-mediapipe reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead surface test nightly lint clean
+.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead surface test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -39,14 +39,12 @@ endif
 
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
-MEDIAPIPE_VENV ?= .venv-mediapipe
-MEDIAPIPE_READY := $(MEDIAPIPE_VENV)/.ready
 # RINGNET is the prefix of the licensed checkpoint, yes to train ours, or no.
 RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --protocol $(PROTOCOL) --authors '$(AUTHORS)' --evaluator $(EVALUATOR) --jobs $(JOBS) \
        --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
        --celeba '$(CELEBA)' --tf-flame '$(TF_FLAME)' --ringnet '$(filter-out yes no,$(RINGNET))' \
-       --mediapipe $(MEDIAPIPE_VENV)/bin/python $(if $(FACES),--faces $(FACES)) \
+       $(if $(FACES),--faces $(FACES)) \
        $(foreach switch,MOBILEFACE MEDIAPIPE RINGNET,$(if $(filter no,$($(switch))),--without $(switch)))
 # No start-up notices, and sums in one order whatever the processor offers.
 export TF_CPP_MIN_LOG_LEVEL := 3
@@ -68,21 +66,13 @@ $(READY): setup.cfg constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 10) <= v <= (3, 13) else \
 	  "Python 3.10 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,images,heic,onnx,cluster,test]'
+	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,heic,onnx,cluster,test]'
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
-	@touch $@
-
-setup-mediapipe: $(MEDIAPIPE_READY) ## make the one of MediaPipe in .venv-mediapipe
-# It excludes what TensorFlow needs (numpy 2, protobuf 5), and has no wheel for Python 3.13.
-$(MEDIAPIPE_READY): constraints-mediapipe.txt
-	@for python in $(PYTHON) python3.12 python3.11 python3.10; do \
-	  $$python -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))' 2> /dev/null \
-	    && exec $$python -m venv $(MEDIAPIPE_VENV); \
-	done; echo 'MediaPipe 0.10.21 needs Python 3.10 to 3.12. Name one: make PYTHON=python3.12,' \
-	  'or go without: make MEDIAPIPE=no' >&2; exit 1
-	$(MEDIAPIPE_VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps \
-	  --only-binary=:all: -r constraints-mediapipe.txt
+# Alone: FaceMesh loads none of what MediaPipe asks for, a gigabyte that excludes NumPy 2.
+	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
+	  || echo 'MediaPipe 0.10.21 has no wheel here (it has for Python 3.10 to 3.12 on x86-64 and' \
+	  'macOS): photos are read by dlib, and make reproduce-flame needs MEDIAPIPE=no.'
 	@touch $@
 
 # What each is made of, and in which order, is in experiments/stages.py.
@@ -99,10 +89,6 @@ lifting: ## the lifting network against the limit, on hard views: results/<model
 reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting: | $(READY)
 	@$(PY) -m experiments make $@ $(RUN)
 
-ifneq ($(MEDIAPIPE),no)
-reproduce-flame $(if $(TF_FLAME),reproduce-celeba): | $(MEDIAPIPE_READY)
-endif
-
 report: | $(READY) ## all results of the model on one page: results/<model>/report/index.html
 	@$(PY) -m experiments report --model $(MODEL) --preset $(PRESET)
 
@@ -116,15 +102,11 @@ surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies
 	@$(PY) -m experiments surface --data '$(DATA)'
 
 # Two at a time: a stage keeps about a core busy.
-PYTEST = MEDIAPIPE_PYTHON=$(abspath $(MEDIAPIPE_VENV))/bin/python $(PY) -m pytest
-
 test: | $(READY) ## the tests, but for what takes long                (5 min)
-	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
-	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
+	$(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1.5 h)
-	@$(MAKE) --no-print-directory setup-mediapipe || echo 'The tests of MediaPipe will skip.'
-	KILLS=30 FUZZ=10 $(PYTEST)
+	KILLS=30 FUZZ=10 $(PY) -m pytest
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .

@@ -34,7 +34,6 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--tf-flame", metavar="DIR", help="folder of photos with 51 landmarks, for a figure")
     add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
     add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
-    add("--mediapipe", metavar="PYTHON", help="interpreter of the environment with MediaPipe")
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
     add("--without", choices=SWITCHES, action="append", default=[], help="stages to leave out")
     add("--faces", type=int, help="of make stream, instead of the preset's")
@@ -50,7 +49,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         if faces < 2:
             parser.error(f"--faces must be at least 2. Received {faces}.")
         values["preset"] = replace(values["preset"], streamed_faces=faces)
-    for name in (*_PATHS, "authors", "mediapipe", "ringnet"):
+    for name in (*_PATHS, "authors", "ringnet"):
         values[name] = values[name] or None
     for name in _PATHS:
         if values[name] and not Path(values[name]).exists():

@@ -21,8 +21,8 @@ from experiments.stages import STAGES, stage_of, stages_to
 MANIFEST = "manifest.json"
 
 _PACKAGES = (
-    "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "numpy", "pandas", "scikit-learn",
-    "scipy", "tensorflow", "tensorflow-cpu", "vtk",
+    "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
+    "scikit-learn", "scipy", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
 
 

@@ -48,8 +48,6 @@ class Run:
         casia_index: Table of the scans of CASIA-3D that are used, or None for all.
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
-        mediapipe: Interpreter of the virtual environment that has MediaPipe, or None: the one that
-            `make setup-mediapipe` makes.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
         without: Variables of `make` that leave stages out.
         jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
@@ -69,7 +67,6 @@ class Run:
     casia_index: Path | None = None
     authors: str | None = None
     evaluator: str = "paper"
-    mediapipe: str | None = None
     ringnet: str | None = None
     without: tuple[str, ...] = ()
     jobs: int = -1

@@ -68,9 +68,9 @@ def smoke_bfm(once):
 
 @pytest.fixture(scope="session")
 def whole_flame(once):
-    """The FLAME experiment on the stand-ins; without MediaPipe's environment, without its stage."""
+    """The FLAME experiment on the stand-ins; without MediaPipe, without its stage."""
     stages = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
-    if MEDIAPIPE.exists():
+    if MEDIAPIPE:
         stages.insert(2, "mediapipe")
     more = ("--track", "flame", "--jobs", "1")
     return once("flame", lambda folder: runs.measure(stages, folder, *more))

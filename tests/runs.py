@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from places import MEDIAPIPE, ROOT
+from places import ROOT
 
 PRESET = "tiny"
 # `make` sets the same; a stage that runs alone is as deterministic as its threads.
@@ -48,7 +48,7 @@ class Done:
 def arguments(stage: str, folder: Path, *more: str) -> list[str]:
     """Of `python -m experiments`, with `build` and `results` in a folder."""
     where = ("--build", str(folder / "build"), "--results", str(folder / "results"))
-    return [stage, "--preset", PRESET, *where, "--mediapipe", str(MEDIAPIPE), *more]
+    return [stage, "--preset", PRESET, *where, *more]
 
 
 def run(stage: str, folder: Path, *more: str) -> Done:

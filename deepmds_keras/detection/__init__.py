@@ -1,1 +1,1 @@
-"""Detectors of 2D landmarks in photos: dlib's, and MediaPipe's in an environment of its own."""
+"""Detectors of 2D landmarks in photos: dlib's and MediaPipe's."""

@@ -79,8 +79,7 @@ class DlibLandmarks:
             import dlib
         except ImportError as error:
             raise InputError(
-                "dlib must be installed to find landmarks in images: pip install dlib-bin "
-                f"{_PACKAGE}. Received {error}."
+                f"dlib must be installed: pip install 'deepmds-keras[dlib]'. Received {error}."
             ) from None
         found = find_shape_predictor(path)
         try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepmds_keras import __version__
-from deepmds_keras.detection.detectors import DETECTORS
+from deepmds_keras.detection.detectors import DETECTORS, default_detector
 from deepmds_keras.landmarks.conversion import said_sizes
 from deepmds_keras.predict.outputs import FORMATS
 
@@ -40,7 +40,7 @@ class Options:
         view: Whether to write a page.
         mesh: Whether to write whole heads through the landmarks.
         detector: One of `DETECTORS`.
-        mediapipe_python: Interpreter of the environment with MediaPipe, or None.
+        landmarker: File of a face landmarker for MediaPipe, or None.
         y_up: y grows upwards in files of landmarks.
         image_size: Width and height of which their x and y are fractions, or None.
         smooth: Standard deviation of the smoothing over the rows of such files; 0 is none.
@@ -57,7 +57,7 @@ class Options:
     view: bool
     mesh: bool
     detector: str
-    mediapipe_python: str | None
+    landmarker: str | None
     y_up: bool
     image_size: tuple[float, float] | None
     smooth: float
@@ -108,12 +108,11 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         help="write HTML pages too, on which faces can be turned, and index.html")  # fmt: skip
     add("--mesh", action="store_true",
         help="write the head through the landmarks too: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
-    add("--detector", choices=DETECTORS, default="dlib",
-        help=", ".join(f"{name} ({row.terms})" for name, row in DETECTORS.items())
-        + " (default: dlib)")  # fmt: skip
-    add("--mediapipe-python", metavar="PATH",
-        help="interpreter of the environment with MediaPipe (default: the variable "
-        "DEEPMDS_MEDIAPIPE_PYTHON, or .venv-mediapipe/bin/python)")  # fmt: skip
+    add("--detector", choices=DETECTORS,
+        help="; or ".join(f"{name} ({row.licence})" for name, row in DETECTORS.items())
+        + " (default: the first that is installed)")  # fmt: skip
+    add("--landmarker", metavar="FILE",
+        help="face landmarker of your own (.task), for MediaPipe 0.10.30 or later")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
     add("--image-size", nargs=2, type=_positive, metavar=("W", "H"),
         help="x and y in files of landmarks are fractions of an image of this size, as MediaPipe "
@@ -138,6 +137,8 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
     export.add_argument("--model", required=True, metavar="NAME|FILE",
         help="shipped weights of a lifter, or a file of LandmarkLifter.save()")  # fmt: skip
     values = vars(parser.parse_args(arguments))
+    if values["command"] == "predict" and values["detector"] is None:
+        values["detector"] = "mediapipe" if values["landmarker"] else default_detector()
     return (Export if values.pop("command") == "export" else Options)(**values)
 
 

@@ -13,7 +13,7 @@ from joblib import Parallel, cpu_count, delayed
 from scipy.ndimage import gaussian_filter1d
 from tqdm import tqdm
 
-from deepmds_keras.detection.detectors import DETECTORS
+from deepmds_keras.detection.detectors import DETECTORS, describe_detector
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import find_flipped
@@ -44,7 +44,7 @@ from deepmds_keras.predict.sources import (
     said_skipped,
 )
 
-_SOURCES_PER_TASK = 8  # of a process: photos are large, and MediaPipe takes a while to start
+_SOURCES_PER_TASK = 8  # of a process: photos are large
 _NAMED_FAULTS = 10  # of one source
 _DRAWN_FACES = 24  # of one source, as many as the summary has: more are tables only
 
@@ -145,15 +145,18 @@ def _ready(
     given = [(source, name) for source, name in todo if not is_photo(source)]
     if len(given) == len(todo):
         return options, todo
+    detector = DETECTORS[options.detector]
     try:
-        python = DETECTORS[options.detector].find(options.mediapipe_python)
+        detector.open(options.landmarker)
     except InputError as error:
         if not given:
             raise
         n = len(todo) - len(given)
         complain(InputError(f"{n} photo{'s' * (n > 1)} cannot be used. {error}"))
         return options, given
-    return replace(options, mediapipe_python=python), todo
+    if not detector.commercial:
+        tqdm.write(f"note: landmarks by {options.detector} ({detector.licence})", sys.stderr)
+    return options, todo
 
 
 def _results(
@@ -183,9 +186,10 @@ def _results(
 
 def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | InputError]:
     """Landmarks of the faces of each source, or why there are none."""
+    detector = describe_detector(options.detector, options.landmarker)
     photos = [source for source, _ in chunk if is_photo(source)]
     tasks = [
-        delayed(faces_in_photos)(some, options.detector, options.mediapipe_python)
+        delayed(faces_in_photos)(some, options.detector, options.landmarker)
         for some in _chunks(photos, -(-len(photos) // options.jobs))
     ]
     in_photos = iter([faces for task in _parallel(options, tasks) for faces in task])
@@ -196,7 +200,7 @@ def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | 
             yield landmarks
         else:
             scheme, names = scheme_of(landmarks.shape[1]), name_faces(name, len(landmarks))
-            yield Found(source, names, scheme, landmarks, True)
+            yield Found(source, names, scheme, landmarks, True, detector=detector)
 
 
 def _read(options: Options, source: Path, name: str) -> Found | InputError:

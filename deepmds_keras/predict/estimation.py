@@ -78,6 +78,7 @@ def estimate(
             unit="normalised" if interocular is None else "mm",
             pose=pose,
             notes=_notes(pose, turns, estimator.centre_views),
+            detector=found.detector,
         )
         for name, landmarks, shape, pose, turns in zip(
             [found.names[i] for i in np.flatnonzero(seen)],

@@ -23,6 +23,7 @@ class Found:
         landmarks: `(n, L, 2)`, x right and y down; NaN are gaps.
         is_photo: Whether the source is a photo.
         faults: Of gaps that are faces which cannot be used, 0-based, why.
+        detector: Name and licence of what found them, or None: they were given.
     """
 
     source: Path
@@ -31,6 +32,7 @@ class Found:
     landmarks: np.ndarray
     is_photo: bool
     faults: Mapping[int, str] = field(default_factory=dict)
+    detector: dict[str, str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,7 @@ class Face:
         unit: Of the shape: `"mm"`, or `"normalised"`, in which the largest extent is about 1.
         pose: How the face is seen, which turns the shape onto the landmarks.
         notes: What a reader must know of this face, such as a pose beyond those of training.
+        detector: Name and licence of what found the landmarks, or None: they were given.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Face:
     unit: str
     pose: HeadPose
     notes: tuple[str, ...] = ()
+    detector: dict[str, str] | None = None
 
     @property
     def is_gap(self) -> bool:

@@ -181,6 +181,7 @@ def _common(faces: Sequence[Face], model: Mapping) -> dict:
     return {
         "generator": f"deepmds-keras {__version__}",
         "model": dict(model),
+        "detector": faces[0].detector,
         "scheme": faces[0].scheme,
         "unit": unit,
         "scale": SCALE[unit],

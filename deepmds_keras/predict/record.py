@@ -13,7 +13,7 @@ from deepmds_keras.predict.writing import write_bytes
 
 NAME = "deepmds.json"
 # To what a source gives.
-_IRRELEVANT = ("sources", "recursive", "out", "force", "jobs", "mediapipe_python")
+_IRRELEVANT = ("sources", "recursive", "out", "force", "jobs")
 _NO_SOURCE = ""  # key of files that are of the whole run, or were a source's and are no more
 
 

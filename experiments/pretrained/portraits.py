@@ -14,7 +14,7 @@ from data_gen.datasets.portraits import Portraits
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model, model_files
 from deepmds_keras.detection.detectors import DETECTORS
-from deepmds_keras.detection.mediapipe_landmarks import landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import landmarks51, shared_detector
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.arguments import parse_run
@@ -67,7 +67,7 @@ def draw(run: Run, model: str, which: str, part: int, detectors: tuple[str, ...]
         arrays[f"pixels_{scheme}"] = np.stack([p.pixels[scheme] for p in photos])
     images = [photo.image for photo in photos]
     for detector in detectors:
-        arrays |= _DETECT[detector](run, images)
+        arrays |= _DETECT[detector](images)
     write_arrays(portraits_file(run, model, which, part), arrays, {})
     return len(photos)
 
@@ -93,15 +93,13 @@ def _source(run: Run, model: str, seed: tuple[int, ...]) -> Portraits:
     return Portraits(open_model(run, model), seed)
 
 
-def _by_dlib(run: Run, images: list[np.ndarray]) -> dict[str, np.ndarray]:
-    found = DETECTORS["dlib"].detect(images, DETECTORS["dlib"].find(None))
-    return {"dlib": _largest(found, (68, 2))}
+def _by_dlib(images: list[np.ndarray]) -> dict[str, np.ndarray]:
+    find = DETECTORS["dlib"].open(None)
+    return {"dlib": _largest((find(image)[0] for image in images), (68, 2))}
 
 
-def _by_mediapipe(run: Run, images: list[np.ndarray]) -> dict[str, np.ndarray]:
-    from deepmds_keras.detection.mediapipe_landmarks import detect_all
-
-    points = _largest(detect_all(images, run.mediapipe), (468, 3))
+def _by_mediapipe(images: list[np.ndarray]) -> dict[str, np.ndarray]:
+    points = _largest(map(shared_detector().detect_all, images), (468, 3))
     shapes = landmarks51(points)
     return {"mediapipe": shapes[..., :2] * (1, -1), "mediapipe_shape": shapes}
 
@@ -121,7 +119,7 @@ def _installed(run: Run) -> tuple[list[str], dict[str, str]]:
             lacking[name] = f"left out ({name.upper()}=no)"
             continue
         try:
-            DETECTORS[name].find(run.mediapipe)
+            DETECTORS[name].open(None)
         except InputError as error:
             lacking[name] = str(error)
         else:

@@ -28,7 +28,7 @@ KILLS = int(os.environ.get("KILLS", 10))
 FLIPS = 20 * int(os.environ.get("FUZZ", 1))  # in each file
 _BFM = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
 _FLAME = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
-if MEDIAPIPE.exists():
+if MEDIAPIPE:
     _FLAME.insert(2, "mediapipe")
 _SMOKE = ("--preset", "smoke")
 # Arguments and stages of an experiment; those of other tracks go on from the build of "bfm".

@@ -11,7 +11,8 @@ import numpy as np
 
 from data_gen.rendering.crops import crop
 from deepmds_keras.alignment import align
-from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import detect, landmarks51
+from deepmds_keras.detection.mediapipe_models import has_face_mesh
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import centre, normalise
@@ -69,9 +70,7 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
     return photos, np.array(landmarks)
 
 
-def shapes_of(
-    flame: Run, photos: list[Path], images: list[np.ndarray], landmarks: np.ndarray
-) -> dict[str, np.ndarray]:
+def shapes_of(flame: Run, images: list[np.ndarray], landmarks: np.ndarray) -> dict[str, np.ndarray]:
     """Shapes by every method that can be run: `(n, 51, 3)`, NaN where it found no face."""
     views = normalise(centre(landmarks * (1, -1)))
     shapes = {name: load(flame, name).predict(views) for name in _METHODS}
@@ -80,9 +79,8 @@ def shapes_of(
         squares = [crop(*pair, size, CROP_MARGIN)[0]
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip
         shapes["ringnet"] = load(flame, "ringnet").predict(np.stack(squares))
-    python = flame.mediapipe or MEDIAPIPE_PYTHON
-    if Path(python).exists():
-        shapes["mediapipe_corrected"] = landmarks51(detect(photos, python))
+    if has_face_mesh():
+        shapes["mediapipe_corrected"] = landmarks51(detect(images))
     mean = load_faces(flame, "train").shapes.mean(0).astype(float)
     return {name: upright(own, mean) for name, own in shapes.items()}
 
@@ -105,7 +103,7 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(flame, "celeba-flame") as record:
         photos, landmarks = read_folder(Path(flame.tf_flame))
         images = [open_photo(path) for path in photos]
-        shapes = shapes_of(flame, photos, images, landmarks)
+        shapes = shapes_of(flame, images, landmarks)
         squares = [crop(*pair, _PHOTO, CROP_MARGIN)
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip
         order = ("ringnet", "mediapipe_corrected", *_METHODS)

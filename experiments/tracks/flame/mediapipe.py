@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from deepmds_keras.detection.mediapipe_landmarks import MEDIAPIPE_PYTHON, detect, landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import detect, landmarks51
 from experiments.arguments import parse_run
 from experiments.inputs import load_crops
 from experiments.progress import Bar
@@ -21,10 +21,9 @@ def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "mediapipe") as record:
         files = load_crops(run)
-        paths = [files.paths(file)[0] for file in range(len(files.ranges()))]
+        photos = (photo for faces in files.ranges() for photo in files[faces])
         start = time.perf_counter()
-        with Bar(total=len(files), desc="mediapipe", unit="image") as bar:
-            points = detect(paths, run.mediapipe or MEDIAPIPE_PYTHON, progress=bar.update)
+        points = detect(Bar(photos, total=len(files), desc="mediapipe", unit="image"))
         milliseconds = 1000 * (time.perf_counter() - start) / len(files)
         found = np.isfinite(points).all((1, 2))
         record |= {"methods": [*_LISTS], "found": int(found.sum()), "images": len(files)}

@@ -179,5 +179,5 @@ def test_a_missing_model_says_where_to_get_it(tmp_path, monkeypatch):
 
 def test_missing_dlib_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "dlib", None)
-    with pytest.raises(InputError, match="pip install dlib-bin face_recognition_models"):
+    with pytest.raises(InputError, match=r"pip install 'deepmds-keras\[dlib\]'"):
         DlibLandmarks()

@@ -14,12 +14,12 @@ from deepmds_keras.predict.detection import faces_in_photos
 def made_up(monkeypatch):
     """A third detector, of the 68: as many faces as the first pixel of the photo says."""
 
-    def detect(photos, found):
-        assert found == "what find returned"
-        for photo in photos:
-            yield np.full((photo[0, 0, 0], 68, 2), 7.0) + np.arange(68)[:, None]
+    def open_model(landmarker):
+        assert landmarker == "its model"
+        steps = np.arange(68)[:, None]
+        return lambda photo: (np.full((photo[0, 0, 0], 68, 2), 7.0) + steps, photo[0, 0, 0] > 0)
 
-    row = Detector("ibug68", lambda python: "what find returned", detect, "nobody's")
+    row = Detector("ibug68", open_model, lambda: True, "nobody's")
     monkeypatch.setitem(DETECTORS, "made-up", row)
     return row
 
@@ -31,34 +31,35 @@ def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_
             path.write_text("hello")
         else:
             Image.new("RGB", (90, 90), (n, 0, 0)).save(path)
-    found = made_up.find(None)
-    two, none, text, one = faces_in_photos(paths, "made-up", found)
+    two, none, text, one = faces_in_photos(paths, "made-up", "its model")
     assert two.shape == (2, 51, 2) and one.shape == (1, 51, 2)
     np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(17, 68))
     assert isinstance(none, InputError) and isinstance(text, InputError)
     assert (
-        "no face found by made-up, whichever side is up; try --detector dlib or mediapipe, or"
+        "no face found by made-up, whichever side is up; try --detector mediapipe or dlib, or"
         in str(none)
     )
     assert "text.png must be a photo" in str(text)
 
 
+@pytest.mark.parametrize("unsure", [0.0, 0.8])
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
-    tmp_path, monkeypatch, quarters
+    tmp_path, monkeypatch, quarters, unsure
 ):
     """A detector of a white spot in the left upper quarter of a photo that is higher than wide."""
     looked_at = []
 
-    def detect(photos, found):
-        for photo in photos:
-            looked_at.append(photo.shape)
-            y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
-            height, width = photo.shape[:2]
-            upright = height > width and x < width / 2 and y < height / 2
-            yield np.full((int(upright), 68, 2), (x, y))
+    def detect(photo):
+        looked_at.append(photo.shape)
+        y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
+        height, width = photo.shape[:2]
+        upright = height > width and x < width / 2 and y < height / 2
+        # One that is wrong, and less sure, where the photo is not upright.
+        return np.full((1, 68, 2), (x, y) if upright else (3, 3)), 0.95 if upright else unsure
 
-    monkeypatch.setitem(DETECTORS, "spots", Detector("ibug68", lambda _: None, detect, ""))
+    row = Detector("ibug68", lambda _: detect, lambda: True, "")
+    monkeypatch.setitem(DETECTORS, "spots", row)
     upright = np.zeros((120, 90, 3), np.uint8)
     upright[30:32, 20:24] = 255
     turned = np.rot90(upright, -quarters)
@@ -75,7 +76,7 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
 def test_landmarks_of_a_large_photo_are_in_its_own_pixels(tmp_path, made_up, monkeypatch):
     monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
     Image.new("RGB", (100, 90), (1, 0, 0)).save(tmp_path / "large.png")
-    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "what find returned")
+    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "its model")
     np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(17, 68)))
 
 
