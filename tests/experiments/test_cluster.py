@@ -64,7 +64,7 @@ def copy_of_whole(smoke_bfm, tmp_path):
 
 
 def finish(process):
-    said = process.communicate(timeout=100)[0]
+    said = process.communicate(timeout=600)[0]
     assert process.returncode == 0, said
 
 
