@@ -69,7 +69,7 @@ $(READY): setup.cfg constraints.txt
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,heic,onnx,cluster,test]'
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
-# Alone: FaceMesh loads none of what MediaPipe asks for, a gigabyte that excludes NumPy 2.
+# Alone: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
 	  || echo 'MediaPipe 0.10.21 has no wheel here (it has for Python 3.10 to 3.12 on x86-64 and' \
 	  'macOS): photos are read by dlib, and make reproduce-flame needs MEDIAPIPE=no.'
