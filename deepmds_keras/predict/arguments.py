@@ -13,13 +13,14 @@ from deepmds_keras.landmarks.conversion import said_sizes
 from deepmds_keras.predict.outputs import FORMATS
 
 _DESCRIPTION = """\
-Finds the faces in photos, and the 3D shape of their landmarks by Deep-MDS; or takes landmarks that
-are given. Shapes face the front: +x to the subject's left, +y up, +z out of the face. One view does
-not show the true size: --interocular sets it."""
+Finds the faces in photos and videos, and the 3D shape of their landmarks by Deep-MDS; or takes
+landmarks that are given. Shapes face the front: +x to the subject's left, +y up, +z out of the
+face. One view does not show the true size: --interocular sets it."""
 _EPILOG = """\
 examples:
   deepmds predict photo.jpg --view
   deepmds predict photos/ --out faces --jobs 4
+  deepmds predict clip.mp4 --smooth 2
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
 A run that was stopped goes on by the same command; what no run wrote is never overwritten. Exit
@@ -32,7 +33,7 @@ class Options:
     """The arguments.
 
     Attributes:
-        sources: Photos, folders of photos, files of landmarks.
+        sources: Photos, folders of photos, videos, files of landmarks.
         recursive: Whether to take the photos in folders within folders.
         out: Folder of the results.
         formats: Some of `FORMATS`; None leaves it to the number of faces.
@@ -43,7 +44,9 @@ class Options:
         landmarker: File of a face landmarker for MediaPipe, or None.
         y_up: y grows upwards in files of landmarks.
         image_size: Width and height of which their x and y are fractions, or None.
-        smooth: Standard deviation of the smoothing over the rows of such files; 0 is none.
+        smooth: Standard deviation of the smoothing over the rows of such files, or the frames of
+            videos; 0 is none.
+        every: Which frames of videos are looked at: 1 is each, 2 every other.
         interocular: Millimetres between the outer corners of the eyes, or None.
         model: File or name of weights, or None.
         jobs: Processes; -1 is one for each core.
@@ -61,6 +64,7 @@ class Options:
     y_up: bool
     image_size: tuple[float, float] | None
     smooth: float
+    every: int
     interocular: float | None
     model: str | None
     jobs: int
@@ -95,14 +99,14 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
     )
     add = predict.add_argument
     add("sources", nargs="+", metavar="SOURCE",
-        help="photo, folder of photos, or landmarks (csv, npy, pts, json) of "
+        help="photo, folder of photos, video, or landmarks (csv, npy, pts, json) of "
         f"{said_sizes()} points")  # fmt: skip
     add("--recursive", action="store_true", help="take the photos in folders within folders too")
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, metavar="LIST",
         help=f"some of {', '.join(FORMATS)} (default: csv,json,ply,obj; of many faces in one file "
-        "csv,npz)")  # fmt: skip
+        "and of a video csv,npz)")  # fmt: skip
     add("--force", action="store_true", help="do again what is done already")
     add("--view", action="store_true",
         help="write HTML pages too, on which faces can be turned, and index.html")  # fmt: skip
@@ -118,8 +122,10 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         help="x and y in files of landmarks are fractions of an image of this size, as MediaPipe "
         "has them")  # fmt: skip
     add("--smooth", type=_not_negative, default=0.0, metavar="FRAMES",
-        help="the rows of a file of landmarks are frames of one face: smooth them by a Gaussian of "
-        "this standard deviation")  # fmt: skip
+        help="smooth each face of a video over time by a Gaussian of this standard deviation, but "
+        "not over gaps; the rows of a file of landmarks are frames of one face")  # fmt: skip
+    add("--every", type=_count, default=1, metavar="N",
+        help="look at every N-th frame of a video (default: 1)")  # fmt: skip
     add("--interocular", type=_positive, metavar="MM",
         help="millimetres between the outer corners of the eyes: results are in mm")  # fmt: skip
     add("--model", metavar="NAME|FILE",
@@ -170,6 +176,10 @@ def _not_negative(text: str) -> float:
 
 
 def _jobs(text: str) -> int:
-    if not (text == "-1" or (text.isdecimal() and int(text) > 0)):
-        raise argparse.ArgumentTypeError(f"must be 1 or more, or -1. Received {text!r}.")
+    return -1 if text == "-1" else _count(text, "1 or more, or -1")
+
+
+def _count(text: str, wanted: str = "1 or more") -> int:
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"must be {wanted}. Received {text!r}.")
     return int(text)

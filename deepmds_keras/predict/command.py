@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, cpu_count, delayed
-from scipy.ndimage import gaussian_filter1d
 from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import DETECTORS, describe_detector
@@ -38,11 +37,21 @@ from deepmds_keras.predict.record import Record
 from deepmds_keras.predict.sources import (
     check_folder,
     find_sources,
+    is_landmark_file,
     is_photo,
+    is_video,
     name_faces,
     name_sources,
     said_skipped,
 )
+from deepmds_keras.predict.videos import (
+    find_in_video,
+    portraits,
+    read_stills,
+    tell_tracks,
+    write_landmark_video,
+)
+from deepmds_keras.video.smoothing import smooth_over_time
 
 _SOURCES_PER_TASK = 8  # of a process: photos are large
 _NAMED_FAULTS = 10  # of one source
@@ -68,7 +77,8 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
         complain(error)
     if skipped:
         print(f"skipped: {_printable(said_skipped(skipped))}")
-    suffixes = [*(f".{name}" for name in options.formats or FORMATS), ".png", ".html", ".json"]
+    kinds = (*(options.formats or FORMATS), "png", "html", "json", "mp4")
+    suffixes = [f".{kind}" for kind in kinds]
     check_folder(options.out, sources, suffixes)
     record, names = Record(options, hash_weights(options.model)), name_sources(sources)
     todo = [
@@ -88,7 +98,7 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     todo = usable
     record.save()  # now, lest all the work is done for a folder that takes no results
     with tqdm(total=len(todo), unit="source", disable=len(todo) == 1) as bar:
-        for chunk in _chunks(todo, options.jobs * _SOURCES_PER_TASK):
+        for chunk in _in_chunks(options, todo):
             try:
                 for source, faces, files in _results(options, chunk, record):
                     if isinstance(faces, InputError):
@@ -96,7 +106,7 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
                         failed += 1
                     else:
                         record.add(source)
-                        shown += [face for face in faces if not face.is_gap]
+                        shown += [face for face in _pictured(faces) if not face.is_gap]
                         if fault := _said_faults(source, faces):
                             complain(fault)
                             failed += 1
@@ -127,9 +137,9 @@ def run(options: Options, stopped: Callable[[], bool] = lambda: False) -> int:
     return failed
 
 
-def complain(error: InputError) -> None:
+def complain(error: InputError, kind: str = "error") -> None:
     """One line on stderr."""
-    tqdm.write(f"error: {_printable(str(error))}", file=sys.stderr)
+    tqdm.write(f"{kind}: {_printable(str(error))}", file=sys.stderr)
 
 
 def _ready(
@@ -142,7 +152,7 @@ def _ready(
     if options.model is not None:
         load_model(options.model)
     options = replace(options, jobs=cpu_count() if options.jobs == -1 else options.jobs)
-    given = [(source, name) for source, name in todo if not is_photo(source)]
+    given = [(source, name) for source, name in todo if is_landmark_file(source)]
     if len(given) == len(todo):
         return options, todo
     detector = DETECTORS[options.detector]
@@ -152,7 +162,8 @@ def _ready(
         if not given:
             raise
         n = len(todo) - len(given)
-        complain(InputError(f"{n} photo{'s' * (n > 1)} cannot be used. {error}"))
+        kind = f"photo{'s' * (n > 1)}" + " or videos" * any(is_video(s) for s, _ in todo)
+        complain(InputError(f"{n} {kind} cannot be used. {error}"))
         return options, given
     if not detector.commercial:
         tqdm.write(f"note: landmarks by {options.detector} ({detector.licence})", sys.stderr)
@@ -194,7 +205,9 @@ def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | 
     ]
     in_photos = iter([faces for task in _parallel(options, tasks) for faces in task])
     for source, name in chunk:
-        if not is_photo(source):
+        if is_video(source):
+            yield _watched(options, source, name)
+        elif is_landmark_file(source):
             yield _read(options, source, name)
         elif isinstance(landmarks := next(in_photos), InputError):
             yield landmarks
@@ -213,7 +226,8 @@ def _read(options: Options, source: Path, name: str) -> Found | InputError:
         if np.isnan(landmarks).all():
             face, fault = min(flipped.items())
             raise InputError(f"{source}{f', face {face + 1} of {n}' * (n > 1)}: {fault}")
-        landmarks = _smoothed(landmarks, options.smooth)
+        rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+        landmarks[rows] = smooth_over_time(landmarks[rows], rows, options.smooth)
         target = scheme if scheme in PRETRAINED else SCHEME
         landmarks = convert(landmarks, scheme, target)
         return Found(source, name_faces(name, n), target, landmarks, False, faults | flipped)
@@ -221,13 +235,15 @@ def _read(options: Options, source: Path, name: str) -> Found | InputError:
         return error
 
 
-def _smoothed(landmarks: np.ndarray, deviation: float) -> np.ndarray:
-    """By a Gaussian over the rows between two gaps."""
-    smooth = landmarks.copy()
-    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
-    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if deviation else ():
-        smooth[run] = gaussian_filter1d(landmarks[run], deviation, axis=0, mode="nearest")
-    return smooth
+def _watched(options: Options, source: Path, name: str) -> Found | InputError:
+    """Landmarks of a video; what a reader must know of it is said."""
+    try:
+        found = find_in_video(options, source, name)
+    except InputError as error:
+        return error
+    for note in found.notes:
+        complain(InputError(f"{source}: {note}"), "note")
+    return found
 
 
 def _estimated(options: Options, found: Found | InputError) -> list[Face] | InputError:
@@ -236,7 +252,7 @@ def _estimated(options: Options, found: Found | InputError) -> list[Face] | Inpu
     few = len(found.names) <= _DRAWN_FACES
     try:
         with tqdm(total=len(found.names), unit="face", leave=False, disable=few) as bar:
-            return estimate(
+            faces = estimate(
                 found,
                 model=options.model,
                 interocular=options.interocular,
@@ -245,6 +261,13 @@ def _estimated(options: Options, found: Found | InputError) -> list[Face] | Inpu
             )
     except InputError as error:
         return error
+    if found.moments is None:
+        return faces
+    faces = [
+        replace(face, moment=moment) for face, moment in zip(faces, found.moments, strict=True)
+    ]
+    faces[-1] = replace(faces[-1], notes=faces[-1].notes + tuple(found.notes))
+    return faces
 
 
 def _written(options: Options, name: str, faces: list[Face]) -> list[Path] | InputError:
@@ -262,14 +285,18 @@ def _writers(
     options: Options, name: str, faces: list[Face]
 ) -> dict[Path, Callable[[Path], object]]:
     """Files of one source, each with what writes it."""
-    many = len(faces) > _DRAWN_FACES
+    video = faces[0].moment is not None
+    many = video or len(faces) > _DRAWN_FACES
     formats = options.formats or (("csv", "npz") if many else ("csv", "json", "ply", "obj"))
     model = describe_model(faces[0].scheme, options.model)
-    some = [face for face in faces if not face.is_gap][:_DRAWN_FACES]
+    shown = [face for face in _pictured(faces) if not face.is_gap]
+    some = shown[:_DRAWN_FACES]
 
     @cache
-    def photo() -> np.ndarray | None:
-        return open_photo(faces[0].photo) if faces[0].photo else None
+    def photos() -> list[np.ndarray | None]:
+        if video:
+            return read_stills(some, options.every)
+        return [open_photo(faces[0].photo) if faces[0].photo else None] * len(some)
 
     @cache
     def drawn() -> list[Face]:
@@ -279,19 +306,28 @@ def _writers(
         path: partial(write_output, faces=held, model=model)
         for path, held in output_files(options.out, name, faces, formats).items()
     }
+    if video:
+        writers[options.out / f"{name}.mp4"] = lambda path: write_landmark_video(
+            path, faces, options.every
+        )
     for i, face in enumerate(some):
         writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
-            path, draw_face(drawn()[i], photo())
+            path, draw_face(drawn()[i], photos()[i])
         )
-    for face in (face for face in faces if options.mesh and not face.is_gap):
+    for face in shown if options.mesh else []:
         for suffix in MESH_SUFFIXES:
             path = options.out / f"{face.name}{suffix}"
             writers[path] = partial(write_mesh, face=face, model=model)
     if options.view:
         writers[options.out / f"{name}.html"] = lambda path: write_page(
-            path, drawn(), [photo()] * len(some), mesh=options.mesh
+            path, drawn(), photos(), mesh=options.mesh
         )
     return writers
+
+
+def _pictured(faces: list[Face]) -> list[Face]:
+    """The faces of one source of which there may be pictures: of a video one of each track."""
+    return faces if faces[0].moment is None else portraits(faces, _DRAWN_FACES)
 
 
 def _in_photo(face: Face) -> Face:
@@ -302,6 +338,11 @@ def _in_photo(face: Face) -> Face:
 def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:
     """Lines that tell the reader of a source."""
     named = [str(files[0]), *(file.name for file in files[1:4]), *["…"] * (len(files) > 4)]
+    if faces[0].moment is not None:
+        n_frames = len({face.moment.frame for face in faces})
+        yield f"{source}: faces in {n_frames} frames → {', '.join(named)}"
+        yield from tell_tracks(faces, _DRAWN_FACES)
+        return
     seen = [face for face in faces if not face.is_gap]
     gaps = len(faces) - len(seen)
     counted = f"{len(seen)} face{'s' * (len(seen) > 1)}" + f", {gaps} gap{'s' * (gaps > 1)}" * (
@@ -332,6 +373,13 @@ def _said_faults(source: Path, faces: list[Face]) -> InputError | None:
 def _parallel(options: Options, tasks: list) -> Iterator:
     """Results in order, each as soon as it is there."""
     return Parallel(min(options.jobs, max(len(tasks), 1)), return_as="generator")(tasks)
+
+
+def _in_chunks(options: Options, todo: list[tuple[Path, str]]) -> list[list[tuple[Path, str]]]:
+    """Sources that are done at once: many, but videos one by one, after the others."""
+    videos = [(source, name) for source, name in todo if is_video(source)]
+    others = [(source, name) for source, name in todo if not is_video(source)]
+    return [*_chunks(others, options.jobs * _SOURCES_PER_TASK), *([video] for video in videos)]
 
 
 def _printable(text: str) -> str:

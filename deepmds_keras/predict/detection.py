@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.detection.detectors import DETECTORS
+from deepmds_keras.detection.detectors import DETECTORS, Find
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.photos import open_photo, photo_step
@@ -53,10 +55,35 @@ def faces_in_photos(
         except InputError as error:
             return error
         if not len(faces):
-            return _none(path, detector)
+            return no_face(path, detector, "whichever side is up")
         return convert(faces, scheme, SCHEME) * photo_step(path)
 
     return [faces_in(path) for path in photos]
+
+
+def faces_in_images(
+    images: list[np.ndarray], detector: str, landmarker: str | None = None
+) -> list[np.ndarray]:
+    """Landmarks of the faces in each image `(H, W, 3)` uint8 RGB, as it stands.
+
+    Returns:
+        For each `(n, 51, 2)` pixels, x right and y down, the largest face first; n may be 0.
+
+    Raises:
+        InputError: The detector cannot be used.
+    """
+    row = DETECTORS[detector]
+    find = _opened(row.open, landmarker)
+    return [convert(find(image)[0], row.scheme, SCHEME) for image in images]
+
+
+def no_face(source: Path, detector: str, where: str) -> InputError:
+    """Return the error of a photo or video in which no face was found."""
+    others = " or ".join(name for name in DETECTORS if name != detector)
+    return InputError(
+        f"{source}: no face found by {detector}, {where}; try --detector {others}, or give the "
+        "landmarks instead."
+    )
 
 
 def _turned_back(points: np.ndarray, quarters: int, width: int, height: int) -> np.ndarray:
@@ -66,9 +93,7 @@ def _turned_back(points: np.ndarray, quarters: int, width: int, height: int) -> 
     return np.stack(back, axis=-1)
 
 
-def _none(photo: Path, detector: str) -> InputError:
-    others = " or ".join(name for name in DETECTORS if name != detector)
-    return InputError(
-        f"{photo}: no face found by {detector}, whichever side is up; try --detector {others}, or "
-        "give the landmarks instead of the photo."
-    )
+@cache
+def _opened(open_: Callable[[str | None], Find], landmarker: str | None) -> Find:
+    """Once in a process: a landmarker takes a while to load."""
+    return open_(landmarker)

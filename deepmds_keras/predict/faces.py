@@ -12,18 +12,35 @@ import numpy as np
 from deepmds_keras.camera import HeadPose
 
 
+@dataclass(frozen=True)
+class Moment:
+    """Where in a video a face is seen.
+
+    Attributes:
+        frame: Index of the frame, from 0.
+        time: Seconds since the first frame.
+        track: Number of the face, from 1; it keeps it from frame to frame.
+    """
+
+    frame: int
+    time: float
+    track: int
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """Landmarks of the faces of one source.
 
     Attributes:
-        source: The photo or file of landmarks.
+        source: The photo, video or file of landmarks.
         names: Of the faces.
         scheme: Of the landmarks.
         landmarks: `(n, L, 2)`, x right and y down; NaN are gaps.
         is_photo: Whether the source is a photo.
         faults: Of gaps that are faces which cannot be used, 0-based, why.
         detector: Name and licence of what found them, or None: they were given.
+        moments: Of the faces of a video; None of other sources.
+        notes: What a reader must know of the source.
     """
 
     source: Path
@@ -33,23 +50,29 @@ class Found:
     is_photo: bool
     faults: Mapping[int, str] = field(default_factory=dict)
     detector: dict[str, str] | None = None
+    moments: Sequence[Moment] | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """One face of one photo, or of one row of a file of landmarks; all is NaN of a gap.
+    """One face of one photo, of one frame of a video, or of one row of a file of landmarks.
+
+    All is NaN of a gap.
 
     Attributes:
         name: Unique among the faces of a run; begins the names of its files.
-        source: The photo, or the file of landmarks.
-        photo: The photo, or None where the landmarks were given.
+        source: The photo, the video, or the file of landmarks.
+        photo: The photo, or None of other sources.
         scheme: Name of the landmark scheme.
-        landmarks: `(L, 2)` pixels of the photo, or whatever the file counts in; x right, y down.
+        landmarks: `(L, 2)` pixels of the photo or frame, or whatever the file counts in; x right,
+            y down.
         shape: `(L, 3)` from the front: +x to the subject's left, +y up, +z out of the face.
         unit: Of the shape: `"mm"`, or `"normalised"`, in which the largest extent is about 1.
         pose: How the face is seen, which turns the shape onto the landmarks.
         notes: What a reader must know of this face, such as a pose beyond those of training.
         detector: Name and licence of what found the landmarks, or None: they were given.
+        moment: Where in the video it is seen; None of other sources.
     """
 
     name: str
@@ -62,6 +85,7 @@ class Face:
     pose: HeadPose
     notes: tuple[str, ...] = ()
     detector: dict[str, str] | None = None
+    moment: Moment | None = None
 
     @property
     def is_gap(self) -> bool:

@@ -17,18 +17,23 @@ from deepmds_keras.predict.writing import write_bytes
 
 AXES = {
     "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front",
-    "landmarks": "x to the right, y down; pixels of the photo, or the unit of the landmarks given",
+    "landmarks": "x to the right, y down; pixels of the photo or of the frame, or the unit of the "
+    "landmarks given",
     "pose": "yaw > 0 turns the face to the subject's own left, pitch > 0 up, roll > 0 leans its "
     "top to the subject's own right; degrees, applied in this order. (x, -y) of the landmarks is "
     "about scale * (rotation @ shape) + translation, without the third coordinate. residual: how "
     "far it is off (root mean square), in larger sides of the landmarks' box",
 }
+TIME = (
+    "of the frames of a video, from 0; time: seconds since the first; track: one number for each "
+    "face, the same from frame to frame. Where no face is found, there is no row"
+)
 SCALE = {
     "mm": "millimetres, set by a distance that was given: one view does not show the true size",
     "normalised": "no unit of length: one view does not show the true size, and the largest extent "
     "is about 1",
 }
-_COLUMNS = "face,number,name,x,y,z,image_x,image_y"
+_COLUMNS = "number,name,x,y,z,image_x,image_y"
 _DIGITS = 7  # significant ones
 
 
@@ -82,10 +87,13 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> str:
     rows = [f"{n},{name},%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g\n"
             for n, name in zip(scheme.numbers, scheme.names, strict=True)]  # fmt: skip
     parts = [f"# {line}\n" for line in description(faces, model)]
-    parts += [f"# image_x, image_y: {AXES['landmarks']}\n", f"{_COLUMNS}\n"]
+    parts += [f"# image_x, image_y: {AXES['landmarks']}\n"]
+    parts += [f"# frame: {TIME}\n"] * (faces[0].moment is not None)
+    parts += [",".join(["face", *_moment(faces[0]), _COLUMNS]) + "\n"]
     for face in faces:
         # Quoted, so that no character of a file name is taken for one of the table.
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
+        name += "".join(f"{value}," for value in _moment(face).values())
         numbers = np.hstack([face.shape, face.landmarks])
         parts.append("".join(name + row for row in rows) % tuple(numbers.ravel().tolist()))
     return "".join(parts)
@@ -102,6 +110,7 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
             "name": face.name,
             "source": str(face.source),
             "photo": None if face.photo is None else str(face.photo),
+            **_moment(face),
             "notes": face.notes,
             "pose": _rounded_pose(face),
             "landmarks": _rounded(face.landmarks),
@@ -117,7 +126,8 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     """Arrays over all faces, for `numpy.load`: for sources of thousands of faces.
 
     `shape` `(n, L, 3)`, `landmarks` `(n, L, 2)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
-    `roll`, `scale`, `residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`;
+    `roll`, `scale`, `residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; of videos
+    `frame`, `time` and `track` `(n,)`;
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
@@ -125,6 +135,7 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     np.savez_compressed(
         content,
         face=np.array([face.name for face in faces]),
+        **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
         shape=np.stack([face.shape for face in faces]),
         landmarks=np.stack([face.landmarks for face in faces]),
         **{key: np.stack([getattr(face.pose, key) for face in faces])
@@ -186,6 +197,7 @@ def _common(faces: Sequence[Face], model: Mapping) -> dict:
         "unit": unit,
         "scale": SCALE[unit],
         "axes": AXES,
+        **({} if faces[0].moment is None else {"frame": TIME}),
     }
 
 
@@ -201,6 +213,14 @@ def description(faces: Sequence[Face], model: Mapping) -> list[str]:
         f"axes: {AXES['shape']}",
         *(f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes),
     ]
+
+
+def _moment(face: Face) -> dict[str, float]:
+    """Columns that the face of a video has beside the others."""
+    moment = face.moment
+    if moment is None:
+        return {}
+    return {"frame": moment.frame, "time": round(moment.time, 6), "track": moment.track}
 
 
 def _numbers(vertex: np.ndarray) -> str:

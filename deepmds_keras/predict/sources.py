@@ -1,4 +1,4 @@
-"""Photos and files of landmarks that a run reads, and the names of their results."""
+"""Photos, videos and files of landmarks that a run reads, and the names of their results."""
 
 from __future__ import annotations
 
@@ -16,12 +16,18 @@ PHOTO_SUFFIXES = (
     *(".avif", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jfif", ".jpeg", ".jpg", ".jp2", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tga", ".tif", ".tiff", ".webp"),
 )
+VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".webm")
 _RESERVED = ("deepmds", "summary", "index")  # the record, the picture and the page of all
 
 
 def is_photo(path: Path) -> bool:
     """Whether the suffix is that of a photo."""
     return path.suffix.lower() in PHOTO_SUFFIXES
+
+
+def is_video(path: Path) -> bool:
+    """Whether the suffix is that of a video."""
+    return path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def is_landmark_file(path: Path) -> bool:
@@ -35,8 +41,8 @@ def find_sources(
     """All that is to be read, and what is wrong with the rest: one bad path does not stop others.
 
     Args:
-        paths: Photos and files of landmarks, taken as they are, and folders, of which the photos
-            are taken, by name, but no hidden files.
+        paths: Photos, videos and files of landmarks, taken as they are, and folders, of which the
+            photos are taken, by name, but no hidden files.
         recursive: Take those in folders within too, but for hidden folders, links, and results of
             earlier runs.
 
@@ -152,8 +158,8 @@ def _photos_in(
                 folders.append(name)
     if not photos and len(errors) == before:
         raise InputError(
-            f"{folder} must hold photos ({', '.join(PHOTO_SUFFIXES)}). Received none; name files "
-            "of landmarks one by one."
+            f"{folder} must hold photos ({', '.join(PHOTO_SUFFIXES)}). Received none; name videos "
+            "and files of landmarks one by one."
         )
     return photos
 
@@ -178,12 +184,13 @@ def _why_not_within(folder: Path, recursive: bool) -> str | None:
 
 def _checked(path: Path) -> Path:
     if not os.path.exists(path):
-        raise InputError(f"{path} does not exist; it must be a photo, a folder of photos or a file "
-                         "of landmarks.")  # fmt: skip
-    if not (is_photo(path) or is_landmark_file(path)):
+        raise InputError(f"{path} does not exist; it must be a photo, a folder of photos, a video "
+                         "or a file of landmarks.")  # fmt: skip
+    if not (is_photo(path) or is_video(path) or is_landmark_file(path)):
         raise InputError(
-            f"{path} must be a photo ({', '.join(PHOTO_SUFFIXES)}) or landmarks "
-            f"({', '.join(LANDMARK_SUFFIXES)}). Received the suffix {path.suffix!r}."
+            f"{path} must be a photo ({', '.join(PHOTO_SUFFIXES)}), a video "
+            f"({', '.join(VIDEO_SUFFIXES)}) or landmarks ({', '.join(LANDMARK_SUFFIXES)}). "
+            f"Received the suffix {path.suffix!r}."
         )
     return path
 

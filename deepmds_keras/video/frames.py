@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.photos import MAX_PIXELS, MIN_SIDE
+from deepmds_keras.photos import MIN_SIDE
 
 _TAIL = {True: 1.0, False: 0.1}  # seconds by which sound may outlast the pictures, or these err
+_MAX_PIXELS = 64_000_000  # twice those of 8K
 _RATE = Fraction(25)  # frames a second where a file does not say
 _LOCAL = {"protocol_whitelist": "file"}  # no file, such as a playlist, has others fetched
 _STRETCH = 3  # of a pixel's sides at most: of television's it is up to 2.2, more is damage
@@ -56,9 +57,9 @@ class Video:
         with self._opened() as (container, stream):
             if min(stream.width, stream.height) < MIN_SIDE:
                 raise self._unreadable(f"frames of {stream.width} x {stream.height} pixels")
-            if stream.width * stream.height > MAX_PIXELS:
+            if stream.width * stream.height > _MAX_PIXELS:
                 raise InputError(
-                    f"{path} must have at most {MAX_PIXELS:,} pixels a frame. "
+                    f"{path} must have at most {_MAX_PIXELS:,} pixels a frame. "
                     f"Received {stream.width} x {stream.height}."
                 )
             self._step = float(1 / (stream.average_rate or stream.guessed_rate or _RATE))
@@ -132,7 +133,8 @@ class Video:
             return (f"the video is damaged: of the {self._seconds:.1f} s that it should have, the "
                     f"first {read:.1f} s could be read")  # fmt: skip
         if damaged:
-            return f"the video is damaged: {damaged} of its frames could be read in part, or not at all"
+            return (f"the video is damaged: {damaged} of its frames could be read in part, or not "
+                    "at all")  # fmt: skip
         return None
 
 
