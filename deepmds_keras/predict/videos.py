@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,9 @@ def find_in_video(options: Options, source: Path, name: str) -> Found:
     Raises:
         InputError: It cannot be read, or no frame has a face.
     """
-    video, frames, times, faces = Video(source, options.every), [], [], []
+    video, frames, times, counts = Video(source, options.every), [], [], []
+    # In one piece: small arrays between those of the frames would keep their memory in pieces.
+    points = bytearray()
     # Frames are sent to the processes, not left for them in files.
     with Parallel(options.jobs, max_nbytes=None) as parallel, _bar(video) as bar:
         for batch in _batches(video, options.jobs * _FRAMES_PER_TASK):
@@ -48,19 +50,22 @@ def find_in_video(options: Options, source: Path, name: str) -> Found:
                 )
                 for start in range(0, len(batch), _FRAMES_PER_TASK)
             )
-            faces += [found for task in parallel(tasks) for found in task]
+            for found in chain.from_iterable(parallel(tasks)):
+                points += np.asarray(found, float).tobytes()
+                counts.append(len(found))
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
             bar.update(len(batch))
-    counts = [len(found) for found in faces]
     if not any(counts):
         raise no_face(source, options.detector, "in any frame")
+    landmarks = np.frombuffer(points).reshape(-1, len(load_scheme(SCHEME)), 2)
+    faces = np.split(landmarks, np.cumsum(counts)[:-1])
     tracks = np.concatenate(follow_faces(faces, times))
     frames, times = np.repeat(frames, counts), np.repeat(times, counts)
     order = np.lexsort((tracks, frames))
     frames, times, tracks = frames[order], times[order], tracks[order]
     landmarks = smooth_over_time(
-        np.concatenate(faces)[order], frames, options.smooth, tracks=tracks, step=options.every
+        landmarks[order], frames, options.smooth, tracks=tracks, step=options.every
     )
     return Found(
         source=source,
