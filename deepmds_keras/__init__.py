@@ -16,6 +16,8 @@ _HOME = {
     "embed": "embedding",
     "head_pose": "camera",
     "normalise": "normalisation",
+    "predict_landmarks": "predict.api",
+    "predict_photo": "predict.api",
     "pair_features": "proximities",
     "read_photo": "photos",
 }

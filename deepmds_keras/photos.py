@@ -39,7 +39,7 @@ def open_photo(path: str | Path) -> np.ndarray:
             more than 256 million pixels, or is larger than 512 MiB.
     """
     with _opened(path) as photo:
-        return np.array(_in_colour(ImageOps.exif_transpose(_reduced(photo))))
+        return np.array(in_colour(ImageOps.exif_transpose(_reduced(photo))))
 
 
 def photo_step(path: str | Path) -> int:
@@ -195,7 +195,8 @@ def _reduced(photo: Image.Image) -> Image.Image:
     return photo.reduce(2)
 
 
-def _in_colour(photo: Image.Image) -> Image.Image:
+def in_colour(photo: Image.Image) -> Image.Image:
+    """The photo as RGB; transparency becomes white."""
     if photo.mode.startswith("I"):  # 16 bits a pixel, which Pillow would cut off at 255
         photo = Image.fromarray(np.uint8(np.asarray(photo, float).clip(0, 65535) / 257))
     if photo.has_transparency_data:

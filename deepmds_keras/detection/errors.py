@@ -14,6 +14,7 @@ import numpy as np
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.landmarks.conversion import convert
 
+INNER = "ibug51"  # landmarks whose radius is the unit
 FOLDER = Path(__file__).with_name("measured_errors")
 
 

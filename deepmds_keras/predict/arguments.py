@@ -10,6 +10,7 @@ from pathlib import Path
 from deepmds_keras import __version__
 from deepmds_keras.detection.detectors import DETECTORS, default_detector
 from deepmds_keras.landmarks.conversion import said_sizes
+from deepmds_keras.predict.models import DEFAULT, FAMILIES
 from deepmds_keras.predict.outputs import FORMATS
 
 _DESCRIPTION = """\
@@ -129,8 +130,8 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
     add("--interocular", type=_positive, metavar="MM",
         help="millimetres between the outer corners of the eyes: results are in mm")  # fmt: skip
     add("--model", metavar="NAME|FILE",
-        help="shipped weights, or a file of DeepMDS.save() (default: openhead-ibug51; for 72 "
-        "landmarks openhead-bfm72)")  # fmt: skip
+        help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file of "
+        f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
     add("--jobs", type=_jobs, default=-1, metavar="N",
         help="processes side by side (default: one for each core)")  # fmt: skip
     export = commands.add_parser(

@@ -18,18 +18,13 @@ from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import find_flipped
 from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.arguments import Options
-from deepmds_keras.predict.detection import SCHEME, faces_in_photos
-from deepmds_keras.predict.estimation import (
-    PRETRAINED,
-    describe_model,
-    estimate,
-    hash_weights,
-    load_model,
-)
+from deepmds_keras.predict.detection import faces_in_photos
+from deepmds_keras.predict.estimation import estimate
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.predict.index_page import write_index
 from deepmds_keras.predict.landmark_files import read_faces
 from deepmds_keras.predict.mesh_files import MESH_SUFFIXES, write_mesh
+from deepmds_keras.predict.models import FAMILIES, describe_model, hash_weights, load_model, taken
 from deepmds_keras.predict.outputs import FORMATS, output_files, write_output
 from deepmds_keras.predict.page import write_page
 from deepmds_keras.predict.picture import draw_face, draw_summary, write_picture
@@ -149,7 +144,7 @@ def _ready(
 
     What is lacking is said before the work begins. Without a detector files of landmarks are left.
     """
-    if options.model is not None:
+    if options.model not in (None, *FAMILIES):
         load_model(options.model)
     options = replace(options, jobs=cpu_count() if options.jobs == -1 else options.jobs)
     given = [(source, name) for source, name in todo if is_landmark_file(source)]
@@ -200,7 +195,7 @@ def _found(options: Options, chunk: list[tuple[Path, str]]) -> Iterator[Found | 
     detector = describe_detector(options.detector, options.landmarker)
     photos = [source for source, _ in chunk if is_photo(source)]
     tasks = [
-        delayed(faces_in_photos)(some, options.detector, options.landmarker)
+        delayed(faces_in_photos)(some, options.detector, options.landmarker, options.model)
         for some in _chunks(photos, -(-len(photos) // options.jobs))
     ]
     in_photos = iter([faces for task in _parallel(options, tasks) for faces in task])
@@ -228,7 +223,7 @@ def _read(options: Options, source: Path, name: str) -> Found | InputError:
             raise InputError(f"{source}{f', face {face + 1} of {n}' * (n > 1)}: {fault}")
         rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
         landmarks[rows] = smooth_over_time(landmarks[rows], rows, options.smooth)
-        target = scheme if scheme in PRETRAINED else SCHEME
+        target = taken(scheme, options.model)
         landmarks = convert(landmarks, scheme, target)
         return Found(source, name_faces(name, n), target, landmarks, False, faults | flipped)
     except InputError as error:

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
-import deepmds_keras
 from deepmds_keras.camera import HeadPose, head_poses
+from deepmds_keras.detection.errors import INNER, detector_errors
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
+from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.landmarks.y_axis import quarter_turns
 from deepmds_keras.predict.faces import Face, Found
-from deepmds_keras.weights import pretrained_path
+from deepmds_keras.predict.models import Model, model_for
 
-PRETRAINED = {"ibug51": "openhead-ibug51", "bfm72": "openhead-bfm72"}
-# Turns of the heads that the shipped weights were trained on, degrees; and the error with which
-# poses of such heads are found, root mean square.
-_TRAINED = {"yaw": 50, "pitch": 25, "roll": 30}
-_POSE_ERROR = 5
-# Residual of a pose beyond which landmarks hardly are those of the shape. It is 0.03 to 0.08 for
-# faces in photos and for those of the training; 0.16 and more if the brows are swapped or all
-# landmarks are in another order by one, above 0.3 if they are shuffled.
-_LOOSE = 0.12
+_POSE_ERROR = 5  # degrees, root mean square, with which the poses of heads are found
 # A landmark is misplaced if it lies this many times farther from where the shape has it than the
 # median of the face's landmarks, and by this part of the face's size. Of 400 faces like those of
 # the training none had one (the farthest was 3.9 times as far); with one landmark moved by 0.3 of
@@ -46,32 +36,34 @@ def estimate(
 
     Args:
         found: Their landmarks, at least one face that is no gap.
-        model: File that `DeepMDS.save` wrote, or name of shipped weights; None takes those that
-            ship for the scheme.
+        model: One of `FAMILIES`, whose weights for the scheme are taken; the name of shipped
+            weights; or a file that `LandmarkLifter.save` or `DeepMDS.save` wrote. None is
+            `DEFAULT`.
         interocular: Millimetres between the outer corners of the eyes; None leaves the shapes in
             the unit of `normalise`.
-        jobs: Processes for the embedding.
+        jobs: Processes for the embedding of the paper's method.
         progress: Called with the number of faces just done.
 
     Raises:
         InputError: The model cannot be read or takes other landmarks.
     """
-    estimator = load_model(model or PRETRAINED[found.scheme])
-    scheme = load_scheme(found.scheme)
-    if estimator.n_landmarks != len(scheme):
+    chosen, scheme = model_for(found.scheme, model), load_scheme(found.scheme)
+    if chosen.n_landmarks != len(scheme):
         raise InputError(
-            f"{found.source} must have {estimator.n_landmarks} landmarks a face for the model "
-            f"{model}. Received {len(scheme)}."
+            f"{found.source or 'landmarks'} must have {chosen.n_landmarks} landmarks a face for "
+            f"the model {model}. Received {len(scheme)}."
         )
     seen = ~np.isnan(found.landmarks).any((1, 2))
     landmarks = found.landmarks[seen]
     views = landmarks * (1, -1)
     quarters = quarter_turns(landmarks, found.scheme)
-    shapes = estimator.set_params(n_jobs=jobs).predict(_turned(views, quarters), progress=progress)
+    sd = _measured_sd(found, views)
+    shapes, std = chosen.predict(_turned(views, quarters), sd, jobs, progress)
     if interocular is not None:
         right, left = map(scheme.index, _CORNERS)
         apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
-        shapes = shapes * (interocular / apart)[:, None, None]
+        scale = (interocular / apart)[:, None, None]
+        shapes, std = shapes * scale, None if std is None else std * scale
     poses = head_poses(views, shapes)
     faces = [
         Face(
@@ -81,15 +73,17 @@ def estimate(
             scheme=found.scheme,
             landmarks=landmarks,
             shape=shape,
+            std=own_std,
             unit="normalised" if interocular is None else "mm",
             pose=pose,
-            notes=_astray(scheme, off) + _notes(pose, turns, estimator.centre_views),
+            notes=_astray(scheme, off) + _notes(pose, turns, chosen),
             detector=found.detector,
         )
-        for name, landmarks, shape, pose, turns, off in zip(
+        for name, landmarks, shape, own_std, pose, turns, off in zip(
             [found.names[i] for i in np.flatnonzero(seen)],
             landmarks,
             shapes,
+            [None] * len(shapes) if std is None else std,
             poses,
             quarters.tolist(),
             _distances(views, shapes, poses),
@@ -105,57 +99,16 @@ def estimate(
     ]
 
 
-def describe_model(scheme: str, model: str | None) -> dict[str, str]:
-    """Name and provenance of a model, for the files that are written."""
-    if model is not None:
-        return {"name": model, "weights": "given by the user"}
-    return {
-        "name": PRETRAINED[scheme],
-        "weights": "shipped with deepmds-keras (MIT); trained on landmarks of the embedded open "
-        "head model (CC0 assets), no photo of a person",
-    }
-
-
-def hash_weights(model: str | None) -> str:
-    """SHA-256 of the weights that a run may use: of one model, or of all that are its defaults.
-
-    Raises:
-        InputError: There is no such model.
-    """
-    digest = hashlib.sha256()
-    for path in map(weights_path, (model,) if model else PRETRAINED.values()):
-        try:
-            digest.update(path.read_bytes())
-        except OSError as error:
-            raise InputError(
-                f"{path} must be a file that DeepMDS.save() wrote. Received: {error.strerror}."
-            ) from None
-    return digest.hexdigest()
-
-
-@cache
-def load_model(name: str) -> deepmds_keras.DeepMDS:
-    """Shipped weights by name, or a file.
-
-    Raises:
-        InputError: Neither.
-    """
-    return deepmds_keras.DeepMDS.load(weights_path(name))  # loads TensorFlow, the first time
-
-
-def weights_path(name: str) -> Path:
-    """File of weights: itself, or that of shipped ones by their name.
-
-    Raises:
-        InputError: No file's name, and none of those that ship.
-    """
-    path = Path(name)
-    if path.suffix or path.exists():
-        return path
-    try:
-        return pretrained_path(name)
-    except InputError as error:
-        raise InputError(f"model must be a file of DeepMDS.save(), or its {error}") from None
+def _measured_sd(found: Found, views: np.ndarray) -> np.ndarray | None:
+    """`(n, L)` s.d. of the errors that the detector makes, in the unit of the views."""
+    errors = None
+    if found.detector is not None and "landmarker" not in found.detector:
+        errors = detector_errors(found.detector["name"], found.scheme)
+    if errors is None:
+        return None
+    inner = convert(views, found.scheme, INNER)
+    centred = inner - inner.mean(1, keepdims=True)
+    return np.sqrt((centred**2).sum(2).mean(1))[:, None] * errors.sd
 
 
 def _turned(views: np.ndarray, quarters: np.ndarray) -> np.ndarray:
@@ -183,7 +136,7 @@ def _astray(scheme: LandmarkScheme, off: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def _notes(pose: HeadPose, quarters: int, centred: bool) -> tuple[str, ...]:
+def _notes(pose: HeadPose, quarters: int, model: Model) -> tuple[str, ...]:
     notes = []
     if quarters:
         notes.append(
@@ -192,21 +145,21 @@ def _notes(pose: HeadPose, quarters: int, centred: bool) -> tuple[str, ...]:
         )
     roll = (pose.roll + 90 * quarters + 180) % 360 - 180  # of the face that was turned
     beyond = {
-        f"{angle} {value:+.0f}°": f"±{_TRAINED[angle]}°"
+        f"{angle} {value:+.0f}°": f"±{model.turns[angle]}°"
         for angle, value in (("yaw", pose.yaw), ("pitch", pose.pitch), ("roll", roll))
-        if abs(value) > _TRAINED[angle] + _POSE_ERROR
+        if abs(value) > model.turns.get(angle, np.inf) + _POSE_ERROR
     }
     if beyond:
         notes.append(
             f"turned farther than the faces of the training: {', '.join(beyond)}, where they had "
             f"at most {', '.join(beyond.values())}; the shape is a guess"
         )
-    if pose.residual > _LOOSE:
+    if pose.residual > model.loose:
         notes.append(
             f"the shape, turned back, misses the landmarks by {100 * pose.residual:.0f} % of the "
             "face's size (RMS): they may be in another order, or not those of a face"
         )
-    if not centred:
+    if not model.centred:
         notes.append(
             "the model was trained on views in the coordinates of a face model "
             "(centre_views=False): the shape depends on where the landmarks have their origin"

@@ -32,7 +32,7 @@ class Found:
     """Landmarks of the faces of one source.
 
     Attributes:
-        source: The photo, video or file of landmarks.
+        source: The photo, video or file of landmarks; None of what is in memory.
         names: Of the faces.
         scheme: Of the landmarks.
         landmarks: `(n, L, 2)`, x right and y down; NaN are gaps.
@@ -43,7 +43,7 @@ class Found:
         notes: What a reader must know of the source.
     """
 
-    source: Path
+    source: Path | None
     names: Sequence[str]
     scheme: str
     landmarks: np.ndarray
@@ -62,7 +62,7 @@ class Face:
 
     Attributes:
         name: Unique among the faces of a run; begins the names of its files.
-        source: The photo, the video, or the file of landmarks.
+        source: The photo, the video, or the file of landmarks; None of what is in memory.
         photo: The photo, or None of other sources.
         scheme: Name of the landmark scheme.
         landmarks: `(L, 2)` pixels of the photo or frame, or whatever the file counts in; x right,
@@ -73,10 +73,12 @@ class Face:
         notes: What a reader must know of this face, such as a pose beyond those of training.
         detector: Name and licence of what found the landmarks, or None: they were given.
         moment: Where in the video it is seen; None of other sources.
+        std: `(L, 3)` standard deviations of the errors of the shape, in its unit, or None: the
+            model does not know them.
     """
 
     name: str
-    source: Path
+    source: Path | None
     photo: Path | None
     scheme: str
     landmarks: np.ndarray
@@ -86,6 +88,26 @@ class Face:
     notes: tuple[str, ...] = ()
     detector: dict[str, str] | None = None
     moment: Moment | None = None
+    std: np.ndarray | None = None
+
+    @property
+    def image_xyz(self) -> np.ndarray:
+        """`(L, 3)`: the landmarks as they lie in the image, and how far they are in front.
+
+        z is in pixels, as x and y, grows towards the viewer and is 0 at the shape's origin.
+        """
+        depth = self.pose.scale * self.shape @ self.pose.rotation[2]
+        return np.column_stack([self.landmarks, depth])
+
+    @property
+    def seen_shape(self) -> np.ndarray:
+        """Where the landmarks of the shape are seen, turned as the head is: `(L, 2)`, y down."""
+        return self.pose.project(self.shape) * (1, -1)
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """`(L,)` pixels between each landmark and where the shape has it."""
+        return np.linalg.norm(self.seen_shape - self.landmarks, axis=1)
 
     @property
     def is_gap(self) -> bool:
@@ -108,8 +130,3 @@ def _nan(values: Mapping) -> dict:
     """The numbers among them, all NaN."""
     kinds = (float, np.ndarray)
     return {key: value * np.nan for key, value in values.items() if isinstance(value, kinds)}
-
-
-def seen_shape(face: Face) -> np.ndarray:
-    """Where the landmarks of the shape are seen, turned as the head is: `(L, 2)`, y down."""
-    return face.pose.project(face.shape) * (1, -1)

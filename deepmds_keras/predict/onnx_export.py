@@ -14,7 +14,7 @@ from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
 from deepmds_keras.lifting.trained import TrainedLifter
-from deepmds_keras.predict.estimation import weights_path
+from deepmds_keras.predict.models import weights_path
 from deepmds_keras.predict.outputs import AXES, SCALE
 from deepmds_keras.predict.writing import write_bytes
 from deepmds_keras.weights import PRETRAINED

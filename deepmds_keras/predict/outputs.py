@@ -19,6 +19,10 @@ AXES = {
     "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front",
     "landmarks": "x to the right, y down; pixels of the photo or of the frame, or the unit of the "
     "landmarks given",
+    "std": "standard deviations of the errors of x, y, z, in the same unit",
+    "image_xyz": "x to the right, y down, z towards the viewer, all in pixels of the photo, or the "
+    "unit of the landmarks given; z is 0 at the middle of the face",
+    "residuals": "distance of each landmark from where the shape has it in the image",
     "pose": "yaw > 0 turns the face to the subject's own left, pitch > 0 up, roll > 0 leans its "
     "top to the subject's own right; degrees, applied in this order. (x, -y) of the landmarks is "
     "about scale * (rotation @ shape) + translation, without the third coordinate. residual: how "
@@ -33,7 +37,13 @@ SCALE = {
     "normalised": "no unit of length: one view does not show the true size, and the largest extent "
     "is about 1",
 }
-_COLUMNS = "number,name,x,y,z,image_x,image_y"
+_COLUMNS = "number,name,x,y,z,std_x,std_y,std_z,image_x,image_y,image_z,residual"
+# What is said of them above the table.
+_TOLD = {
+    "std": "std_x, std_y, std_z",
+    "image_xyz": "image_x, image_y, image_z",
+    "residuals": "residual",
+}
 _DIGITS = 7  # significant ones
 
 
@@ -84,17 +94,21 @@ def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
 def csv_text(faces: Sequence[Face], model: Mapping) -> str:
     """One landmark a row, with its number as the scheme's authors count and where it is seen."""
     scheme = load_scheme(faces[0].scheme)
-    rows = [f"{n},{name},%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g,%.{_DIGITS}g\n"
-            for n, name in zip(scheme.numbers, scheme.names, strict=True)]  # fmt: skip
+    number = f"%.{_DIGITS}g"
+    # What the model does not know stays empty.
+    std = [number if faces[0].std is not None else ""] * 3
+    cells = ",".join([*[number] * 3, *std, *[number] * 4])
+    rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, scheme.names, strict=True)]
     parts = [f"# {line}\n" for line in description(faces, model)]
-    parts += [f"# image_x, image_y: {AXES['landmarks']}\n"]
+    parts += [f"# {columns}: {AXES[key]}\n" for key, columns in _TOLD.items()]
     parts += [f"# frame: {TIME}\n"] * (faces[0].moment is not None)
     parts += [",".join(["face", *_moment(faces[0]), _COLUMNS]) + "\n"]
     for face in faces:
         # Quoted, so that no character of a file name is taken for one of the table.
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
         name += "".join(f"{value}," for value in _moment(face).values())
-        numbers = np.hstack([face.shape, face.landmarks])
+        std = () if face.std is None else (face.std,)
+        numbers = np.hstack([face.shape, *std, face.image_xyz, face.residuals[:, None]])
         parts.append("".join(name + row for row in rows) % tuple(numbers.ravel().tolist()))
     return "".join(parts)
 
@@ -114,7 +128,10 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
             "notes": face.notes,
             "pose": _rounded_pose(face),
             "landmarks": _rounded(face.landmarks),
+            "image_xyz": _rounded(face.image_xyz),
             "shape": _rounded(face.shape),
+            "std": None if face.std is None else _rounded(face.std),
+            "residuals": _rounded(face.residuals),
         }
         for face in faces
     ]
@@ -125,7 +142,8 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
 def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     """Arrays over all faces, for `numpy.load`: for sources of thousands of faces.
 
-    `shape` `(n, L, 3)`, `landmarks` `(n, L, 2)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
+    `shape`, `image_xyz` and, if the model knows it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
+    `residuals` `(n, L)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
     `roll`, `scale`, `residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; of videos
     `frame`, `time` and `track` `(n,)`;
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
@@ -138,6 +156,9 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
         **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
         shape=np.stack([face.shape for face in faces]),
         landmarks=np.stack([face.landmarks for face in faces]),
+        image_xyz=np.stack([face.image_xyz for face in faces]),
+        residuals=np.stack([face.residuals for face in faces]),
+        **({} if faces[0].std is None else {"std": np.stack([face.std for face in faces])}),
         **{key: np.stack([getattr(face.pose, key) for face in faces])
            for key in vars(faces[0].pose)},
         landmark_numbers=np.array(scheme.numbers),
@@ -210,9 +231,18 @@ def description(faces: Sequence[Face], model: Mapping) -> list[str]:
         f"scheme: {scheme.name}, numbers {scheme.numbers[0]} to {scheme.numbers[-1]} in this "
         "order; right and left are the subject's",
         f"unit of x, y, z: {unit} ({SCALE[unit]})",
+        *_terms(faces, model),
         f"axes: {AXES['shape']}",
         *(f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes),
     ]
+
+
+def _terms(faces: Sequence[Face], model: Mapping) -> list[str]:
+    """Licences, as far as they are known."""
+    terms = [f"licence of the weights: {model['licence']}"] if "licence" in model else []
+    if (detector := faces[0].detector) is not None:
+        terms.append(f"landmarks found by {detector['name']}, licence: {detector['licence']}")
+    return terms
 
 
 def _moment(face: Face) -> dict[str, float]:

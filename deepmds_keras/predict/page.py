@@ -17,7 +17,7 @@ from PIL import Image
 from deepmds_keras import __version__
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.cutout import Cutout, cut_out
-from deepmds_keras.predict.faces import Face, seen_shape
+from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.outputs import AXES, SCALE
 from deepmds_keras.predict.surface import fit_surfaces, surface_triangles
 from deepmds_keras.predict.writing import write_bytes
@@ -139,7 +139,7 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
         "width": round(float(width), 1),
         "height": round(float(height), 1),
         "landmarks": np.round(place(face.landmarks), 1).tolist(),
-        "shape": np.round(place(seen_shape(face)), 1).tolist(),
+        "shape": np.round(place(face.seen_shape), 1).tolist(),
     }
 
 

@@ -17,7 +17,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.cutout import cut_out
-from deepmds_keras.predict.faces import Face, seen_shape
+from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.outputs import SCALE
 from deepmds_keras.predict.writing import write_bytes
 
@@ -189,7 +189,7 @@ def _draw_view(axes: Axes, face: Face, photo: np.ndarray | None, *, ticks: bool 
         cutout = cut_out(photo, points)
         height, width = cutout.image.shape[:2]
         axes.imshow(cutout.image, extent=(0, width, height, 0))
-        _draw_lines(axes, cutout.place(seen_shape(face)), face, _SEEN_COLOUR, "none")
+        _draw_lines(axes, cutout.place(face.seen_shape), face, _SEEN_COLOUR, "none")
         axes.scatter(*cutout.landmarks.T, s=4, c=_DOT_COLOUR, edgecolors=_INK, linewidths=0.25,
                      zorder=4)  # fmt: skip
         axes.set(xlim=(0, width), ylim=(height, 0))

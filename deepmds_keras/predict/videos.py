@@ -12,8 +12,9 @@ from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import describe_detector
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.predict.arguments import Options
-from deepmds_keras.predict.detection import SCHEME, faces_in_images, no_face
+from deepmds_keras.predict.detection import faces_in_images, no_face
 from deepmds_keras.predict.faces import Face, Found, Moment
 from deepmds_keras.predict.sources import name_faces
 from deepmds_keras.predict.writing import new_file
@@ -47,6 +48,7 @@ def find_in_video(options: Options, source: Path, name: str) -> Found:
                     [frame.image for frame in batch[start : start + _FRAMES_PER_TASK]],
                     options.detector,
                     options.landmarker,
+                    options.model,
                 )
                 for start in range(0, len(batch), _FRAMES_PER_TASK)
             )
@@ -70,7 +72,7 @@ def find_in_video(options: Options, source: Path, name: str) -> Found:
     return Found(
         source=source,
         names=name_faces(name, len(landmarks)),
-        scheme=SCHEME,
+        scheme=scheme_of(landmarks.shape[1]),
         landmarks=landmarks,
         is_photo=False,
         moments=[*map(Moment, frames.tolist(), times.tolist(), tracks.tolist())],

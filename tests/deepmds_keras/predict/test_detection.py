@@ -31,7 +31,7 @@ def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_
             path.write_text("hello")
         else:
             Image.new("RGB", (90, 90), (n, 0, 0)).save(path)
-    two, none, text, one = faces_in_photos(paths, "made-up", "its model")
+    two, none, text, one = faces_in_photos(paths, "made-up", "its model", None)
     assert two.shape == (2, 51, 2) and one.shape == (1, 51, 2)
     np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(17, 68))
     assert isinstance(none, InputError) and isinstance(text, InputError)
@@ -66,7 +66,7 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
     paths = [tmp_path / "upright.png", tmp_path / "turned.png"]
     for path, photo in zip(paths, (upright, turned), strict=True):
         Image.fromarray(photo).save(path)
-    first, second = faces_in_photos(paths, "spots", None)
+    first, second = faces_in_photos(paths, "spots", None, None)
     assert len(looked_at) == 2 + 3  # what is found upright is not turned
     for faces, photo in ((first, upright), (second, turned)):
         y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
@@ -76,7 +76,7 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
 def test_landmarks_of_a_large_photo_are_in_its_own_pixels(tmp_path, made_up, monkeypatch):
     monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
     Image.new("RGB", (100, 90), (1, 0, 0)).save(tmp_path / "large.png")
-    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "its model")
+    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "its model", None)
     np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(17, 68)))
 
 

@@ -14,14 +14,9 @@ from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import normalise
-from deepmds_keras.predict.estimation import (
-    PRETRAINED,
-    describe_model,
-    estimate,
-    hash_weights,
-    load_model,
-)
+from deepmds_keras.predict.estimation import estimate
 from deepmds_keras.predict.faces import Found
+from deepmds_keras.predict.models import PaperNetworks, describe_model, hash_weights, load_model
 
 N = 60
 
@@ -168,14 +163,16 @@ def test_landmarks_in_another_order_are_doubted(landmarks, by):
 
 
 def test_weights_that_know_another_origin_are_said_to(tmp_path, landmarks):
-    model = DeepMDS.pretrained(PRETRAINED["ibug51"])
+    model = DeepMDS.pretrained(PaperNetworks.shipped["ibug51"])
     model.set_params(centre_views=False).save(tmp_path / "mine.npz")
     given = str(tmp_path / "mine.npz")
     assert all(
         "where the landmarks have their origin" in note for note in notes(landmarks, model=given)
     )
-    assert describe_model("ibug51", given) == {"name": given, "weights": "given by the user"}
-    assert "shipped" in describe_model("bfm72", None)["weights"]
+    described = {"name": given, "method": "deepmds", "weights": "given by the user"}
+    assert describe_model("ibug51", given) == described
+    shipped = describe_model("bfm72", None)
+    assert "shipped" in shipped["weights"] and shipped["licence"] == "MIT licence"
 
 
 def test_what_fits_no_weights_is_named(landmarks, tmp_path):
@@ -183,14 +180,14 @@ def test_what_fits_no_weights_is_named(landmarks, tmp_path):
         InputError, match="a.npy must have 72 landmarks .* openhead-bfm72. Received 51"
     ):
         estimate(found(landmarks), model="openhead-bfm72")
-    with pytest.raises(InputError, match="file of DeepMDS.save.., or its name must be one of open"):
+    with pytest.raises(InputError, match="DeepMDS.save.., or its name must be one of open"):
         load_model("openhead")
-    with pytest.raises(InputError, match="no.npz must be a file that DeepMDS.save.. wrote"):
+    with pytest.raises(InputError, match="no.npz must be a file that Land.* wrote"):
         hash_weights(str(tmp_path / "no.npz"))
 
 
 def test_other_weights_have_another_hash(tmp_path):
-    file, name = tmp_path / "mine.npz", PRETRAINED["ibug51"]
+    file, name = tmp_path / "mine.npz", PaperNetworks.shipped["ibug51"]
     shipped = hash_weights(name)
     assert hash_weights(None) != shipped  # of all that are defaults
     file.write_bytes(weights.pretrained_path(name).read_bytes())

@@ -19,13 +19,14 @@ MODEL = {"name": "openhead-bfm72", "trained_on": "20,000 faces of the open head"
 ODD = 'ä "x",#1%s\n'
 
 
-def make_face(name="a", scheme="bfm72", seed=0, unit="normalised", notes=()):
+def make_face(name="a", scheme="bfm72", seed=0, unit="normalised", notes=(), std=False):
     rng = np.random.default_rng(seed)
     shape = rng.uniform(-1, 1, (len(load_scheme(scheme)), 3)) * (80 if unit == "mm" else 0.5)
     view = 300 * shape[:, :2] + [400, -300] + rng.normal(size=(len(shape), 2))
     photo = Path(f"{name}.jpg")
     pose = head_pose(view, shape)
-    return Face(name, photo, photo, scheme, view * [1, -1], shape, unit, pose, notes)
+    own = rng.random(shape.shape) if std else None
+    return Face(name, photo, photo, scheme, view * [1, -1], shape, unit, pose, notes, std=own)
 
 
 def written(folder, kind, *faces, name="run"):
@@ -45,19 +46,23 @@ def assert_close(found, expected):
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug51"])
-@pytest.mark.parametrize("unit", ["mm", "normalised"])
-def test_the_table_gives_the_numbers_back(tmp_path, scheme, unit):
-    faces = [make_face(ODD, scheme, 0, unit), make_face("b", scheme, 1, unit, ("turned",))]
+@pytest.mark.parametrize(("unit", "std"), [("mm", True), ("normalised", False)])
+def test_the_table_gives_the_numbers_back(tmp_path, scheme, unit, std):
+    faces = [make_face(ODD, scheme, 0, unit, (), std), make_face("b", scheme, 1, unit, ("?",), std)]
     (path,) = written(tmp_path, "csv", *faces)
     table = pd.read_csv(path, comment="#")
-    assert table.columns.tolist() == ["face", "number", "name", "x", "y", "z", "image_x", "image_y"]
+    axes = [f"{what}{axis}" for what in ("", "std_", "image_") for axis in "xyz"]
+    assert table.columns.tolist() == ["face", "number", "name", *axes, "residual"]
     assert table.face.unique().tolist() == [ODD, "b"]
     for face in faces:
         rows = table[table.face == face.name]
         assert tuple(rows.number) == load_scheme(scheme).numbers
         assert tuple(rows.name) == load_scheme(scheme).names
         assert_close(rows[["x", "y", "z"]], face.shape)
-        assert_close(rows[["image_x", "image_y"]], face.landmarks)
+        assert_close(rows[["image_x", "image_y", "image_z"]], face.image_xyz)
+        assert_close(rows["residual"], face.residuals)
+        known = rows[["std_x", "std_y", "std_z"]]
+        assert known.isna().to_numpy().all() if face.std is None else np.allclose(known, face.std)
 
 
 def test_the_table_states_unit_axes_scheme_and_notes(tmp_path):
@@ -86,6 +91,9 @@ def test_json_gives_everything_back(tmp_path):
         assert record["notes"] == list(face.notes)
         assert_close(record["shape"], face.shape)
         assert_close(record["landmarks"], face.landmarks)
+        assert_close(record["image_xyz"], face.image_xyz)
+        assert_close(record["residuals"], face.residuals)
+        assert record["std"] is None
         for key, value in vars(face.pose).items():
             assert_close(record["pose"][key], value)
 
