@@ -11,7 +11,6 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import describe_detector
-from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import faces_in_images, no_face
@@ -60,7 +59,7 @@ def find_in_video(options: Options, source: Path, name: str) -> Found:
             bar.update(len(batch))
     if not any(counts):
         raise no_face(source, options.detector, "in any frame")
-    landmarks = np.frombuffer(points).reshape(-1, len(load_scheme(SCHEME)), 2)
+    landmarks = np.frombuffer(points).reshape(sum(counts), -1, 2)
     faces = np.split(landmarks, np.cumsum(counts)[:-1])
     tracks = np.concatenate(follow_faces(faces, times))
     frames, times = np.repeat(frames, counts), np.repeat(times, counts)

@@ -512,7 +512,10 @@ def test_models_that_do_not_fit_are_named(tmp_path, run, landmarks):
     points = save(tmp_path / "a.npy", landmarks)
     for model, said in (
         ("openhead", "its name must be one of openhead-bfm72, openhead-ibug51"),
-        (tmp_path / "none.npz", "none.npz must be a file that DeepMDS.save() wrote"),
+        (
+            tmp_path / "none.npz",
+            "none.npz must be a file that LandmarkLifter.save() or DeepMDS.save() wrote",
+        ),
         (points, "a.npy must be an npz written by save()"),
         ("openhead-bfm72", "a.npy must have 72 landmarks a face for the model openhead-bfm72"),
     ):
