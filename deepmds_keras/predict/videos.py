@@ -11,6 +11,7 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import describe_detector
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.detection import faces_in_images, no_face
