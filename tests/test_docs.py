@@ -30,6 +30,8 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
 from experiments.build_key import check_key
+from experiments.lifting.hard_tables import title
+from experiments.lifting.views import CONDITIONS
 from experiments.presets import PAPER, PRESETS, SMOKE
 from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, EVALUATORS, Run
@@ -310,3 +312,18 @@ def explained_messages():
 @pytest.mark.parametrize("quote", explained_messages())
 def test_every_message_that_is_explained_is_said(quote, messages):
     assert any(quote in message for message in messages), quote
+
+
+def test_what_lifting_reaches_is_what_was_measured():
+    table = pd.read_csv(ROOT / "results" / "openhead" / "lifting" / "hard" / "table.csv")
+    mse = 1e6 * table[table["metric"] == "mse"].set_index(["method", "condition"])["mean"]
+    ids = {condition.title: condition.id for condition in CONDITIONS}
+    text = (ROOT / "docs" / "lifting.md").read_text(encoding="utf-8")
+    head, _, *rows = text[text.index("| open head |") :].split("\n\n")[0].splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (head, *rows)]
+    methods = {title(method): method for method in mse.index.get_level_values(0)}
+    assert {*methods} == {row[0] for row in cells[1:]}
+    for row in cells[1:]:
+        for condition, cell in zip(cells[0][1:], row[1:], strict=True):
+            measured = mse.get((methods[row[0]], ids[condition]))
+            assert cell == ("–" if measured is None else f"{measured:.3g}"), (row[0], condition)
