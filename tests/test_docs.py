@@ -326,4 +326,4 @@ def test_what_lifting_reaches_is_what_was_measured():
     for row in cells[1:]:
         for condition, cell in zip(cells[0][1:], row[1:], strict=True):
             measured = mse.get((methods[row[0]], ids[condition]))
-            assert cell == ("–" if measured is None else f"{measured:.3g}"), (row[0], condition)
+            assert cell == ("–" if pd.isna(measured) else f"{measured:.3g}"), (row[0], condition)
