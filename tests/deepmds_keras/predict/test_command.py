@@ -434,6 +434,7 @@ def test_results_that_another_source_overwrote_are_made_again(tmp_path, run, lan
         assert np.allclose(arrays_of(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
 
 
+@pytest.mark.slow
 def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
     files = [save(tmp_path / f"{i:03d}.npy", landmarks) for i in range(60)]
     out = tmp_path / "out"

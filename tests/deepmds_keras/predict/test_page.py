@@ -416,7 +416,10 @@ FRAMES = """async (canvas) => {
 }"""
 
 
-@pytest.mark.parametrize("window", [STILL, PHONE], ids=["1280", "390"])
+@pytest.mark.parametrize(
+    "window",
+    [pytest.param(STILL, id="1280"), pytest.param(PHONE, id="390", marks=pytest.mark.slow)],
+)
 def test_the_mesh_is_shaded_and_turns_in_thirty_frames_a_second(page_of, face, photo, window):
     page = page_of([face], [photo], mesh=True, **window)
     before, canvas = drawn(page), page.locator("canvas")

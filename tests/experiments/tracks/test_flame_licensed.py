@@ -85,6 +85,9 @@ def make_scans():
     return ScansStandin(load_model("openhead", scheme="ibug51"), 1, N_SCANS, [0, 5]).subject(0)
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def scans(apart):
     return apart(make_scans)
@@ -115,7 +118,6 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
     assert np.allclose(train.landmarks, expected, atol=1e-3)
 
 
-@pytest.mark.slow
 def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     work = work_of(folder)
     done = run("scans", folder)
@@ -145,7 +147,6 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
 
 
-@pytest.mark.slow
 def test_the_licensed_ringnet_is_run_on_the_photos(folder):
     """A graph of its tensors' names and shapes, whose vertices are linear in the mean colours."""
     # Here, since the process that draws imports this module, and may not load TensorFlow.
