@@ -13,8 +13,8 @@ from deepmds_keras.io.archives import read_npz
 
 FILE = Path(__file__).with_name("surface.npz")  # CC0, see data_gen/assets/LICENSE-openhead.md
 # Landmarks are off by themselves, and faces off the model by a smooth field: standard deviations of
-# a coordinate and the range of the field, mm. Least errors on faces of another model with landmarks
-# that are exact or off by 2 mm; about these values they hardly change.
+# a coordinate and the range of the field, mm. Chosen on exact landmarks of faces of both open
+# models, whose errors hardly change about these values.
 _LANDMARK_SD, _MODEL_SD, _MODEL_RANGE = 1.0, 3.0, 20.0
 _ROUNDS = 3  # of alignment and conditional mean; more change less than 0.01 mm
 _CHUNK = 256  # faces at a time
