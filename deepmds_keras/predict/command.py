@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
@@ -49,7 +48,6 @@ from deepmds_keras.predict.videos import (
 )
 from deepmds_keras.video.smoothing import smooth_over_time
 
-_PHOTOS_PER_PROCESS = 4  # at least: to start one takes as long as that
 _SOURCES_PER_TASK = 8  # of a process: photos are large
 _NAMED_FAULTS = 10  # of one source
 _DRAWN_FACES = 24  # of one source, as many as the summary has: more are tables only
@@ -148,10 +146,7 @@ def _ready(
     """
     if options.model not in (None, *FAMILIES):
         load_model(options.model)
-    jobs = cpu_count() if options.jobs == -1 else options.jobs
-    if all(is_photo(source) for source, _ in todo):
-        jobs = min(jobs, -(-len(todo) // _PHOTOS_PER_PROCESS))
-    options = replace(options, jobs=jobs)
+    options = replace(options, jobs=cpu_count() if options.jobs == -1 else options.jobs)
     given = [(source, name) for source, name in todo if is_landmark_file(source)]
     if len(given) == len(todo):
         return options, todo
@@ -372,8 +367,6 @@ def _said_faults(source: Path, faces: list[Face]) -> InputError | None:
 
 def _parallel(options: Options, tasks: list) -> Iterator:
     """Results in order, each as soon as it is there."""
-    # joblib starts a process anew that has grown by 300 MB, as one does that loads the models.
-    warnings.filterwarnings("ignore", "A worker stopped while some jobs")
     return Parallel(min(options.jobs, max(len(tasks), 1)), return_as="generator")(tasks)
 
 

@@ -27,7 +27,7 @@ class Lifting:
     Attributes:
         family: As `--model` names it.
         shipped: Landmark scheme to the name of its weights.
-        trained_on: What these were trained on.
+        trained_on: What these were trained on, if there are any.
         turns: How far the heads in their training are turned, degrees to either side.
         loose: Residual of a pose beyond which landmarks hardly are those of the shape: 0.01 to 0.06
             where they are, 0.09 and more where brows are swapped or the order is another one.
@@ -35,7 +35,7 @@ class Lifting:
     """
 
     family = "lifting"
-    shipped: ClassVar = {s: f"lifting-{s}" for s in ("ibug51",)}
+    shipped: ClassVar = {}
     turns: ClassVar = {"yaw": 90, "pitch": 40}
     loose = 0.08
     centred = True
@@ -103,7 +103,7 @@ def taken(scheme: str, model: str | None) -> str:
     family = FAMILIES.get(model or DEFAULT)
     if family is not None:
         return scheme if scheme in family.shipped else FALLBACK
-    target = scheme_of(load_model(model).n_landmarks)
+    target = scheme_of(_parameters(model).get("n_landmarks", 0))
     points = np.zeros((len(load_scheme(scheme)), 2))
     lacking = np.isnan(convert(points, scheme, target, missing="nan")).any()
     return scheme if lacking else target
@@ -120,13 +120,14 @@ def model_for(scheme: str, model: str | None) -> Model:
 
 
 def describe_model(scheme: str, model: str | None) -> dict[str, str]:
-    """Name, method, provenance and licence of a model, for the files that are written."""
-    loaded, family = model_for(scheme, model), FAMILIES.get(model or DEFAULT)
+    """Name, method, provenance and licence of a model, which is not loaded, for the files."""
+    family = FAMILIES.get(model or DEFAULT)
     name = model if family is None else family.shipped[scheme]
-    described = {"name": name, "method": loaded.family}
-    if name not in loaded.shipped.values():
+    kind = _kind(name)
+    described = {"name": name, "method": kind.family}
+    if name not in kind.shipped.values():
         return described | {"weights": "given by the user"}
-    source = f"shipped with deepmds-keras; trained on {loaded.trained_on}"
+    source = f"shipped with deepmds-keras; trained on {kind.trained_on}"
     return described | {"weights": source, "licence": _MIT}
 
 
@@ -155,10 +156,17 @@ def load_model(name: str) -> Model:
     Raises:
         InputError: Neither.
     """
-    path = weights_path(name)
-    described: dict[str, Any] = read_arrays(path)[1]
-    is_lifter = "size" in described.get("parameters", ())
-    return (Lifting if is_lifter else PaperNetworks)(path)
+    return _kind(name)(weights_path(name))
+
+
+def _kind(name: str) -> type[Model]:
+    return Lifting if "size" in _parameters(name) else PaperNetworks
+
+
+@cache
+def _parameters(name: str) -> dict[str, Any]:
+    """What a file of weights says of its estimator; the networks are not built."""
+    return read_arrays(weights_path(name))[1].get("parameters", {})
 
 
 def weights_path(name: str) -> Path:
