@@ -13,7 +13,11 @@ from data_gen.rendering.backgrounds import draw_background
 from data_gen.rendering.photograph import photograph
 from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.views.photo_views import sample_expressive
-from data_gen.views.projections import Cameras, in_camera_frame, project_with_depth
+from data_gen.views.projections import (
+    in_camera_frame,
+    project_with_depth,
+    sample_perspective_cameras,
+)
 
 SCHEMES = ("ibug68", "bfm72")
 _FRAMED = "ibug68"
@@ -76,9 +80,9 @@ class Portraits:
 
     def _photo(self, rng: np.random.Generator, renderer: Renderer) -> Portrait:
         identity, expression = sample_expressive(self._names, 1, rng)
-        sides = np.array([[YAW], [PITCH], [ROLL]])
-        angles = rng.uniform(-sides, sides)
-        camera = Cameras(np.ones(1, int), *angles, rng.uniform(*_FIELD_OF_VIEW, 1))
+        camera = sample_perspective_cameras(
+            1, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=_FIELD_OF_VIEW
+        )
         landmarks = {s: part.shape(identity, expression) for s, part in self._landmarks.items()}
         marked = {s: in_camera_frame(points, camera) for s, points in landmarks.items()}
         posed = in_camera_frame(self._scene.model.shape(identity, expression), camera)

@@ -10,7 +10,11 @@ from data_gen.datasets.scanner import Scanner
 from data_gen.datasets.scans import Scan
 from data_gen.models.expressions import SCAN_EXPRESSIONS, scan_expression_weights
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import Cameras, in_camera_frame, project_with_depth
+from data_gen.views.projections import (
+    in_camera_frame,
+    project_with_depth,
+    sample_perspective_cameras,
+)
 
 SCHEME = "ibug51"
 _PIXELS, _MARGIN = 320, 2.6  # a photo with room about the face, about 0.85 mm a pixel
@@ -63,9 +67,8 @@ class ScansStandin:
         n = len(expressions)
         identity = np.repeat(rng.standard_normal((1, self._landmarks.n_identity)), n, axis=0)
         weights = scan_expression_weights(self._expressions, expressions, rng)
-        sides = np.array([_YAW, _PITCH, _ROLL])[:, None]
-        cameras = Cameras(
-            np.ones(n, int), *rng.uniform(-sides, sides, (3, n)), rng.uniform(*_FIELD_OF_VIEW, n)
+        cameras = sample_perspective_cameras(
+            n, rng, yaw=_YAW, pitch=_PITCH, roll=_ROLL, field_of_view=_FIELD_OF_VIEW
         )
         landmarks = self._landmarks.shape(identity, weights)
         return dataset_of(landmarks, cameras, {}, identity=identity, expression=weights)

@@ -10,7 +10,7 @@ from data_gen.models.expressions import (
     scan_expression_weights,
 )
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import PROJECTIONS, Cameras, project
+from data_gen.views.projections import Cameras, project, sample_perspective_cameras
 from deepmds_keras.io.errors import InputError
 
 # Uniform, to either side, degrees; the field of view is that of a head from afar to arm's length.
@@ -73,12 +73,8 @@ def sample_photo_views(
     part = model.restrict(model.landmarks[scheme])
     identity, expression = sample_expressive(model, n, rng)
     landmarks = part.shape(identity, expression)
-    cameras = Cameras(
-        projection=np.full(n, PROJECTIONS.index("perspective")),
-        yaw=rng.uniform(-YAW, YAW, n),
-        pitch=rng.uniform(-PITCH, PITCH, n),
-        roll=rng.uniform(-ROLL, ROLL, n),
-        field_of_view=rng.uniform(0, FIELD_OF_VIEW, n),
+    cameras = sample_perspective_cameras(
+        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
     )
     views = project(landmarks, cameras)
     return views + rng.normal(0, detector_sd, views.shape), landmarks, cameras

@@ -114,6 +114,23 @@ def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
     return Cameras(perspective.astype(int), yaw, pitch, roll, np.where(perspective, angle, 0.0))
 
 
+def sample_perspective_cameras(
+    n: int,
+    rng: np.random.Generator,
+    *,
+    yaw: float,
+    pitch: float,
+    roll: float,
+    field_of_view: tuple[float, float],
+) -> Cameras:
+    """Uniform poses, to either side, and fields of view from one angle to another, degrees."""
+    return Cameras(
+        np.full(n, PROJECTIONS.index("perspective")),
+        *(rng.uniform(-most, most, n) for most in (yaw, pitch, roll)),
+        rng.uniform(*field_of_view, n),
+    )
+
+
 def rotations(cameras: Cameras) -> np.ndarray:
     """Rotation matrices of the faces, `(n, 3, 3)`, to be multiplied from the left."""
     yaw, pitch, roll = (np.deg2rad(a) for a in (cameras.yaw, cameras.pitch, cameras.roll))

@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.photo_views import sample_expressive
-from data_gen.views.projections import PROJECTIONS, Cameras, project
+from data_gen.views.projections import project, sample_perspective_cameras
 from deepmds_keras.detection.errors import DetectorErrors
 from experiments.pretrained.detector_errors import N_INNER, radii, turned
 
@@ -58,12 +58,8 @@ class PhotoFaces:
             for k, (part, smooth) in enumerate(self._parts)
         ]
         shapes = rng.permutation(np.concatenate(shapes))
-        cameras = Cameras(
-            projection=np.full(n, PROJECTIONS.index("perspective")),
-            yaw=rng.uniform(-_YAW, _YAW, n),
-            pitch=rng.uniform(-_PITCH, _PITCH, n),
-            roll=rng.uniform(-_ROLL, _ROLL, n),
-            field_of_view=rng.uniform(0, _FIELD_OF_VIEW, n),
+        cameras = sample_perspective_cameras(
+            n, rng, yaw=_YAW, pitch=_PITCH, roll=_ROLL, field_of_view=(0, _FIELD_OF_VIEW)
         )
         views = project(shapes, cameras)
         white = _MOST_NOISE_MM * rng.random((n, 1)) ** 2

@@ -6,6 +6,7 @@ networks of Deep-MDS are those of `ours_stable`, on faces of the open head alone
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,7 @@ def weights_file(run: Run, method: str, scheme: str) -> Path:
     return run.work / "photo-networks" / f"{method}-{scheme}.npz"
 
 
+@functools.cache
 def measured_errors(run: Run) -> dict[str, tuple[DetectorErrors, pd.DataFrame]]:
     """Errors of each detector that was there, over the photos of all models; and as a table."""
     record = load_record(run, "portraits")
