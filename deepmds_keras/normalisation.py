@@ -37,6 +37,11 @@ def centre(points: np.ndarray) -> np.ndarray:
     return points - points.mean(-2, keepdims=True)
 
 
+def rms_radius(points: np.ndarray) -> np.ndarray:
+    """Root mean square distance of the landmarks from their middle: `(n, L, d)` → `(n,)`."""
+    return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))
+
+
 def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
     points = np.asarray(points, float)

@@ -17,6 +17,7 @@ from deepmds_keras.io.errors import InputError
 
 MODELS = ("openhead", "ict", "bfm2009", "bfm2017", "bfm2019", "flame")
 
+OPEN = ("openhead", "ict")
 _BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
 _FLAME = "https://flame.is.tue.mpg.de/ (free for research, after registration)"
 # The tip of the nose on FLAME's template, measured by the public landmark embedding.
@@ -36,6 +37,25 @@ _LOADERS: dict[str, Callable[[Path], MorphableModel]] = {
     "bfm2019": lambda path: bfm2017.load_bfm2017(path, "bfm2019"),
     "flame": flame.load_flame,
 }
+
+
+def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
+    """The models that anybody may use, `OPEN`.
+
+    Args:
+        path: As for `load_model`.
+
+    Returns:
+        Those whose files are there, and those whose are not.
+    """
+    found = []
+    for name in OPEN:
+        try:
+            model_files(name, path)
+        except InputError:
+            continue
+        found.append(name)
+    return found, [name for name in OPEN if name not in found]
 
 
 def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72") -> MorphableModel:

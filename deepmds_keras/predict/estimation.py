@@ -12,6 +12,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.landmarks.y_axis import quarter_turns
+from deepmds_keras.normalisation import rms_radius
 from deepmds_keras.predict.faces import Face, Found
 from deepmds_keras.predict.models import Model, model_for
 
@@ -106,9 +107,7 @@ def _measured_sd(found: Found, views: np.ndarray) -> np.ndarray | None:
         errors = detector_errors(found.detector["name"], found.scheme)
     if errors is None:
         return None
-    inner = convert(views, found.scheme, INNER)
-    centred = inner - inner.mean(1, keepdims=True)
-    return np.sqrt((centred**2).sum(2).mean(1))[:, None] * errors.sd
+    return rms_radius(convert(views, found.scheme, INNER))[:, None] * errors.sd
 
 
 def _turned(views: np.ndarray, quarters: np.ndarray) -> np.ndarray:

@@ -14,13 +14,12 @@ from joblib import Parallel, delayed
 from scipy.stats import sem
 
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import load_model, model_files
+from data_gen.models.registry import load_model, open_models
 from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
-from deepmds_keras.io.errors import InputError
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import centre, normalise
 from experiments.arguments import parse_run
@@ -40,7 +39,6 @@ from experiments.scoring.tables import write_csv
 from experiments.streams import Stream
 
 NOISES_MM = (0.0, 1.0, 3.0)
-_OPEN = ("openhead", "ict")
 _SCHEME = "ibug51"
 _MOST_NOISE_MM = 6.0  # in training
 # A component below it moves no landmark by what can be seen: the fit takes it for noise.
@@ -51,14 +49,10 @@ _FACES_PER_TASK = 250
 def tested_models(run: Run) -> tuple[dict[str, MorphableModel], list[str]]:
     """The models tested on, that of the run first, and which of the open ones are not there."""
     found = {run.model: load_model(run.model, run.data, _SCHEME)}
-    left_out = []
-    for name in _OPEN:
-        try:
-            model_files(name, run.data)
-        except InputError:
-            left_out.append(name)
-        else:
-            found.setdefault(name, load_model(name, run.data, _SCHEME))
+    there, left_out = open_models(run.data)
+    for name in there:
+        if name not in found:
+            found[name] = load_model(name, run.data, _SCHEME)
     return found, left_out
 
 

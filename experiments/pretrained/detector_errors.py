@@ -8,6 +8,7 @@ import pandas as pd
 from deepmds_keras.detection.errors import DetectorErrors
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.normalisation import rms_radius
 
 BINS = np.arange(-60.0, 61.0, 20.0)  # middles, degrees of yaw
 N_INNER = 51  # landmarks of `ibug51`, the last of `ibug68`: all but the jaw
@@ -36,12 +37,6 @@ def turned(vectors: np.ndarray, roll: np.ndarray) -> np.ndarray:
     x, y = vectors[..., 0], vectors[..., 1]
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
-
-
-def radii(views: np.ndarray) -> np.ndarray:
-    """Root mean square radius of views: `(n, L, 2)` → `(n,)`."""
-    centred = views - views.mean(1, keepdims=True)
-    return np.sqrt((centred**2).sum(2).mean(1))
 
 
 def is_gross(errors: np.ndarray) -> np.ndarray:
@@ -105,7 +100,7 @@ def errors_on(
         face was found, and nothing else in its place.
     """
     pixels = photos["pixels_ibug68"]
-    radius = radii(pixels[:, -N_INNER:])
+    radius = rms_radius(pixels[:, -N_INNER:])
     own = convert(pixels, "ibug68", scheme)
     errors = upright_errors(photos[detector], own, radius, photos["roll"])
     found = np.isfinite(errors).all((1, 2))

@@ -14,7 +14,8 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.photo_views import sample_expressive
 from data_gen.views.projections import project, sample_perspective_cameras
 from deepmds_keras.detection.errors import DetectorErrors
-from experiments.pretrained.detector_errors import N_INNER, radii, turned
+from deepmds_keras.normalisation import rms_radius
+from experiments.pretrained.detector_errors import N_INNER, turned
 
 # Uniform, to either side, degrees; and the angle that the landmarks fill, from 0.
 _YAW, _PITCH, _ROLL, _FIELD_OF_VIEW = 90.0, 40.0, 40.0, 40.0
@@ -65,7 +66,7 @@ class PhotoFaces:
         white = _MOST_NOISE_MM * rng.random((n, 1)) ** 2
         errors = white[..., None] * rng.standard_normal(views.shape)
         sd = np.repeat(white, views.shape[1], axis=1)
-        radius = radii(views[:, -N_INNER:])
+        radius = rms_radius(views[:, -N_INNER:])
         kind = rng.integers(len(self.errors) + 1, size=n)
         for k, own in enumerate(self.errors):
             faces = np.flatnonzero(kind == k)

@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.datasets.portraits import Portraits
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import load_model, model_files
+from data_gen.models.registry import OPEN, load_model, open_models
 from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.detection.mediapipe_landmarks import landmarks51, shared_detector
 from deepmds_keras.io.archives import read_arrays, write_arrays
@@ -24,21 +24,8 @@ from experiments.running import stage
 from experiments.streams import Stream
 from experiments.tasks import unordered
 
-OPEN = ("openhead", "ict")
 SETS = ("errors", "tests")
 _PER_FILE = 50
-
-
-def open_models(run: Run) -> tuple[list[str], list[str]]:
-    """Names of the open face models that are there, and of those that are not."""
-    found = []
-    for name in OPEN:
-        try:
-            model_files(name, run.data)
-        except InputError:
-            continue
-        found.append(name)
-    return found, [name for name in OPEN if name not in found]
 
 
 @functools.cache
@@ -130,7 +117,7 @@ def _installed(run: Run) -> tuple[list[str], dict[str, str]]:
 def main(arguments: list[str] | None = None) -> None:
     run = parse_run(__doc__, arguments)
     with stage(run, "portraits") as record:
-        models, left_out = open_models(run)
+        models, left_out = open_models(run.data)
         detectors, lacking = _installed(run)
         hashes = {name: open_model(run, name).sha256 for name in models}
         record |= {"models": models, "left_out": left_out}

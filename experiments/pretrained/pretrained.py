@@ -16,7 +16,7 @@ from deepmds_keras.detection.errors import write_errors
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.metrics import mse
-from deepmds_keras.normalisation import centre, normalise
+from deepmds_keras.normalisation import centre, normalise, rms_radius
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.weights import PRETRAINED
 from experiments.arguments import parse_run
@@ -25,7 +25,7 @@ from experiments.face_models import TITLES
 from experiments.lifting.study_tables import left_out_notes
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
-from experiments.pretrained.detector_errors import N_INNER, errors_on, radii
+from experiments.pretrained.detector_errors import N_INNER, errors_on
 from experiments.pretrained.photo_networks import (
     DEEP_MDS,
     FOUND,
@@ -84,7 +84,7 @@ def measure(run: Run) -> Iterator[dict]:
             pixels = convert(photos[f"pixels_{source}"], source, scheme)
             everyone = np.ones(len(truth), bool)
             kinds = {"exact": (pixels, everyone, 0.0)}
-            radius = radii(photos["pixels_ibug68"][:, -N_INNER:])
+            radius = rms_radius(photos["pixels_ibug68"][:, -N_INNER:])
             for detector, own in errors.items():
                 if scheme in FOUND[detector]:
                     first = FOUND[detector][0]

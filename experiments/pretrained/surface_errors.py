@@ -99,7 +99,3 @@ def _distance(points: np.ndarray, surfaces: np.ndarray, triangles: np.ndarray) -
         distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(some, float)), measured)
         distances.append(np.abs(vtk_to_numpy(measured)).mean())
     return float(np.mean(distances))
-
-
-if __name__ == "__main__":
-    main()

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from deepmds_keras.normalisation import rms_radius
 from experiments.pretrained.detector_errors import (
     BINS,
     errors_on,
-    radii,
     summarise_errors,
     turned,
     upright_errors,
@@ -24,8 +24,8 @@ def test_an_error_is_the_same_however_the_face_leans_and_how_large_it_is(rng):
         roll = np.array([roll])
         pixels = size * turned(view, roll) * (1, -1) + 100
         found = size * turned(view + error, roll) * (1, -1) + 100
-        upright = upright_errors(found, pixels, radii(pixels), roll)
-        assert np.allclose(upright, error / radii(view)[:, None, None])
+        upright = upright_errors(found, pixels, rms_radius(pixels), roll)
+        assert np.allclose(upright, error / rms_radius(view)[:, None, None])
 
 
 def test_summary_keeps_mean_variance_and_what_goes_together(rng):
@@ -53,4 +53,4 @@ def test_what_is_not_the_face_is_not_its_error(rng):
     photos["dlib"][2] = np.nan
     errors, found = errors_on(photos, "dlib", "ibug68")
     assert [*found] == [True, False, False]
-    assert np.allclose(errors[0] * radii(pixels[:1, 17:])[0], (1, -1))
+    assert np.allclose(errors[0] * rms_radius(pixels[:1, 17:])[0], (1, -1))
