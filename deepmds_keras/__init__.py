@@ -1,10 +1,12 @@
 """Deep-MDS: the 3D shape of 2D landmarks from a single image (Kamyab and Azimifar).
 
-Names are loaded when they are first used, so that a process that only embeds does not import
-TensorFlow.
+Names are loaded when they are first used: to predict with a lifter takes neither Keras nor
+TensorFlow, and neither need be installed.
 """
 
 from importlib import import_module
+
+from deepmds_keras.io.extras import needs
 
 _HOME = {
     "DeepMDS": "pipeline",
@@ -28,11 +30,12 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name):
-    if name in _MODULES:
-        return import_module(f"{__name__}.{name}")
-    if name not in _HOME:
+    if name not in (*_HOME, *_MODULES):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    with needs(f"TensorFlow with Keras and scikit-learn, which {name} needs,", "keras"):
+        if name in _MODULES:
+            return import_module(f"{__name__}.{name}")
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 256_000_000
@@ -157,13 +158,8 @@ def _is_heif(content: bytes) -> bool:
 
 
 def _add_heif(path: str | Path) -> None:
-    try:
+    with needs(f"{path}: pillow-heif, which opens HEIC photos,", "heic"):
         from pillow_heif import register_heif_opener
-    except ImportError as error:
-        raise InputError(
-            f"{path} must be opened by pillow-heif, as HEIC photos are: pip install "
-            f"'deepmds-keras[heic]'. Received: {error}."
-        ) from None
     register_heif_opener()
 
 

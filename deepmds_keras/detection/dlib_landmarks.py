@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 from deepmds_keras.photos import check_photo
 
 N_LANDMARKS = 68
@@ -75,12 +76,8 @@ class DlibLandmarks:
     """
 
     def __init__(self, path: str | Path | None = None):
-        try:
+        with needs("dlib", "dlib"):
             import dlib
-        except ImportError as error:
-            raise InputError(
-                f"dlib must be installed: pip install 'deepmds-keras[dlib]'. Received {error}."
-            ) from None
         found = find_shape_predictor(path)
         try:
             self._predict = dlib.shape_predictor(str(found))

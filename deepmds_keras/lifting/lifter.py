@@ -11,6 +11,7 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
 from deepmds_keras.lifting.network import SIZES, initial_weights
 from deepmds_keras.lifting.trained import SETTERS, TrainedLifter, not_a_lifter, read_lifter
@@ -95,7 +96,8 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
             InputError: Wrong number of landmarks, unequal numbers of faces, infinity, a face with
                 too few landmarks, an option out of range, or the checkpoint of another run.
         """
-        from deepmds_keras.lifting.training import Recipe, train_lifting_net
+        with needs("Keras with TensorFlow, which train,", "keras"):
+            from deepmds_keras.lifting.training import Recipe, train_lifting_net
 
         self._check_parameters()
         if callable(views):

@@ -305,7 +305,11 @@ def _writers(
         writers[options.out / f"{name}.mp4"] = lambda path: write_landmark_video(
             path, faces, options.every
         )
-    for i, face in enumerate(some):
+    if many and not video:  # a table: a picture each would take longer than all the rest
+        writers[options.out / f"{name}.png"] = lambda path: write_picture(
+            path, draw_summary(shown, photos())
+        )
+    for i, face in enumerate(some if video or not many else []):
         writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
             path, draw_face(drawn()[i], photos()[i])
         )

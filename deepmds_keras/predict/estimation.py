@@ -66,6 +66,9 @@ def estimate(
         scale = (interocular / apart)[:, None, None]
         shapes, std = shapes * scale, None if std is None else std * scale
     poses = head_poses(views, shapes)
+    off = _distances(views, shapes, poses)
+    middle = np.median(off, axis=1, keepdims=True)
+    astray = off > np.maximum(_ASTRAY * middle, _ASTRAY_SIZE)
     faces = [
         Face(
             name=name,
@@ -77,17 +80,18 @@ def estimate(
             std=own_std,
             unit="normalised" if interocular is None else "mm",
             pose=pose,
-            notes=_astray(scheme, off) + _notes(pose, turns, chosen),
+            notes=_astray(scheme, off, far) + _notes(pose, turns, chosen),
             detector=found.detector,
         )
-        for name, landmarks, shape, own_std, pose, turns, off in zip(
+        for name, landmarks, shape, own_std, pose, turns, off, far in zip(
             [found.names[i] for i in np.flatnonzero(seen)],
             landmarks,
             shapes,
             [None] * len(shapes) if std is None else std,
             poses,
             quarters.tolist(),
-            _distances(views, shapes, poses),
+            off,
+            astray,
             strict=True,
         )
     ]
@@ -120,15 +124,15 @@ def _turned(views: np.ndarray, quarters: np.ndarray) -> np.ndarray:
 
 def _distances(views: np.ndarray, shapes: np.ndarray, poses: list[HeadPose]) -> np.ndarray:
     """`(n, L)` of the landmarks from where the shapes have them, in larger sides of their box."""
-    projected = [pose.project(shape) for pose, shape in zip(poses, shapes, strict=True)]
+    rows = np.stack([pose.scale * pose.rotation[:2].T for pose in poses])
+    projected = shapes @ rows + np.stack([pose.translation for pose in poses])[:, None]
     return np.linalg.norm(projected - views, axis=2) / np.ptp(views, axis=1).max(1)[:, None]
 
 
-def _astray(scheme: LandmarkScheme, off: np.ndarray) -> tuple[str, ...]:
-    far = np.flatnonzero(off > max(_ASTRAY * np.median(off), _ASTRAY_SIZE))
-    if not len(far):
+def _astray(scheme: LandmarkScheme, off: np.ndarray, far: np.ndarray) -> tuple[str, ...]:
+    if not far.any():
         return ()
-    said = ", ".join(f"{scheme.names[i]} ({100 * off[i]:.0f} %)" for i in far)
+    said = ", ".join(f"{scheme.names[i]} ({100 * off[i]:.0f} %)" for i in np.flatnonzero(far))
     return (
         f"may be misplaced, and spoil the shape: {said} of the face's size from where the shape "
         f"has it, while half of the landmarks are within {100 * np.median(off):.0f} %",

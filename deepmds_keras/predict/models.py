@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.lifting.trained import TrainedLifter
@@ -73,7 +74,8 @@ class PaperNetworks:
     loose = 0.12
 
     def __init__(self, path: Path):
-        from deepmds_keras.pipeline import DeepMDS  # which loads TensorFlow
+        with needs("TensorFlow with Keras, which run the paper's networks,", "keras"):
+            from deepmds_keras.pipeline import DeepMDS
 
         self._networks = DeepMDS.load(path).set_params(solver="batched")
         self.n_landmarks = self._networks.n_landmarks

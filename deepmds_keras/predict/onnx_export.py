@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmds_keras import __version__
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
@@ -50,12 +51,8 @@ def export(path: str | Path, model: str) -> None:
     scheme = load_scheme(scheme_of(lifter.n_landmarks))
     shipped = weights.parent == PRETRAINED
     source = "shipped with deepmds-keras, MIT licence" if shipped else "given by the user"
-    try:
+    with needs("onnx", "onnx"):
         from onnx import checker, helper
-    except ImportError:
-        raise InputError(
-            "onnx must be installed to write ONNX models: pip install 'deepmds-keras[onnx]'."
-        ) from None
     written = helper.make_model(
         _traced(lifter),
         opset_imports=[helper.make_opsetid("", _OPSET)],

@@ -140,7 +140,7 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
 
 
 def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
-    """Arrays over all faces, for `numpy.load`: for sources of thousands of faces.
+    """Arrays over all faces, for `numpy.load`: for sources of thousands of faces, in float32.
 
     `shape`, `image_xyz` and, if the model knows it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
     `residuals` `(n, L)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
@@ -149,22 +149,29 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
-    content = io.BytesIO()
-    np.savez_compressed(
-        content,
-        face=np.array([face.name for face in faces]),
+    arrays = {
         **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
-        shape=np.stack([face.shape for face in faces]),
-        landmarks=np.stack([face.landmarks for face in faces]),
-        image_xyz=np.stack([face.image_xyz for face in faces]),
-        residuals=np.stack([face.residuals for face in faces]),
+        "shape": np.stack([face.shape for face in faces]),
+        "landmarks": np.stack([face.landmarks for face in faces]),
+        "image_xyz": np.stack([face.image_xyz for face in faces]),
+        "residuals": np.stack([face.residuals for face in faces]),
         **({} if faces[0].std is None else {"std": np.stack([face.std for face in faces])}),
         **{key: np.stack([getattr(face.pose, key) for face in faces])
            for key in vars(faces[0].pose)},
+    }  # fmt: skip
+    exact = ("time",)  # of a long video
+    content = io.BytesIO()
+    np.savez(  # to compress the digits of measurements takes long and gains little
+        content,
+        face=np.array([face.name for face in faces]),
+        **{
+            key: np.float32(array) if array.dtype.kind == "f" and key not in exact else array
+            for key, array in arrays.items()
+        },
         landmark_numbers=np.array(scheme.numbers),
         landmark_names=np.array(scheme.names),
         description=np.array(json.dumps(_common(faces, model))),
-    )  # fmt: skip
+    )
     return content.getvalue()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 # Mean distance of the landmarks beyond which it is another face, in larger sides of their box. A
 # head that moves fast comes to 0.2 from frame to frame; heads side by side are 1.2 and more apart.
@@ -27,6 +26,8 @@ def follow_faces(faces: Sequence[np.ndarray], times: Sequence[float]) -> list[np
     Returns:
         Of each frame `(n,)` int, the tracks of its faces, numbered from 1 as they appear.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to load, and photos do without
+
     tracks, n_tracks, known, before = [], 0, {}, -np.inf
     for found, time in zip(faces, times, strict=True):
         oldest = min(time - _PATIENCE, before)

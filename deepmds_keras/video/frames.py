@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.io.extras import needs
 from deepmds_keras.photos import MIN_SIDE
 
 _TAIL = {True: 1.0, False: 0.1}  # seconds by which sound may outlast the pictures, or these err
@@ -142,15 +143,10 @@ def import_av():
     """PyAV, imported where a video is read or written.
 
     Raises:
-        InputError: It is missing.
+        MissingPackageError: It is not there.
     """
-    try:
+    with needs("PyAV, which reads videos,", "video"):
         import av
-    except ImportError as error:
-        raise InputError(
-            "PyAV must be installed to read videos: pip install 'deepmds-keras[video]'. "
-            f"Received {error}."
-        ) from None
     return av
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 
 def smooth_over_time(
@@ -31,6 +30,8 @@ def smooth_over_time(
     smooth = np.array(landmarks, float)
     if not deviation or not len(smooth):
         return smooth
+    from scipy.ndimage import gaussian_filter1d  # slow to load, and seldom asked for
+
     tracks = np.zeros(len(smooth), int) if tracks is None else tracks
     order = np.lexsort((frames, tracks))
     gaps = (np.diff(frames[order]) != step) | (np.diff(tracks[order]) != 0)

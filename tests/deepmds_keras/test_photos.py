@@ -130,7 +130,7 @@ def test_without_what_reads_heic_its_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     path = tmp_path / "photo.heic"
     path.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
-    with pytest.raises(InputError, match=r"photo.heic must be .* 'deepmds-keras\[heic\]'"):
+    with pytest.raises(InputError, match=r"photo.heic: .* 'deepmds-keras\[heic\]'"):
         open_photo(path)
 
 
