@@ -314,13 +314,14 @@ def test_every_message_that_is_explained_is_said(quote, messages):
     assert any(quote in message for message in messages), quote
 
 
-def test_what_lifting_reaches_is_what_was_measured():
-    table = pd.read_csv(ROOT / "results" / "openhead" / "lifting" / "hard" / "table.csv")
+@pytest.mark.parametrize(("model", "head"), [("openhead", "open head"), ("ict", "ICT")])
+def test_what_lifting_reaches_is_what_was_measured(model, head):
+    table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
     mse = 1e6 * table[table["metric"] == "mse"].set_index(["method", "condition"])["mean"]
     ids = {condition.title: condition.id for condition in CONDITIONS}
     text = (ROOT / "docs" / "lifting.md").read_text(encoding="utf-8")
-    head, _, *rows = text[text.index("| open head |") :].split("\n\n")[0].splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (head, *rows)]
+    first, _, *rows = text[text.index(f"| {head} |") :].split("\n\n")[0].splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (first, *rows)]
     methods = {title(method): method for method in mse.index.get_level_values(0)}
     assert {*methods} == {row[0] for row in cells[1:]}
     for row in cells[1:]:
