@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
+from deepmds_keras.alignment import align
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.normalisation import centre, normalise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,6 +34,29 @@ def mse(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
     """
     prediction, truth = _pair(prediction, truth)
     return _per_face(np.mean((prediction - truth) ** 2, axis=(-2, -1)))
+
+
+def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
+    """Share of the variance of the true shapes that the predicted ones explain, R².
+
+    1 minus the mean squared error over that of the mean of the true shapes, both aligned to each
+    face with scale and reflection: 1 at best, 0 for the mean shape.
+
+    Args:
+        prediction, truth: `(n, L, 3)`, n at least 2, any scale.
+
+    Raises:
+        InputError: As for `mse`, or fewer than two faces.
+    """
+    prediction, truth = _pair(prediction, truth)
+    if prediction.ndim != 3 or len(prediction) < 2:
+        raise InputError(
+            f"explained_share needs two faces or more, (n, L, 3). Received {prediction.shape}."
+        )
+    truth = normalise(centre(truth))
+    mean = np.broadcast_to(truth.mean(0), truth.shape)
+    own, worst = (mse(align(shapes, truth), truth).mean() for shapes in (prediction, mean))
+    return float(1 - own / worst)
 
 
 def depth_corr(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:

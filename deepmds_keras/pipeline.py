@@ -18,6 +18,8 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
+from deepmds_keras.landmarks.y_axis import check_views
+from deepmds_keras.metrics import explained_share
 from deepmds_keras.networks import (
     build_autoencoder,
     build_dissimilarity_net,
@@ -66,6 +68,16 @@ class DeepMDS(BaseEstimator):
             decides which of the two mirror images of an embedding is the face.
         history_: Losses by network and epoch.
         n_parameters: Trainable parameters of both networks.
+
+    Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
+    Weights that ship: `"openhead-ibug51"` and `"openhead-bfm72"`.
+
+    Examples:
+        >>> import numpy as np
+        >>> from deepmds_keras import DeepMDS
+        >>> method = DeepMDS.pretrained("openhead-ibug51")
+        >>> views = np.load("landmarks.npy") * (1, -1)  # (n, 51, 2), y up  # doctest: +SKIP
+        >>> method.predict(views)  # (n, 51, 3)  # doctest: +SKIP
     """
 
     def __init__(
@@ -79,7 +91,7 @@ class DeepMDS(BaseEstimator):
         dissimilarity_epochs: int = 30,
         dissimilarity_steps: int = 1000,
         seed: int = 0,
-        solver: str = "sklearn",
+        solver: str = "batched",
         n_jobs: int | None = None,
     ):
         self.n_landmarks = n_landmarks
@@ -164,7 +176,11 @@ class DeepMDS(BaseEstimator):
         return self
 
     def predict(
-        self, views: np.ndarray, *, progress: Callable[[int], object] | None = None
+        self,
+        views: np.ndarray,
+        *,
+        check_orientation: bool = True,
+        progress: Callable[[int], object] | None = None,
     ) -> np.ndarray:
         """3D landmarks of each view.
 
@@ -176,6 +192,8 @@ class DeepMDS(BaseEstimator):
         Args:
             views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale; for the origin
                 see `centre_views`.
+            check_orientation: Whether to refuse views of a known landmark scheme that are upside
+                down or mirrored.
             progress: Called with the number of faces just embedded.
 
         Returns:
@@ -184,9 +202,12 @@ class DeepMDS(BaseEstimator):
             `frontalise(views)` and the mean of z is 0.
 
         Raises:
-            InputError: Wrong number of landmarks, NaN, infinity, or degenerate landmarks.
+            InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, or wrong
+                orientation.
         """
         frontal = self.frontalise(views)
+        if check_orientation:
+            check_views(check_faces(views, "views", 2, self.n_landmarks))
         shapes = np.empty((*frontal.shape[:2], 3))
         for start in range(0, len(frontal), _FACES_PER_EMBEDDING):
             faces = slice(start, start + _FACES_PER_EMBEDDING)
@@ -196,6 +217,10 @@ class DeepMDS(BaseEstimator):
                 matrices, solver=self.solver, n_jobs=self.n_jobs, progress=progress
             )
         return resolve_orientation(shapes, frontal, self.front_landmark_)
+
+    def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
+        """How good predictions are, as `metrics.explained_share` of them and true shapes."""
+        return explained_share(self.predict(views), shapes)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
         """Frontal views, as the autoencoder gives them: `(n, L, 2)`, x and y in the shape's unit.

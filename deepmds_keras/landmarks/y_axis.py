@@ -6,7 +6,7 @@ import numpy as np
 
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.landmarks.conversion import convert, face_sizes, scheme_of
 
 _PARTS = ("right_eye", "left_eye", "outer_mouth")
 # In sizes of the face (root mean square distance from its middle): how far the eyes must be below
@@ -19,10 +19,9 @@ _ROTATED = (
     "the face must be upright; turn it, and its photo, by 180 degrees. Received landmarks whose "
     "eyes lie below the mouth, the right eye to the right."
 )
-_Y_UP = (
-    "y must grow downwards; pass --y-up if it grows upwards. Received landmarks whose eyes lie "
-    "below the mouth."
-)
+_EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
+_Y_UP = f"y must grow downwards; pass --y-up if it grows upwards. {_EYES_BELOW}"
+_Y_DOWN = f"y must grow upwards; negate it where it grows downwards, as in images. {_EYES_BELOW}"
 _MIRRORED = (
     "x must grow to the right, and right and left be the subject's; mirror x, or swap right and "
     "left landmarks. Received a mirrored face."
@@ -30,7 +29,7 @@ _MIRRORED = (
 
 
 def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
-    """Refuses landmarks whose y grows upwards, whose right and left are swapped, or upside down.
+    """Refuse landmarks whose y grows upwards, whose right and left are swapped, or upside down.
 
     Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the mouth up to the
     eyes has the subject's right eye on his left. A face may lean by nearly 90 degrees. One in
@@ -49,6 +48,25 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
     for face, fault in faults.items():
         n = len(landmarks) if np.ndim(landmarks) == 3 else 1
         raise InputError(f"{f'{name}, face {face + 1} of {n}' if n > 1 else name}: {fault}")
+
+
+def check_views(views: np.ndarray) -> None:
+    """As `check_y_axis`, of views whose y grows upwards; those of no known scheme pass.
+
+    Args:
+        views: `(n, L, 2)`; faces with a NaN are not judged.
+
+    Raises:
+        InputError: y grows downwards, or the views are mirrored or upside down.
+    """
+    if views.shape[1] not in face_sizes():
+        return
+    faults = find_flipped(views * (1, -1), scheme_of(views.shape[1]))
+    for face, fault in faults.items():
+        raise InputError(
+            f"views, face {face + 1} of {len(views)}: {_Y_DOWN if fault == _Y_UP else fault} "
+            "With check_orientation=False they are taken as they are."
+        )
 
 
 def find_flipped(landmarks: np.ndarray, scheme: str) -> dict[int, str]:

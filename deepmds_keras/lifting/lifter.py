@@ -16,6 +16,7 @@ from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
 from deepmds_keras.lifting.network import SIZES, initial_weights
 from deepmds_keras.lifting.trained import SETTERS, TrainedLifter, not_a_lifter, read_lifter
 from deepmds_keras.lifting.views import LEAST_VISIBLE
+from deepmds_keras.metrics import explained_share
 
 
 class LandmarkLifter(TrainedLifter, BaseEstimator):
@@ -47,6 +48,19 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
             square radius: what `predict` takes where it is not told.
         history_: Losses by block of 100 steps.
         n_parameters: Trainable parameters, all of `weights_`.
+
+    Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
+
+    Examples:
+        >>> import numpy as np
+        >>> from deepmds_keras import LandmarkLifter
+        >>> rng = np.random.default_rng(0)
+        >>> shapes = rng.normal(size=(51, 3)) + 0.1 * rng.normal(size=(200, 51, 3))
+        >>> views = shapes[..., :2]  # y up
+        >>> lifter = LandmarkLifter(51, steps=100).fit(views, shapes)
+        >>> lifted, sd = lifter.predict(views, return_std=True, check_orientation=False)
+        >>> lifted.shape, sd.shape
+        ((200, 51, 3), (200, 51, 3))
     """
 
     def __init__(
@@ -123,6 +137,10 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
         )
         self.training_sd_ = float(faces.held_out.sd.mean())
         return self
+
+    def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
+        """How good predictions are, as `metrics.explained_share` of them and true shapes."""
+        return explained_share(self.predict(views), shapes)
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights into one `.npz` file, complete or not at all."""

@@ -10,6 +10,7 @@ import numpy as np
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.network import SIZES, UNIT, Lift, check_weights, lift
 from deepmds_keras.lifting.views import Views, prepare_views
@@ -98,6 +99,7 @@ class TrainedLifter:
         landmark_sd: float | np.ndarray | None = None,
         visible: np.ndarray | None = None,
         return_std: bool = False,
+        check_orientation: bool = True,
     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """3D landmarks of each view, by NumPy alone.
 
@@ -110,6 +112,8 @@ class TrainedLifter:
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing, whatever `views`
                 has there.
             return_std: Whether to return standard deviations, too.
+            check_orientation: Whether to refuse views of a known landmark scheme that are upside
+                down or mirrored.
 
         Returns:
             `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
@@ -119,9 +123,13 @@ class TrainedLifter:
 
         Raises:
             InputError: Another number of landmarks, infinity, or not six visible landmarks that
-                are not on one line; `visible` or `landmark_sd` of another shape.
+                are not on one line; `visible` or `landmark_sd` of another shape; wrong
+                orientation.
         """
-        lifted, _ = self._lift(views, landmark_sd, visible)
+        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
+        if check_orientation:
+            check_views(seen.points)
+        lifted = self._lift(seen)
         shapes = np.concatenate([part.shapes for part in lifted]).swapaxes(1, 2)
         if not return_std:
             return shapes
@@ -143,7 +151,8 @@ class TrainedLifter:
         Raises:
             InputError: As for `predict`.
         """
-        lifted, seen = self._lift(views, landmark_sd, visible)
+        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
+        lifted = self._lift(seen)
         camera = Camera(*map(np.concatenate, zip(*(part.camera for part in lifted), strict=True)))
         return Pose(
             rotation=camera.rotation,
@@ -156,11 +165,10 @@ class TrainedLifter:
     def n_parameters(self) -> int:
         return sum(array.size for array in check_fitted(self, "weights_", SETTERS).values())
 
-    def _lift(self, views, landmark_sd, visible) -> tuple[list[Lift], Views]:
+    def _lift(self, seen: Views) -> list[Lift]:
         arrays = check_fitted(self, "weights_", SETTERS)
-        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         sd = np.full_like(seen.visible, self.training_sd_) if seen.sd is None else seen.sd
         inputs = (seen.views, seen.visible, sd)
         iterations = SIZES[self.size].iterations
         chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]
-        return [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks], seen
+        return [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks]

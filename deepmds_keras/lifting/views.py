@@ -21,6 +21,11 @@ class Views(NamedTuple):
     centre: np.ndarray  # (n, 2)
     radius: np.ndarray  # (n, 1)
 
+    @property
+    def points(self) -> np.ndarray:
+        """The views, NaN where not visible: `(n, L, 2)`."""
+        return np.where(self.visible[:, None], self.views, np.nan).swapaxes(1, 2)
+
 
 def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> Views:
     """Check views, tell what is missing, centre and scale what is visible.

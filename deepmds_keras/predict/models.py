@@ -57,7 +57,9 @@ class Lifting:
         for start in range(0, len(views), _CHUNK):
             faces = slice(start, start + _CHUNK)
             sd = None if landmark_sd is None else landmark_sd[faces]
-            parts.append(self._lifter.predict(views[faces], landmark_sd=sd, return_std=True))
+            # The command has judged how the faces stand.
+            options = {"landmark_sd": sd, "return_std": True, "check_orientation": False}
+            parts.append(self._lifter.predict(views[faces], **options))
             if progress is not None:
                 progress(len(parts[-1][0]))
         shapes, std = zip(*parts, strict=True)
@@ -77,14 +79,15 @@ class PaperNetworks:
         with needs("TensorFlow with Keras, which run the paper's networks,", "keras"):
             from deepmds_keras.pipeline import DeepMDS
 
-        self._networks = DeepMDS.load(path).set_params(solver="batched")
+        self._networks = DeepMDS.load(path)
         self.n_landmarks = self._networks.n_landmarks
         self.centred = self._networks.centre_views
 
     def predict(self, views, landmark_sd, jobs, progress):
         """As of `Lifting`; there is no s.d., and that of the landmarks is not looked at."""
         self._networks.set_params(n_jobs=jobs)
-        return self._networks.predict(views, progress=progress), None
+        shapes = self._networks.predict(views, check_orientation=False, progress=progress)
+        return shapes, None
 
 
 Model = Lifting | PaperNetworks

@@ -95,7 +95,9 @@ def train_deep_mds(run: Run, scheme: str) -> None:
     )
     path = weights_file(run, "deepmds", scheme)
     networks = deep_mds(run, *METHODS["ours_stable"].deep_mds)
-    networks.set_params(n_landmarks=len(load_scheme(scheme)), centre_views=True, n_jobs=None)
+    networks.set_params(
+        n_landmarks=len(load_scheme(scheme)), centre_views=True, solver="batched", n_jobs=None
+    )
     fit_deep_mds(networks, views, shapes, checkpoint=path.with_suffix(""))
     networks.history_ = {}
     networks.save(path)

@@ -61,15 +61,15 @@ class Compared:
         self._deep_mds = None
         if scheme in DEEP_MDS:
             self._deep_mds = DeepMDS.load(weights_file(run, "deepmds", scheme))
-            self._deep_mds.set_params(solver="batched", n_jobs=run.jobs)
+            self._deep_mds.set_params(n_jobs=run.jobs)
 
     def predict(self, views: np.ndarray, sd: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         """Yield each method and its shapes of views `(n, L, 2)`, y up, with errors of `(n, L)`."""
         yield "mean_shape", self._mean.predict(views)
         yield "linear", self._linear.predict(normalise(centre(views)))
         if self._deep_mds is not None:
-            yield "ours_stable", self._deep_mds.predict(views)
-        yield "lifting", self._lifter.predict(views, landmark_sd=sd)
+            yield "ours_stable", self._deep_mds.predict(views, check_orientation=False)
+        yield "lifting", self._lifter.predict(views, landmark_sd=sd, check_orientation=False)
 
 
 def measure(run: Run) -> Iterator[dict]:
