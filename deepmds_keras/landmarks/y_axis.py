@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
@@ -112,10 +114,17 @@ def _eyes_and_mouth(
     landmarks: np.ndarray, scheme: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Landmarks with those parts, and the ways from the right eye to the left, and to the mouth."""
-    groups = np.array(load_scheme(scheme).groups)
-    judged = scheme if {*_PARTS} <= {*groups} else "ibug51"  # in which a part may be unknown: NaN
+    # In the latter a part may be unknown: NaN.
+    judged = scheme if {*_PARTS} <= {*load_scheme(scheme).groups} else "ibug51"
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
-    groups = np.array(load_scheme(judged).groups)
-    right, left, mouth = (faces[:, groups == part].mean(1) for part in _PARTS)
+    right, left, mouth = (_middles(judged) @ faces).swapaxes(0, 1)
     return faces, left - right, mouth - (right + left) / 2
+
+
+@cache
+def _middles(scheme: str) -> np.ndarray:
+    """`(3, L)`: times landmarks it gives the middles of the parts."""
+    groups = np.array(load_scheme(scheme).groups)
+    members = np.array([groups == part for part in _PARTS], float)
+    return members / members.sum(1, keepdims=True)
