@@ -85,7 +85,7 @@ bench: ## speed and memory beside the released way: results/bench/   (18 min)
 stream: ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
 seeds: ## five seeds of ours and ours_stable, their spread    (45 min)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/
+lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (70 min)
 reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting: | $(READY)
 	@$(PY) -m experiments make $@ $(RUN)
 

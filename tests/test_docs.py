@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import importlib
+import itertools
 import pickle
 import re
 import subprocess
@@ -31,6 +32,7 @@ from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
 from experiments.build_key import check_key
 from experiments.lifting.hard_tables import title
+from experiments.lifting.study_tables import STEPS
 from experiments.lifting.views import CONDITIONS
 from experiments.presets import PAPER, PRESETS, SMOKE
 from experiments.records import with_checksum, write_json
@@ -328,3 +330,28 @@ def test_what_lifting_reaches_is_what_was_measured(model, head):
         for condition, cell in zip(cells[0][1:], row[1:], strict=True):
             measured = mse.get((methods[row[0]], ids[condition]))
             assert cell == ("–" if pd.isna(measured) else f"{measured:.3g}"), (row[0], condition)
+
+
+def lifting_results(study):
+    """The tables of both open models, one below the other."""
+    files = {m: ROOT / "results" / m / "lifting" / study / "table.csv" for m in ("openhead", "ict")}
+    return pd.concat([pd.read_csv(file).assign(model=model) for model, file in files.items()])
+
+
+def test_what_holds_deep_mds_back_is_what_was_measured():
+    table = lifting_results("anatomy")
+    table = table[table["embedding"] != "metric"].set_index(["step", "model"])["mse"]
+    text = (ROOT / "docs" / "lifting.md").read_text(encoding="utf-8")
+    for step, name in STEPS.items():
+        cells = (f"{1e6 * table[step, m] + 0:.3g}" for m in ("openhead", "ict"))
+        assert f"| {name} | {' | '.join('0' if 'e-' in c else c for c in cells)} |" in text
+
+
+def test_transfer_is_what_was_measured():
+    table = lifting_results("transfer")
+    mse = table[table["noise_mm"] == 1].set_index(["method", "trained", "tested"])["mse"]
+    text = (ROOT / "docs" / "lifting.md").read_text(encoding="utf-8")
+    for method in dict.fromkeys(table["method"]):
+        pairs = itertools.product(("openhead", "ict"), repeat=2)
+        cells = (f"{1e5 * mse[method, trained, tested]:.3g}" for trained, tested in pairs)
+        assert f"| {title(method)} | {' | '.join(cells)} |" in text

@@ -30,8 +30,8 @@ def across_models(table: pd.DataFrame) -> Figure:
                 own["noise_mm"], own["mse"] / _UNIT, yerr=own["sem"] / _UNIT, label=title(method),
                 color=colour(method), marker=marker(method), ms=4, mew=0, lw=1.0,
             )  # fmt: skip
-        same = " itself" if model == rows["trained"].iloc[0] else ""
-        axes.set(title=f"Tested on {TITLES[model]}{same}", yscale="log")
+        same = model == rows["trained"].iloc[0]
+        axes.set(title=f"Tested on {'the same model' if same else TITLES[model]}", yscale="log")
         axes.set_xlabel("Noise of each coordinate (mm)")
         axes.set_xticks(sorted(rows["noise_mm"].unique()))
         axes.grid(axis="y")

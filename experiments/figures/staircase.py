@@ -53,7 +53,8 @@ def staircase(table: pd.DataFrame, titles: Mapping[str, str]) -> Figure:
         )  # fmt: skip
         for place, height, value in zip(places + 0.16 * side, drawn, mse, strict=True):
             axes.annotate(_quoted(value), (place, height), xytext=(0, 6), ha="center", size=6.5,
-                          textcoords="offset points", color=INK)  # fmt: skip
+                          textcoords="offset points", color=INK,
+                          bbox={"fc": "white", "ec": "none", "pad": 0.3})  # fmt: skip
     axes.set(yscale="log", ylabel="MSE ($10^{-6}$ squared normalised units)")
     axes.set_xticks(places, [textwrap.fill(titles[step], 18) for step in steps])
     axes.set_xlim(-0.5, len(steps) - 0.5)
