@@ -55,10 +55,15 @@ class DetectorErrors(NamedTuple):
 
     def sample(self, yaw: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Random errors of faces turned by `(n,)` degrees: `(n, L, 2)`."""
-        bins = np.abs(self.yaw - yaw[:, None]).argmin(1)
+        bins = nearest_bin(yaw, self.yaw)
         weights = rng.standard_normal((len(yaw), self.components.shape[1]))
         rest = rng.standard_normal((len(yaw), *self.bias.shape[1:])) * self.rest[bins]
         return self.bias[bins] + np.einsum("nr,nrld->nld", weights, self.components[bins]) + rest
+
+
+def nearest_bin(yaw: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """`(n,)` int: which of the middles of bins is nearest to each yaw `(n,)`."""
+    return np.abs(middles - yaw[:, None]).argmin(1)
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.detection.errors import DetectorErrors
+from deepmds_keras.detection.errors import DetectorErrors, nearest_bin
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.normalisation import rms_radius
@@ -50,7 +50,7 @@ def summarise_errors(errors: np.ndarray, yaw: np.ndarray) -> DetectorErrors:
     A face and its mirror image are as likely in photos, but the detector need not treat them
     alike: nothing is mirrored.
     """
-    nearest = np.abs(BINS - yaw[:, None]).argmin(1)
+    nearest = nearest_bin(yaw, BINS)
     parts = [_summarise(errors[nearest == b]) for b in range(len(BINS))]
     return DetectorErrors(BINS, *(np.stack(own) for own in zip(*parts, strict=True)))
 
@@ -75,7 +75,7 @@ def errors_table(detector: str, scheme: str, errors: np.ndarray, yaw: np.ndarray
     Returns:
         Rows of `detector, yaw, n_faces, landmark, bias_x, bias_y, sd_x, sd_y`.
     """
-    nearest = np.abs(BINS - yaw[:, None]).argmin(1)
+    nearest = nearest_bin(yaw, BINS)
     rows = []
     for b, middle in enumerate(BINS):
         own = errors[nearest == b]
