@@ -105,7 +105,7 @@ class Face:
         return self.pose.project(self.shape) * (1, -1)
 
     @property
-    def residuals(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """`(L,)` pixels between each landmark and where the shape has it."""
         return np.linalg.norm(self.seen_shape - self.landmarks, axis=1)
 

@@ -22,7 +22,7 @@ AXES = {
     "std": "standard deviations of the errors of x, y, z, in the same unit",
     "image_xyz": "x to the right, y down, z towards the viewer, all in pixels of the photo, or the "
     "unit of the landmarks given; z is 0 at the middle of the face",
-    "residuals": "distance of each landmark from where the shape has it in the image",
+    "residual": "distance of each landmark from where the shape has it in the image",
     "pose": "yaw > 0 turns the face to the subject's own left, pitch > 0 up, roll > 0 leans its "
     "top to the subject's own right; degrees, applied in this order. (x, -y) of the landmarks is "
     "about scale * (rotation @ shape) + translation, without the third coordinate. residual: how "
@@ -42,7 +42,7 @@ _COLUMNS = "number,name,x,y,z,std_x,std_y,std_z,image_x,image_y,image_z,residual
 _TOLD = {
     "std": "std_x, std_y, std_z",
     "image_xyz": "image_x, image_y, image_z",
-    "residuals": "residual",
+    "residual": "residual",
 }
 _DIGITS = 7  # significant ones
 
@@ -108,7 +108,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> str:
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
         name += "".join(f"{value}," for value in _moment(face).values())
         std = () if face.std is None else (face.std,)
-        numbers = np.hstack([face.shape, *std, face.image_xyz, face.residuals[:, None]])
+        numbers = np.hstack([face.shape, *std, face.image_xyz, face.residual[:, None]])
         parts.append("".join(name + row for row in rows) % tuple(numbers.ravel().tolist()))
     return "".join(parts)
 
@@ -131,7 +131,7 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
             "image_xyz": _rounded(face.image_xyz),
             "shape": _rounded(face.shape),
             "std": None if face.std is None else _rounded(face.std),
-            "residuals": _rounded(face.residuals),
+            "residual": _rounded(face.residual),
         }
         for face in faces
     ]
@@ -143,9 +143,9 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     """Arrays over all faces, for `numpy.load`: for sources of thousands of faces, in float32.
 
     `shape`, `image_xyz` and, if the model knows it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
-    `residuals` `(n, L)`, `face` `(n,)` names; of the pose `yaw`, `pitch`,
-    `roll`, `scale`, `residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; of videos
-    `frame`, `time` and `track` `(n,)`;
+    `residual` `(n, L)`, `face` `(n,)` names; of the pose `yaw`, `pitch`, `roll`, `scale`,
+    `pose_residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; of videos `frame`,
+    `time` and `track` `(n,)`;
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
@@ -154,9 +154,10 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
         "shape": np.stack([face.shape for face in faces]),
         "landmarks": np.stack([face.landmarks for face in faces]),
         "image_xyz": np.stack([face.image_xyz for face in faces]),
-        "residuals": np.stack([face.residuals for face in faces]),
+        "residual": np.stack([face.residual for face in faces]),
         **({} if faces[0].std is None else {"std": np.stack([face.std for face in faces])}),
-        **{key: np.stack([getattr(face.pose, key) for face in faces])
+        **{f"pose_{key}" if key == "residual" else key:
+           np.stack([getattr(face.pose, key) for face in faces])
            for key in vars(faces[0].pose)},
     }  # fmt: skip
     exact = ("time",)  # of a long video

@@ -65,7 +65,7 @@ def test_depth_in_the_image_is_that_of_the_face_as_it_is_turned(drawn, lifter):
         posed = face.pose.scale * face.shape @ face.pose.rotation.T
         assert np.allclose(face.image_xyz[:, 2], posed[:, 2])
         seen = posed[:, :2] + face.pose.translation
-        assert np.allclose(face.residuals, np.linalg.norm(seen * (1, -1) - face.landmarks, axis=1))
+        assert np.allclose(face.residual, np.linalg.norm(seen * (1, -1) - face.landmarks, axis=1))
         nose, ears = face.image_xyz[30, 2], face.image_xyz[[0, 16], 2]
         assert nose > ears.mean(), "z grows towards the viewer"
 

@@ -60,7 +60,7 @@ def test_the_table_gives_the_numbers_back(tmp_path, scheme, unit, std):
         assert tuple(rows.name) == load_scheme(scheme).names
         assert_close(rows[["x", "y", "z"]], face.shape)
         assert_close(rows[["image_x", "image_y", "image_z"]], face.image_xyz)
-        assert_close(rows["residual"], face.residuals)
+        assert_close(rows["residual"], face.residual)
         known = rows[["std_x", "std_y", "std_z"]]
         assert known.isna().to_numpy().all() if face.std is None else np.allclose(known, face.std)
 
@@ -92,7 +92,7 @@ def test_json_gives_everything_back(tmp_path):
         assert_close(record["shape"], face.shape)
         assert_close(record["landmarks"], face.landmarks)
         assert_close(record["image_xyz"], face.image_xyz)
-        assert_close(record["residuals"], face.residuals)
+        assert_close(record["residual"], face.residual)
         assert record["std"] is None
         for key, value in vars(face.pose).items():
             assert_close(record["pose"][key], value)
@@ -117,8 +117,10 @@ def test_the_archive_gives_arrays_with_the_digits_of_float32(tmp_path):
     assert np.array_equal(arrays["landmarks"], np.float32([face.landmarks for face in faces]))
     assert arrays["face"].tolist() == ["a-0", "a-1", "a-2"]
     assert arrays["landmark_numbers"].tolist() == list(range(18, 69))
+    assert np.array_equal(arrays["residual"], np.float32([face.residual for face in faces]))
     for key in vars(faces[0].pose):
-        assert np.array_equal(arrays[key], np.float32([getattr(face.pose, key) for face in faces]))
+        measured = arrays["pose_residual" if key == "residual" else key]
+        assert np.array_equal(measured, np.float32([getattr(face.pose, key) for face in faces]))
     description = json.loads(str(arrays["description"]))
     assert description["unit"] == "normalised"
     assert description["model"] == MODEL
