@@ -9,6 +9,7 @@ import numpy as np
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert, face_sizes, scheme_of
+from deepmds_keras.normalisation import rms_radius
 
 _PARTS = ("right_eye", "left_eye", "outer_mouth")
 # In sizes of the face (root mean square distance from its middle): how far the eyes must be below
@@ -78,17 +79,17 @@ def find_flipped(landmarks: np.ndarray, scheme: str) -> dict[int, str]:
         InputError: The landmarks are not of the scheme's shape.
     """
     faces, across, down = _eyes_and_mouth(landmarks, scheme)
-    size = np.sqrt(np.square(faces - faces.mean(1, keepdims=True)).sum(2).mean(1))
-    upside_down = down[:, 1] < -_BELOW * size
     # The area that the two span is negative for a mirrored face, however it leans.
     area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
-    least = _SWAPPED * size * np.linalg.norm(down, axis=1)
     faults = {}
-    for face in np.flatnonzero(upside_down | (area < -least)).tolist():
-        if upside_down[face] and area[face] > least[face]:
+    for face in np.flatnonzero((down[:, 1] < 0) | (area < 0)).tolist():  # few, if any
+        size = rms_radius(faces[face])
+        least = _SWAPPED * size * np.linalg.norm(down[face])
+        upside_down = down[face, 1] < -_BELOW * size
+        if upside_down and area[face] > least:
             faults[face] = _ROTATED
-        else:
-            faults[face] = _Y_UP if upside_down[face] else _MIRRORED
+        elif upside_down or area[face] < -least:
+            faults[face] = _Y_UP if upside_down else _MIRRORED
     return faults
 
 
