@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead surface test nightly lint clean
+.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting pictures openhead surface footprint test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -100,6 +100,9 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies off   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments surface --data '$(DATA)'
+
+footprint: | $(READY) ## size, memory and time of an installation: results/bench/footprint.csv   (5 min)
+	@$(PY) -m experiments footprint
 
 # Two at a time: a stage keeps about a core busy.
 test: | $(READY) ## the tests, but for what takes long                (5 min)

@@ -70,12 +70,12 @@ class DeepMDS(BaseEstimator):
         n_parameters: Trainable parameters of both networks.
 
     Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
-    Weights that ship: `"openhead-ibug51"` and `"openhead-bfm72"`.
+    Weights that ship: `"deepmds-ibug51"` and `"deepmds-bfm72"`.
 
     Examples:
         >>> import numpy as np
         >>> from deepmds_keras import DeepMDS
-        >>> method = DeepMDS.pretrained("openhead-ibug51")
+        >>> method = DeepMDS.pretrained("deepmds-ibug51")
         >>> views = np.load("landmarks.npy") * (1, -1)  # (n, 51, 2), y up  # doctest: +SKIP
         >>> method.predict(views)  # (n, 51, 3)  # doctest: +SKIP
     """
@@ -286,7 +286,7 @@ class DeepMDS(BaseEstimator):
 
     @classmethod
     def pretrained(cls, name: str) -> DeepMDS:
-        """The weights that ship with the package, such as `"openhead-bfm72"`.
+        """The weights that ship with the package, such as `"deepmds-bfm72"`.
 
         Raises:
             InputError: No weights of that name.

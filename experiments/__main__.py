@@ -10,6 +10,7 @@ from importlib import import_module
 from experiments.stages import STAGES
 
 _MODULES = {stage.name: stage.module for stage in STAGES} | {
+    "footprint": "bench.footprint",
     "make": "make",
     "pictures": "figures.doc_pictures",
     "report": "report.report",

@@ -1,5 +1,6 @@
-"""The README's tables are the committed results."""
+"""The tables of README and docs are the committed results."""
 
+import itertools
 import json
 import re
 
@@ -9,13 +10,16 @@ from places import ROOT
 
 from experiments.methods import METHODS
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    name: (ROOT / name).read_text(encoding="utf-8")
+    for name in ("README.md", "docs/results.md", "docs/photos.md")
+}
 
 
-def table_of(head):
-    """Cells of the README's table with that head, by the first of each row."""
-    start = README.index(f"\n| {head} |")
-    lines = README[start + 1 :].split("\n\n")[0].splitlines()[2:]
+def table_of(head, page="docs/results.md"):
+    """Cells of a page's table with that head, by the first of each row."""
+    start = PAGES[page].index(f"\n| {head} |")
+    lines = PAGES[page][start + 1 :].split("\n\n")[0].splitlines()[2:]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return {row[0]: row[1:] for row in rows}
 
@@ -51,16 +55,29 @@ def test_numbers_are_those_of_the_results(head, unit, folder, column):
         assert cells[0] == ("–" if pd.isna(quoted) else f"{quoted:g}"), method.id
 
 
+def test_the_readme_and_the_results_have_one_main_table():
+    head = "MSE, in 10⁻⁴"
+    assert table_of(head, "README.md") == table_of(head)
+
+
+def test_what_is_said_of_lifting_at_the_limit_is_what_was_measured():
+    for model in ("openhead", "ict"):
+        table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
+        row = table[table["metric"] == "times_limit"].set_index(["method", "condition"])["mean"]
+        assert f"{row['lifting', 'hard_1']:.2f} times" in " ".join(PAGES["README.md"].split())
+
+
 def test_what_is_said_of_the_shipped_weights_is_what_was_measured():
     table = pd.read_csv(ROOT / "results" / "openhead" / "pretrained" / "table.csv")
-    rows = table[(table["scheme"] == "ibug51") & (table["views"] == "detected")]
-    mse = rows.set_index("method")["mse"] / 1e-4
-    text = " ".join(README.split())
-    said = (
-        f"mean squared error is {mse['ours_photo']:.2g} × 10⁻⁴, that of the mean shape "
-        f"{mse['mean_shape']:.2g}, of a ridge regression {mse['linear']:.2g}"
-    )
-    assert said in text
+    own = table[table["scheme"] == "ibug51"].set_index(["method", "faces", "views"])["mse"]
+    rows = table_of("51 landmarks, MSE in 10⁻⁵", "docs/photos.md")
+    titles = {METHODS[method].title: method for method in own.index.get_level_values(0)}
+    assert {*rows} == {*titles}
+    columns = [*itertools.product(("openhead", "ict"), ("exact", "dlib", "mediapipe"))]
+    for row, cells in rows.items():
+        for (faces, views), cell in zip(columns, cells, strict=True):
+            measured = own.get((titles[row], faces, views))
+            assert cell == ("–" if measured is None else f"{measured / 1e-5:.3g}"), row
 
 
 def test_times_are_those_of_the_bench():
@@ -92,4 +109,20 @@ def test_what_is_said_of_a_million_faces_is_what_was_measured():
     assert (table["n_faces"] == 1_000_000).all()
     errors = table.xs("mse", level="metric") / 1e-4
     said = f"{errors.loc['ours', 'mean']:.3f} ± {errors.loc['ours', 'standard_error']:.1g}"
-    assert said in " ".join(README.split())
+    assert said in " ".join(PAGES["docs/results.md"].split())
+
+
+def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
+    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
+    rows = table[table["way"] == "lifting"].set_index("comparison")
+    batch, alone = rows.loc["parts"], rows.loc["one face"]
+    ratios = [
+        f"{rounded(row.times_batched)} and {rounded(row.times_sklearn)} times"
+        for row in (batch, alone)
+    ]
+    said = (
+        f"{rounded(1e3 * batch.ms_per_face)} µs a face in a batch of {batch.n_faces:,} and "
+        f"{rounded(alone.ms_per_face)} ms for one alone: {ratios[0]}, and {ratios[1]}, as fast as "
+        "Deep-MDS with the batched and with scikit-learn's solver"
+    )
+    assert said in " ".join(PAGES["README.md"].split())

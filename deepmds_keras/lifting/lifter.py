@@ -50,10 +50,16 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
         n_parameters: Trainable parameters, all of `weights_`.
 
     Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
+    Weights that ship: `"lifting-ibug51"`, `"lifting-ibug68"` and `"lifting-bfm72"`.
 
     Examples:
         >>> import numpy as np
         >>> from deepmds_keras import LandmarkLifter
+        >>> lifter = LandmarkLifter.pretrained("lifting-ibug51")
+        >>> face = lifter.weights_["mean"].T  # (51, 3): the mean face
+        >>> shapes, sd = lifter.predict(face[:, :2], return_std=True)  # y up
+        >>> shapes.shape, sd.shape
+        ((1, 51, 3), (1, 51, 3))
         >>> rng = np.random.default_rng(0)
         >>> shapes = rng.normal(size=(51, 3)) + 0.1 * rng.normal(size=(200, 51, 3))
         >>> views = shapes[..., :2]  # y up

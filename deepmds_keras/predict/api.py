@@ -36,8 +36,8 @@ def predict_photo(
     Args:
         photo: A file, an image of Pillow, or an array `(H, W, 3)` uint8, RGB.
         detector: `"mediapipe"` or `"dlib"`; None takes the first that is installed.
-        model: `"deepmds"`, the paper's method, or a file of `LandmarkLifter.save` or
-            `DeepMDS.save`; None is what the command takes.
+        model: `"lifting"` (None takes it), `"deepmds"`, the paper's method, or a file of
+            `LandmarkLifter.save` or `DeepMDS.save`.
         interocular: Millimetres between the outer corners of the eyes, which sets the scale.
 
     Returns:

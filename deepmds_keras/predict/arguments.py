@@ -14,7 +14,7 @@ from deepmds_keras.predict.models import DEFAULT, FAMILIES
 from deepmds_keras.predict.outputs import FORMATS
 
 _DESCRIPTION = """\
-Finds the faces in photos and videos, and the 3D shape of their landmarks by Deep-MDS; or takes
+Finds the faces in photos and videos, and the 3D shape of their landmarks; or takes
 landmarks that are given. Shapes face the front: +x to the subject's left, +y up, +z out of the
 face. One view does not show the true size: --interocular sets it."""
 _EPILOG = """\
@@ -87,7 +87,7 @@ class Export:
 def parse(arguments: list[str] | None = None) -> Options | Export:
     """Read the command line; wrong arguments end the process, with the usage and status 2."""
     parser = argparse.ArgumentParser(
-        prog="deepmds", description="3D face landmarks from a single image, by Deep-MDS."
+        prog="deepmds", description="3D face landmarks from a single image."
     )
     parser.add_argument("--version", action="version", version=f"deepmds-keras {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -141,8 +141,9 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         "stand in it. It needs pip install 'deepmds-keras[onnx]'.",
     )
     export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
-    export.add_argument("--model", required=True, metavar="NAME|FILE",
-        help="shipped weights of a lifter, or a file of LandmarkLifter.save()")  # fmt: skip
+    export.add_argument("--model", default="lifting-ibug51", metavar="NAME|FILE",
+        help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
+        "lifting-ibug51)")  # fmt: skip
     values = vars(parser.parse_args(arguments))
     if values["command"] == "predict" and values["detector"] is None:
         values["detector"] = "mediapipe" if values["landmarker"] else default_detector()

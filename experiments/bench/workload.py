@@ -22,7 +22,7 @@ from deepmds_keras.proximities import pair_features
 from experiments.run import Run
 from experiments.streams import Stream
 
-SCHEME, WEIGHTS = "bfm72", "openhead-bfm72"
+SCHEME, WEIGHTS = "bfm72", "deepmds-bfm72"
 _FACES_PER_CHUNK = 1024  # whose matrices are in memory at once, as in `DeepMDS.predict`
 _MATRICES = 2048  # different ones; rows of more faces go through them again
 

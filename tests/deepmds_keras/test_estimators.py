@@ -23,7 +23,7 @@ def faces():
 @pytest.fixture(scope="module", params=["deepmds", "lifting"])
 def estimator(request, faces):
     if request.param == "deepmds":
-        return DeepMDS.pretrained("openhead-ibug51")
+        return DeepMDS.pretrained("deepmds-ibug51")
     return LandmarkLifter(51, steps=1).fit(*faces)
 
 

@@ -23,7 +23,7 @@ def test_faces():
 
 @pytest.fixture(scope="module")
 def shipped():
-    return DeepMDS.pretrained("openhead-bfm72")
+    return DeepMDS.pretrained("deepmds-bfm72")
 
 
 @pytest.fixture(scope="module")
@@ -291,7 +291,7 @@ def test_bad_input_is_named(shipped, test_faces):
     views[1, 5] = np.nan
     with pytest.raises(InputError, match="NaN or infinity in face 1"):
         shipped.predict(views[:4])
-    with pytest.raises(InputError, match="openhead-bfm72, openhead-ibug51. Received 'bfm'"):
+    with pytest.raises(InputError, match="deepmds-bfm72, deepmds-ibug51, .*Received 'bfm'"):
         DeepMDS.pretrained("bfm")
     with pytest.raises(InputError, match="4 views and 3 shapes"):
         DeepMDS().fit(test_faces.views[:4], test_faces.landmarks[:3])

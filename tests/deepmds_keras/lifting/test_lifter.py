@@ -228,7 +228,7 @@ def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
     with pytest.raises(InputError, match=r"lifter.npz must be an npz written by save"):
         LandmarkLifter.load(path)
     with pytest.raises(InputError, match="was not written by LandmarkLifter.save"):
-        LandmarkLifter.load(ROOT / "deepmds_keras/pretrained/openhead-bfm72.npz")
+        LandmarkLifter.load(ROOT / "deepmds_keras/pretrained/deepmds-bfm72.npz")
     with pytest.raises(InputError, match="name must be one of"):
         LandmarkLifter.pretrained("none")
 

@@ -32,8 +32,8 @@ def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_
         else:
             Image.new("RGB", (90, 90), (n, 0, 0)).save(path)
     two, none, text, one = faces_in_photos(paths, "made-up", "its model", None)
-    assert two.shape == (2, 51, 2) and one.shape == (1, 51, 2)
-    np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(17, 68))
+    assert two.shape == (2, 68, 2) and one.shape == (1, 68, 2)
+    np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(68))
     assert isinstance(none, InputError) and isinstance(text, InputError)
     assert (
         "no face found by made-up, whichever side is up; try --detector mediapipe or dlib, or"
@@ -70,14 +70,14 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
     assert len(looked_at) == 2 + 3  # what is found upright is not turned
     for faces, photo in ((first, upright), (second, turned)):
         y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
-        np.testing.assert_array_equal(faces, np.full((1, 51, 2), (x, y)))
+        np.testing.assert_array_equal(faces, np.full((1, 68, 2), (x, y)))
 
 
 def test_landmarks_of_a_large_photo_are_in_its_own_pixels(tmp_path, made_up, monkeypatch):
     monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
     Image.new("RGB", (100, 90), (1, 0, 0)).save(tmp_path / "large.png")
     (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "its model", None)
-    np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(17, 68)))
+    np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(68)))
 
 
 def test_the_command_offers_a_third_detector_with_its_terms(made_up, capsys):

@@ -15,7 +15,7 @@ from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.landmark_files import read_landmarks
 from deepmds_keras.predict.outputs import FORMATS, output_files, wireframe_edges, write_output
 
-MODEL = {"name": "openhead-bfm72", "trained_on": "20,000 faces of the open head"}
+MODEL = {"name": "deepmds-bfm72", "trained_on": "20,000 faces of the open head"}
 ODD = 'ä "x",#1%s\n'
 
 
@@ -69,7 +69,7 @@ def test_the_table_states_unit_axes_scheme_and_notes(tmp_path):
     (path,) = written(tmp_path, "csv", make_face(unit="mm", notes=("yaw beyond training",)))
     comments = [line for line in path.read_text().splitlines() if line.startswith("#")]
     for said in (
-        *("mm", "+x to the subject's left", "x to the right, y down", "bfm72", "openhead-bfm72"),
+        *("mm", "+x to the subject's left", "x to the right, y down", "bfm72", "deepmds-bfm72"),
         *(__version__, "1 to 72", "does not show the true size", '"a": yaw beyond training'),
     ):
         assert any(said in line for line in comments), said

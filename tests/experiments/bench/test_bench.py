@@ -29,7 +29,7 @@ def model():
 def networks():
     from deepmds_keras.pipeline import DeepMDS
 
-    return DeepMDS.pretrained("openhead-bfm72")
+    return DeepMDS.pretrained("deepmds-bfm72")
 
 
 @pytest.fixture(scope="module")
