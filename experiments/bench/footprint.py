@@ -7,12 +7,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
@@ -30,7 +28,7 @@ from experiments.scoring.tables import write_csv
 _ROOT = Path(__file__).parents[2]
 _PHOTO = _ROOT / "docs" / "pictures" / "portraits.jpg"
 _RESULT = _ROOT / "results" / "bench" / "footprint.csv"
-_EXTRAS = ("dlib", "mediapipe", "keras,dlib")
+_EXTRAS = ("dlib", "mediapipe")
 _REPEATS, _ROWS = 5, 20_000
 _MB = 1e6
 # The second photo of a process: what is loaded once is loaded.
@@ -41,6 +39,14 @@ predict_photo(sys.argv[1])
 start = time.perf_counter()
 predict_photo(sys.argv[1])
 print(time.perf_counter() - start)
+"""
+
+_METER = """
+import resource, subprocess, sys, time
+start = time.perf_counter()
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+seconds = time.perf_counter() - start
+print(seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
@@ -63,25 +69,22 @@ def measure(extra: str, folder: Path) -> Iterator[dict]:
     venv = folder / "venv"
     subprocess.run([sys.executable, "-m", "venv", venv], check=True)
     python = venv / "bin" / "python"
-    constraints = _ROOT / "constraints.txt"
-    pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "-c", constraints]
+    pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
     subprocess.run([*pip, f"{_sources(folder / 'sources')}[{extra}]"], check=True)
     yield {"measure": "size", "value": _size(venv) / _MB, "unit": "MB"}
 
     rows = folder / "rows.csv"
     views, _, _ = sample_photo_views(load_openhead(), "ibug51", _ROWS, np.random.default_rng(0))
     np.savetxt(rows, (views * (1, -1)).reshape(_ROWS, -1), "%.3f", ",")
-    model = ("--model", "deepmds") if "keras" in extra else ()
-    command = [venv / "bin" / "deepmds", "predict", "--force", "--out", folder / "out", *model]
+    command = [venv / "bin" / "deepmds", "predict", "--force", "--out", folder / "out"]
     _used([*command, _PHOTO])  # compiles what is imported
     photo = [_used([*command, _PHOTO]) for _ in range(_REPEATS)]
     yield {"measure": "one photo, cold", "value": median(s for s, _ in photo), "unit": "s"}
     yield {"measure": "one photo, memory", "value": max(b for _, b in photo) / _MB, "unit": "MB"}
-    if not model:
-        warm = subprocess.run(
-            [python, "-c", _WARM, _PHOTO], check=True, capture_output=True, text=True, cwd=folder
-        )
-        yield {"measure": "one photo, warm", "value": float(warm.stdout), "unit": "s"}
+    warm = subprocess.run(
+        [python, "-c", _WARM, _PHOTO], check=True, capture_output=True, text=True, cwd=folder
+    )
+    yield {"measure": "one photo, warm", "value": float(warm.stdout), "unit": "s"}
     seconds, _ = _used([*command, rows, "--format", "csv"])
     yield {"measure": f"{_ROWS:,} rows to CSV", "value": seconds, "unit": "s"}
 
@@ -100,12 +103,11 @@ def _size(folder: Path) -> int:
 
 
 def _used(command: list) -> tuple[float, int]:
-    """Seconds that a process takes, and the most memory that it holds, in bytes."""
-    start = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        said = process.stderr.read().decode()
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(said)
-    return time.perf_counter() - start, usage.ru_maxrss * 1024
+    """Seconds that a process takes, and the most memory that it holds, in bytes.
+
+    A small process starts it: the most memory of a process counts that of the one it was forked
+    from.
+    """
+    meter = [sys.executable, "-S", "-c", _METER, *map(str, command)]
+    said = subprocess.run(meter, check=True, capture_output=True, text=True).stdout.split()
+    return float(said[0]), int(said[1]) * 1024
