@@ -126,3 +126,14 @@ def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
         "Deep-MDS with the batched and with scikit-learn's solver"
     )
     assert said in " ".join(PAGES["README.md"].split())
+
+
+def test_what_an_installation_takes_is_what_was_measured():
+    table = pd.read_csv(ROOT / "results" / "bench" / "footprint.csv")
+    rows = table_of("installed with | `[dlib]` | `[mediapipe]`", "docs/photos.md")
+    measured = table.set_index(["measure", "extra"])
+    assert {*rows} == {*table["measure"]}
+    for measure, cells in rows.items():
+        for extra, cell in zip(dict.fromkeys(table["extra"]), cells, strict=True):
+            own = measured.loc[(measure, extra)] if (measure, extra) in measured.index else None
+            assert cell == ("–" if own is None else f"{rounded(own.value)} {own.unit}"), measure
