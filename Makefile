@@ -101,7 +101,7 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies off   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments surface --data '$(DATA)'
 
-footprint: | $(READY) ## size, memory and time of an installation: results/bench/footprint.csv   (5 min)
+footprint: | $(READY) ## size, memory and time of an installation: results/bench/footprint.csv   (2 min)
 	@$(PY) -m experiments footprint
 
 # Two at a time: a stage keeps about a core busy.

@@ -205,9 +205,9 @@ class DeepMDS(BaseEstimator):
             InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, or wrong
                 orientation.
         """
-        frontal = self.frontalise(views)
         if check_orientation:
             check_views(check_faces(views, "views", 2, self.n_landmarks))
+        frontal = self.frontalise(views)
         shapes = np.empty((*frontal.shape[:2], 3))
         for start in range(0, len(frontal), _FACES_PER_EMBEDDING):
             faces = slice(start, start + _FACES_PER_EMBEDDING)

@@ -55,7 +55,8 @@ def predict_photo(
     if detector not in DETECTORS:
         raise InputError(f"detector must be one of {', '.join(DETECTORS)}. Received {detector!r}.")
     path = Path(photo) if isinstance(photo, (str, os.PathLike)) else None
-    landmarks = faces_in_photo(_pixels(photo), detector, model)
+    pixels = _pixels(photo) if path is None else open_photo(path)
+    landmarks = faces_in_photo(pixels, detector, model)
     landmarks = landmarks[landmarks[..., 0].mean(1).argsort()]
     if path is not None:
         landmarks = landmarks * photo_step(path)
@@ -101,9 +102,7 @@ def _faces(landmarks, scheme, path, detector, model, interocular) -> list[Face]:
     return estimate(found, model=model, interocular=interocular)
 
 
-def _pixels(photo) -> np.ndarray:
-    if isinstance(photo, (str, os.PathLike)):
-        return open_photo(photo)
+def _pixels(photo: Image.Image | np.ndarray) -> np.ndarray:
     if isinstance(photo, np.ndarray):
         return check_photo(photo)
     return np.array(in_colour(photo))

@@ -10,7 +10,7 @@ from pathlib import Path
 from deepmds_keras import __version__
 from deepmds_keras.detection.detectors import DETECTORS, default_detector
 from deepmds_keras.landmarks.conversion import said_sizes
-from deepmds_keras.predict.models import DEFAULT, FAMILIES
+from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES
 from deepmds_keras.predict.outputs import FORMATS
 
 _DESCRIPTION = """\
@@ -141,9 +141,9 @@ def parse(arguments: list[str] | None = None) -> Options | Export:
         "stand in it. It needs pip install 'deepmds-keras[onnx]'.",
     )
     export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
-    export.add_argument("--model", default="lifting-ibug51", metavar="NAME|FILE",
+    export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
         help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
-        "lifting-ibug51)")  # fmt: skip
+        "%(default)s)")  # fmt: skip
     values = vars(parser.parse_args(arguments))
     if values["command"] == "predict" and values["detector"] is None:
         values["detector"] = "mediapipe" if values["landmarker"] else default_detector()

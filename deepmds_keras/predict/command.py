@@ -305,11 +305,12 @@ def _writers(
         writers[options.out / f"{name}.mp4"] = lambda path: write_landmark_video(
             path, faces, options.every
         )
-    if many and not video:  # a table: a picture each would take longer than all the rest
+    together = many and not video  # a picture each would take longer than all the rest
+    if together:
         writers[options.out / f"{name}.png"] = lambda path: write_picture(
             path, draw_summary(shown, photos())
         )
-    for i, face in enumerate(some if video or not many else []):
+    for i, face in enumerate([] if together else some):
         writers[options.out / f"{face.name}.png"] = lambda path, i=i: write_picture(
             path, draw_face(drawn()[i], photos()[i])
         )

@@ -41,9 +41,10 @@ def read_csv(path: Path) -> tuple[np.ndarray, dict[int, str]]:
     xs, ys = _named_columns(path, header) if named else _unnamed_columns(path, len(header))
     # One landmark a row may have a column of faces and one of numbers.
     names = [name.lower() for name in header] if named and len(xs) == 1 else []
-    table = _Table(path, separator, skipped + named, len(header))
     face, number = ([names.index(n)] if n in names else [] for n in ("face", "number"))
-    coordinates, faces, strange = table.read([*xs, *ys, *number], face)
+    coordinates, faces, strange = _read_rows(
+        path, separator, skipped + named, len(header), [*xs, *ys, *number], face
+    )
     points = np.stack([coordinates[:, : len(xs)], coordinates[:, len(xs) : 2 * len(xs)]], axis=-1)
     if len(xs) > 1:
         return points, strange
@@ -58,50 +59,41 @@ def read_csv(path: Path) -> tuple[np.ndarray, dict[int, str]]:
     return points.reshape(-1, n, 2), {row // n: strange[row] for row in sorted(strange)[::-1]}
 
 
-class _Table:
-    """The rows of a table below its header."""
+def _read_rows(
+    path: Path,
+    separator: str | None,
+    skipped: int,
+    width: int,
+    columns: list[int],
+    named: list[int],
+) -> tuple[np.ndarray, list[str], dict[int, str]]:
+    """Numbers of columns, text of a column, and what rows have that is no finite number.
 
-    def __init__(self, path: Path, separator: str | None, skipped: int, width: int):
-        self._path, self._separator, self._skipped, self._width = path, separator, skipped, width
-
-    def read(
-        self, columns: list[int], named: list[int]
-    ) -> tuple[np.ndarray, list[str], dict[int, str]]:
-        """Numbers of columns, text of a column, and what rows have that is no finite number."""
-        parts, texts, strange, start = [], [], {}, 0
-        with _opened(self._path) as file:
-            rows = _rows(islice(file, self._skipped, None), self._separator)
-            while cells := [*islice(rows, _ROWS_AT_ONCE)]:
-                for i, row in enumerate(cells, start):
-                    self._check_width(row, i)
-                    row += [""] * (self._width - len(row))
-                    texts += [row[c] for c in named]
-                parts.append(np.array([_numbers([row[c] for c in columns]) for row in cells]))
-                for i in np.flatnonzero(~np.isfinite(parts[-1]).all(1)).tolist():
-                    cell = _first_strange([cells[i][c] for c in columns])
-                    strange[start + i] = f"{cell} in line {self._skipped + start + i + 1}"
-                start += len(cells)
-        numbers = np.concatenate(parts) if parts else np.empty((0, len(columns)))
-        n = len(numbers) - self._blank_at_end()
-        if n <= 0:
-            raise InputError(f"{self._path} must be a table of numbers. Received no rows.")
-        strange = {row: cell for row, cell in strange.items() if row < n}
-        return np.where(np.isfinite(numbers[:n]), numbers[:n], np.nan), texts[:n], strange
-
-    def _check_width(self, row: list[str], i: int) -> None:
-        if len(row) > self._width:
-            raise InputError(
-                f"{self._path} must be a table of {self._width} cells a row, as the first line "
-                f"has. Received {len(row)} in line {self._skipped + i + 1}."
-            )
-
-    def _blank_at_end(self) -> int:
-        """Lines without cells, unlike the rows of gaps that may come before them."""
-        blank = 0
-        with open(self._path, "rb") as file:
-            for line in islice(file, self._skipped, None):
-                blank = 0 if line.strip(b"\r\n") else blank + 1
-        return blank
+    Rows without cells are gaps, but at the end of the file there is nothing in them.
+    """
+    parts, texts, strange, start, n = [], [], {}, 0, 0
+    with _opened(path) as file:
+        rows = _rows(islice(file, skipped, None), separator)
+        while cells := [*islice(rows, _ROWS_AT_ONCE)]:
+            for i, row in enumerate(cells, start):
+                if len(row) > width:
+                    raise InputError(
+                        f"{path} must be a table of {width} cells a row, as the first line has. "
+                        f"Received {len(row)} in line {skipped + i + 1}."
+                    )
+                n = i + 1 if row else n
+                row += [""] * (width - len(row))
+                texts += [row[c] for c in named]
+            parts.append(np.array([_numbers([row[c] for c in columns]) for row in cells]))
+            for i in np.flatnonzero(~np.isfinite(parts[-1]).all(1)).tolist():
+                cell = _first_strange([cells[i][c] for c in columns])
+                strange[start + i] = f"{cell} in line {skipped + start + i + 1}"
+            start += len(cells)
+    if not n:
+        raise InputError(f"{path} must be a table of numbers. Received no rows.")
+    numbers = np.concatenate(parts)[:n]
+    strange = {row: cell for row, cell in strange.items() if row < n}
+    return np.where(np.isfinite(numbers), numbers, np.nan), texts[:n], strange
 
 
 def _opened(path: Path) -> TextIO:
@@ -110,7 +102,8 @@ def _opened(path: Path) -> TextIO:
 
 def _rows(lines: Iterable[str], separator: str | None) -> Iterator[list[str]]:
     if separator is None:
-        return (line.split() for line in lines)
+        # An empty line has no cell, one of spaces an empty one, as in the other tables.
+        return ((line.split() or [""]) if line.strip("\r\n") else [] for line in lines)
     return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
 
 

@@ -149,8 +149,7 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
-    arrays = {
-        **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
+    measured = {
         "shape": np.stack([face.shape for face in faces]),
         "landmarks": np.stack([face.landmarks for face in faces]),
         "image_xyz": np.stack([face.image_xyz for face in faces]),
@@ -160,15 +159,12 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
            np.stack([getattr(face.pose, key) for face in faces])
            for key in vars(faces[0].pose)},
     }  # fmt: skip
-    exact = ("time",)  # of a long video
     content = io.BytesIO()
     np.savez(  # to compress the digits of measurements takes long and gains little
         content,
         face=np.array([face.name for face in faces]),
-        **{
-            key: np.float32(array) if array.dtype.kind == "f" and key not in exact else array
-            for key, array in arrays.items()
-        },
+        **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
+        **{key: np.float32(array) for key, array in measured.items()},
         landmark_numbers=np.array(scheme.numbers),
         landmark_names=np.array(scheme.names),
         description=np.array(json.dumps(_common(faces, model))),

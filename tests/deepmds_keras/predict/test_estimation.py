@@ -66,8 +66,8 @@ def test_a_landmark_that_lies_60_pixels_off_is_named_and_no_good_one(drawn):
     found_again = sum(name in names for name, names in zip(wanted, named, strict=True))
     others = sum(len(names) for names in named) - found_again
     assert false_alarms <= 1, (false_alarms, found_again, others)
-    assert found_again >= 0.9 * N, (false_alarms, found_again, others)
-    assert others <= 0.1 * N, (false_alarms, found_again, others)
+    assert found_again >= 0.93 * N, (false_alarms, found_again, others)
+    assert others <= 3, (false_alarms, found_again, others)
 
 
 def test_shipped_weights_recover_shape_and_pose_of_faces_in_photos(drawn):
