@@ -157,9 +157,9 @@ def _camera_rows(xp, sight: Sight):
         nothing,
         nothing,
         sight.certainty,
+        xp.reshape(sight.residual, (-1, *sight.seen.shape[1:])),
     ]
-    rows = xp.reshape(xp.concatenate(rows, 1), (-1, 7, 2 * depth.shape[2]))
-    return xp.concatenate([rows, sight.residual[:, None]], 1)
+    return xp.reshape(xp.concatenate(rows, 1), (-1, 8, 2 * depth.shape[2]))
 
 
 def _move(xp, camera: Camera, change) -> Camera:
