@@ -27,7 +27,7 @@ from places import ROOT
 PRESET = "tiny"
 # `make` sets the same; a stage that runs alone is as deterministic as its threads.
 ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
-_RENDERING = {"images", "scans", "rings", "photos", "celeba"}
+_RENDERING = {"images", "scans", "rings", "photos", "celeba", "portraits"}
 _LIBRARIES = (
     "tensorflow", "keras", "h5py", "pandas", "joblib", "sklearn.manifold", "sklearn.linear_model",
     "scipy.stats", "matplotlib.pyplot", "PIL.Image",

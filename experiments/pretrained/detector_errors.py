@@ -13,22 +13,21 @@ from deepmds_keras.normalisation import rms_radius
 BINS = np.arange(-60.0, 61.0, 20.0)  # middles, degrees of yaw
 N_INNER = 51  # landmarks of `ibug51`, the last of `ibug68`: all but the jaw
 _COMPONENTS = 16
+_READ, _FACES_PER_READ = 24, 20
+_LEAST_SD = 1e-6
 # Root mean square error of a face, in radii, beyond which the detector has found something else.
 _GROSS = 0.3
 
 
-def upright_errors(
-    found: np.ndarray, pixels: np.ndarray, radius: np.ndarray, roll: np.ndarray
-) -> np.ndarray:
-    """Errors in the frame of the upright face, in radii of the view, y up.
+def upright(vectors: np.ndarray, radius: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """Vectors `(n, L, 2)` of an image in the frame of the upright face, y up.
 
     Args:
-        found, pixels: `(n, L, 2)` found and true landmarks, y down.
-        radius: `(n,)` of the true landmarks.
+        vectors: y down.
+        radius: `(n,)` that becomes the unit.
         roll: `(n,)` degrees.
     """
-    error = (found - pixels) * (1, -1) / radius[:, None, None]
-    return turned(error, -roll)
+    return turned(vectors * (1, -1) / radius[:, None, None], -roll)
 
 
 def turned(vectors: np.ndarray, roll: np.ndarray) -> np.ndarray:
@@ -44,29 +43,54 @@ def is_gross(errors: np.ndarray) -> np.ndarray:
     return np.sqrt((errors**2).sum(2).mean(1)) > _GROSS
 
 
-def summarise_errors(errors: np.ndarray, yaw: np.ndarray) -> DetectorErrors:
-    """Mean and covariance of errors `(n, L, 2)` by yaw `(n,)`, that in few components.
+def summarise_errors(errors: np.ndarray, views: np.ndarray, yaw: np.ndarray) -> DetectorErrors:
+    """Mean and covariance of errors by yaw, and how they depend on the view, in few components.
 
     A face and its mirror image are as likely in photos, but the detector need not treat them
     alike: nothing is mirrored.
+
+    Args:
+        errors, views: `(n, L, 2)` as from `errors_on`.
+        yaw: `(n,)` degrees.
     """
     nearest = nearest_bin(yaw, BINS)
-    parts = [_summarise(errors[nearest == b]) for b in range(len(BINS))]
+    parts = [_summarise(errors[nearest == b], views[nearest == b]) for b in range(len(BINS))]
     return DetectorErrors(BINS, *(np.stack(own) for own in zip(*parts, strict=True)))
 
 
-def _summarise(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    n, n_landmarks = errors.shape[:2]
-    components = np.zeros((_COMPONENTS, n_landmarks, 2))
-    if n == 0:
-        return np.zeros((n_landmarks, 2)), components, np.zeros((n_landmarks, 2))
-    bias = errors.mean(0)
-    offsets = (errors - bias).reshape(n, -1)
-    _, singular, axes = np.linalg.svd(offsets / np.sqrt(max(n - 1, 1)), full_matrices=False)
-    found = (singular[:, None] * axes)[:_COMPONENTS].reshape(-1, n_landmarks, 2)
-    components[: len(found)] = found
-    rest = errors.var(0) - (components**2).sum(0)
-    return bias, components, np.sqrt(np.maximum(rest, 0))
+def _summarise(errors: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, ...]:
+    """All of `DetectorErrors` but the yaw, of one bin of it."""
+    if len(errors) == 0:
+        errors = views = np.zeros((1, *errors.shape[1:]))
+    bias, view = errors.mean(0), views.mean(0)
+    # A regression on the principal components of the views.
+    n_read = min(_READ, len(errors) // _FACES_PER_READ)
+    axes, sd = _components(views - view)
+    read = (axes / np.maximum(sd, _LEAST_SD)[:, None, None])[:n_read]
+    told = np.einsum("nld,rld->nr", views - view, read)
+    write = np.einsum("nr,nld->rld", told, errors - bias) / len(errors)
+    left = errors - bias - np.einsum("nr,rld->nld", told, write)
+    return bias, view, _filled(read, _READ), _filled(write, _READ), *_spread(left)
+
+
+def _spread(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Components of errors of mean 0, times s.d., and the s.d. of what they leave."""
+    axes, sd = _components(errors)
+    components = _filled((sd[:, None, None] * axes)[:_COMPONENTS], _COMPONENTS)
+    rest = (errors**2).mean(0) - (components**2).sum(0)
+    return components, np.sqrt(np.maximum(rest, 0))
+
+
+def _components(offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal axes `(r, L, 2)` of offsets `(n, L, 2)` and the s.d. along each."""
+    flat = offsets.reshape(len(offsets), -1) / np.sqrt(len(offsets))
+    _, sd, axes = np.linalg.svd(flat, full_matrices=False)
+    return axes.reshape(-1, *offsets.shape[1:]), sd
+
+
+def _filled(rows: np.ndarray, n: int) -> np.ndarray:
+    """Rows and, after them, zeros: `n` in all."""
+    return np.concatenate([rows, np.zeros((n - len(rows), *rows.shape[1:]))])
 
 
 def errors_table(detector: str, scheme: str, errors: np.ndarray, yaw: np.ndarray) -> pd.DataFrame:
@@ -92,16 +116,18 @@ def errors_table(detector: str, scheme: str, errors: np.ndarray, yaw: np.ndarray
 
 def errors_on(
     photos: dict[str, np.ndarray], detector: str, scheme: str
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors of a detector on photos, as `read_portraits` returns them.
 
     Returns:
-        `(n, L, 2)` as from `upright_errors`, NaN where no face was found; and `(n,)` whether the
-        face was found, and nothing else in its place.
+        `(n, L, 2)` errors and true views in the frame of `DetectorErrors`, the errors NaN where no
+        face was found; and `(n,)` whether the face was found, and nothing else in its place.
     """
     pixels = photos["pixels_ibug68"]
-    radius = rms_radius(pixels[:, -N_INNER:])
+    inner = pixels[:, -N_INNER:]
+    frame = rms_radius(inner), photos["roll"]
     own = convert(pixels, "ibug68", scheme)
-    errors = upright_errors(photos[detector], own, radius, photos["roll"])
+    errors = upright(photos[detector] - own, *frame)
     found = np.isfinite(errors).all((1, 2))
-    return errors, found & ~is_gross(np.nan_to_num(errors))
+    views = upright(own - inner.mean(1, keepdims=True), *frame)
+    return errors, views, found & ~is_gross(np.nan_to_num(errors))

@@ -66,12 +66,15 @@ class PhotoFaces:
         white = _MOST_NOISE_MM * rng.random((n, 1)) ** 2
         errors = white[..., None] * rng.standard_normal(views.shape)
         sd = np.repeat(white, views.shape[1], axis=1)
-        radius = rms_radius(views[:, -N_INNER:])
+        inner = views[:, -N_INNER:]
+        radius, centre = rms_radius(inner), inner.mean(1, keepdims=True)
         kind = rng.integers(len(self.errors) + 1, size=n)
         for k, own in enumerate(self.errors):
             faces = np.flatnonzero(kind == k)
-            strength = radius[faces, None] * rng.uniform(*_STRENGTH, (len(faces), 1))
-            drawn = turned(own.sample(cameras.yaw[faces], rng), cameras.roll[faces])
+            yaw, roll, unit = cameras.yaw[faces], cameras.roll[faces], radius[faces, None]
+            strength = unit * rng.uniform(*_STRENGTH, (len(faces), 1))
+            upright = turned((views - centre)[faces] / unit[..., None], -roll)
+            drawn = turned(own.sample(upright, yaw, rng), roll)
             errors[faces] = strength[..., None] * drawn
             sd[faces] = strength * own.sd
         return views + errors, shapes, sd

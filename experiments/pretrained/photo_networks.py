@@ -10,16 +10,16 @@ import functools
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from data_gen.models.registry import load_model
 from data_gen.views.photo_views import DETECTOR_SD_MM, sample_photo_views
 from deepmds_keras.detection.errors import DetectorErrors
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from experiments.arguments import parse_run
 from experiments.methods import METHODS
-from experiments.pretrained.detector_errors import errors_on, errors_table, summarise_errors
+from experiments.pretrained.detector_errors import errors_on, summarise_errors
 from experiments.pretrained.photo_faces import PhotoFaces
 from experiments.pretrained.portraits import open_model, read_portraits
 from experiments.recipes import deep_mds, fit_deep_mds, fit_lifter
@@ -44,31 +44,32 @@ def weights_file(run: Run, method: str, scheme: str) -> Path:
 
 
 @functools.cache
-def measured_errors(run: Run) -> dict[str, tuple[DetectorErrors, pd.DataFrame]]:
-    """Errors of each detector that was there, over the photos of all models; and as a table."""
-    record = load_record(run, "portraits")
+def measured_errors(run: Run) -> dict[tuple[str, str], DetectorErrors]:
+    """Errors over the photos of all models, by detector that was there and scheme."""
     measured = {}
-    for detector in record["detectors"]:
-        scheme = FOUND[detector][0]
-        parts = []
-        for model in record["models"]:
-            photos = read_portraits(run, model, "errors")
-            errors, found = errors_on(photos, detector, scheme)
-            parts.append((errors[found], photos["yaw"][found]))
-        errors, yaw = map(np.concatenate, zip(*parts, strict=True))
-        table = errors_table(detector, scheme, errors, yaw)
-        measured[detector] = summarise_errors(errors, yaw), table
+    for detector in load_record(run, "portraits")["detectors"]:
+        *found, yaw = found_on_photos(run, detector)
+        for scheme in FOUND[detector]:
+            own = (convert(array, FOUND[detector][0], scheme) for array in found)
+            measured[detector, scheme] = summarise_errors(*own, yaw)
     return measured
+
+
+@functools.cache
+def found_on_photos(run: Run, detector: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors and true views `(n, L, 2)` in the detector's own scheme, and yaws `(n,)`."""
+    parts = []
+    for model in load_record(run, "portraits")["models"]:
+        photos = read_portraits(run, model, "errors")
+        errors, views, found = errors_on(photos, detector, FOUND[detector][0])
+        parts.append((errors[found], views[found], photos["yaw"][found]))
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def photo_faces(run: Run, scheme: str) -> PhotoFaces:
     """What a lifter is trained on."""
     models = [open_model(run, name, scheme) for name in load_record(run, "portraits")["models"]]
-    errors = [
-        errors.converted(FOUND[detector][0], scheme)
-        for detector, (errors, _) in measured_errors(run).items()
-        if scheme in FOUND[detector]
-    ]
+    errors = [own for (_, found), own in measured_errors(run).items() if found == scheme]
     return PhotoFaces(models, scheme, errors)
 
 

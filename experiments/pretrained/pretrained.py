@@ -25,11 +25,12 @@ from experiments.face_models import TITLES
 from experiments.lifting.study_tables import left_out_notes
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
-from experiments.pretrained.detector_errors import N_INNER, errors_on
+from experiments.pretrained.detector_errors import N_INNER, errors_on, errors_table
 from experiments.pretrained.photo_networks import (
     DEEP_MDS,
     FOUND,
     LIFTERS,
+    found_on_photos,
     measured_errors,
     photo_faces,
     trainings,
@@ -74,7 +75,7 @@ class Compared:
 
 def measure(run: Run) -> Iterator[dict]:
     """Rows of the table: each method, on each kind of landmarks of the photos of each model."""
-    errors = {detector: own for detector, (own, _) in measured_errors(run).items()}
+    errors = measured_errors(run)
     for scheme in LIFTERS:
         compared = Compared(run, scheme)
         for model in load_record(run, "portraits")["models"]:
@@ -85,12 +86,11 @@ def measure(run: Run) -> Iterator[dict]:
             everyone = np.ones(len(truth), bool)
             kinds = {"exact": (pixels, everyone, 0.0)}
             radius = rms_radius(photos["pixels_ibug68"][:, -N_INNER:])
-            for detector, own in errors.items():
-                if scheme in FOUND[detector]:
+            for (detector, own_scheme), own in errors.items():
+                if own_scheme == scheme:
                     first = FOUND[detector][0]
-                    _, found = errors_on(photos, detector, first)
-                    landmarks = convert(photos[detector], first, scheme)
-                    kinds[detector] = landmarks, found, own.converted(first, scheme).sd
+                    *_, found = errors_on(photos, detector, first)
+                    kinds[detector] = convert(photos[detector], first, scheme), found, own.sd
             for kind, (landmarks, found, sd) in kinds.items():
                 views, own_truth = landmarks[found] * (1, -1), truth[found]
                 if len(views) < 2:
@@ -142,8 +142,8 @@ def ship(run: Run) -> None:
     for method, scheme in trainings():
         path = weights_file(run, method, scheme)
         shutil.copyfile(path, PRETRAINED / path.name)
-    for detector, (errors, _) in measured_errors(run).items():
-        write_errors(errors, detector, FOUND[detector][0])
+    for (detector, scheme), errors in measured_errors(run).items():
+        write_errors(errors, detector, scheme)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -153,7 +153,8 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "pretrained") as record:
         table = pd.DataFrame(measure(run))
         record["left_out"], record["lacking"] = portraits["left_out"], portraits["lacking"]
-        errors = [own for _, own in measured_errors(run).values()]
+        errors = [errors_table(name, FOUND[name][0], *found_on_photos(run, name)[::2])
+                  for name in portraits["detectors"]]  # fmt: skip
         # Weights of one model's faces, or of guessed errors, are not those that the docs describe.
         if run.preset.name == "paper" and not portraits["left_out"] and not portraits["lacking"]:
             ship(run)

@@ -15,6 +15,9 @@ def errors():
     return DetectorErrors(
         yaw=np.zeros(1),
         bias=rng.normal(0, 0.02, (1, 51, 2)),
+        view=np.zeros((1, 51, 2)),
+        read=np.zeros((1, 1, 51, 2)),
+        write=np.zeros((1, 1, 51, 2)),
         components=rng.normal(0, 0.02, (1, 4, 51, 2)),
         rest=np.full((1, 51, 2), 0.01),
     )
