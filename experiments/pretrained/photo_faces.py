@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.photo_views import sample_expressive
-from data_gen.views.projections import project, sample_perspective_cameras
+from data_gen.views.projections import Cameras, project, sample_perspective_cameras
 from deepmds_keras.detection.errors import DetectorErrors
 from deepmds_keras.normalisation import rms_radius
 from experiments.pretrained.detector_errors import N_INNER, turned
@@ -66,18 +66,30 @@ class PhotoFaces:
         white = _MOST_NOISE_MM * rng.random((n, 1)) ** 2
         errors = white[..., None] * rng.standard_normal(views.shape)
         sd = np.repeat(white, views.shape[1], axis=1)
-        inner = views[:, -N_INNER:]
-        radius, centre = rms_radius(inner), inner.mean(1, keepdims=True)
         kind = rng.integers(len(self.errors) + 1, size=n)
         for k, own in enumerate(self.errors):
             faces = np.flatnonzero(kind == k)
-            yaw, roll, unit = cameras.yaw[faces], cameras.roll[faces], radius[faces, None]
-            strength = unit * rng.uniform(*_STRENGTH, (len(faces), 1))
-            upright = turned((views - centre)[faces] / unit[..., None], -roll)
-            drawn = turned(own.sample(upright, yaw, rng), roll)
+            drawn, radius = errors_in_views(own, views[faces], cameras[faces], rng)
+            strength = rng.uniform(*_STRENGTH, (len(faces), 1))
             errors[faces] = strength[..., None] * drawn
-            sd[faces] = strength * own.sd
+            sd[faces] = strength * radius[:, None] * own.sd
         return views + errors, shapes, sd
+
+
+def errors_in_views(
+    measured: DetectorErrors, views: np.ndarray, cameras: Cameras, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Random errors of a detector in exact views `(n, L, 2)`, y up.
+
+    Returns:
+        `(n, L, 2)` errors and `(n,)` radii of the views, in the unit of these.
+    """
+    inner = views[:, -N_INNER:]
+    radius = rms_radius(inner)
+    unit = radius[:, None, None]
+    upright = turned((views - inner.mean(1, keepdims=True)) / unit, -cameras.roll)
+    errors = measured.sample(upright, cameras.yaw, rng)
+    return unit * turned(errors, cameras.roll), radius
 
 
 def _smooth_basis(mean: np.ndarray) -> np.ndarray:

@@ -22,18 +22,25 @@ from data_gen.build_openhead.surface import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
 from data_gen.models.registry import load_model
-from data_gen.views.photo_views import sample_expressive
-from deepmds_keras.alignment import procrustes
+from data_gen.views.photo_views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_expressive
+from data_gen.views.projections import project, sample_perspective_cameras
+from deepmds_keras.alignment import align, procrustes
+from deepmds_keras.detection.errors import detector_errors
+from deepmds_keras.lifting.trained import TrainedLifter
 from deepmds_keras.predict.surface import FILE, fit_surfaces, surface_landmarks
+from deepmds_keras.weights import pretrained_path
+from experiments.face_models import TITLES
+from experiments.pretrained.photo_faces import errors_in_views
 from experiments.running import exit_on_user_error
 from experiments.streams import Stream
 
 _SCHEME, _N_FACES, _SEED = "ibug51", 200, 0
-_ERRORS_MM = (0, 2)  # of each coordinate of the landmarks
+_ERROR_MM = 2  # of each coordinate of the landmarks
+_DETECTOR = "mediapipe"
 _FRONT = 30  # mm from the axis of the head
 _HALF = 127  # of a mask
 _HEAD = """\
-| faces of | error of the landmarks | mean head to surface | mesh to surface | mesh to landmarks |
+| faces of | landmarks | mean head to surface | mesh to surface | mesh to landmarks |
 |---|---|---|---|---|"""
 
 
@@ -47,36 +54,48 @@ def main(arguments: list[str] | None = None) -> None:
         models += [load_model("ict", options.data)] if options.data else []
         print(_HEAD)
         for model in models:
-            for error, *distances in measure(model):
+            for landmarks, *distances in measure(model):
                 told = " | ".join(f"{distance:.2f}" for distance in distances)
-                print(f"| {model.name} | {error} | {told} |")
+                print(f"| {TITLES[model.name]} | {landmarks} | {told} |")
 
 
-def measure(
-    model: MorphableModel, n: int = _N_FACES
-) -> Iterator[tuple[float, float, float, float]]:
+def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[tuple[str, float, float, float]]:
     """Measure heads that are fitted to the landmarks of random faces, mean distances in mm.
 
     Yields:
-        The standard deviation of the landmarks' errors; the distance of the vertices of the face,
+        What the landmarks are; the distance of the vertices of the face,
         without the eyes and the inside of the mouth, from the true surface, of the mean head where
         it is aligned and of the fitted ones; and the distance of these from the landmarks given.
     """
     rng = np.random.default_rng([_SEED, Stream.SURFACES])
     true = model.shape(*sample_expressive(model, n, rng))
-    landmarks = true[:, model.landmarks[_SCHEME]]
     own, face, mean = surface_landmarks(_SCHEME), _face(), read_openhead()["mean"]
-    for error in _ERRORS_MM:
-        given = landmarks + rng.normal(0, error, landmarks.shape)
+    for kind, given in _given(true[:, model.landmarks[_SCHEME]], rng):
         fitted = fit_surfaces(given, _SCHEME)
         rotation, scale, shift = procrustes(np.tile(mean[own], (n, 1, 1)), given, reflection=False)
         means = scale[:, None, None] * (mean @ rotation) + shift[:, None]
         yield (
-            error,
+            kind,
             _distance(means[:, face], true, model.triangles),
             _distance(fitted[:, face], true, model.triangles),
             np.linalg.norm(fitted[:, own] - given, axis=2).mean(),
         )
+
+
+def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+    """Landmarks `(n, L, 3)` of several kinds, where the true ones are, by their description."""
+    yield "exact", true
+    yield f"off by {_ERROR_MM} mm a coordinate", true + rng.normal(0, _ERROR_MM, true.shape)
+    cameras = sample_perspective_cameras(
+        len(true), rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
+    )
+    views = project(true, cameras)
+    lifter = TrainedLifter.read(pretrained_path(f"lifting-{_SCHEME}"))
+    yield "lifted from exact views", align(lifter.predict(views, landmark_sd=0), true)
+    measured = detector_errors(_DETECTOR, _SCHEME)
+    errors, radius = errors_in_views(measured, views, cameras, rng)
+    shapes = lifter.predict(views + errors, landmark_sd=radius[:, None] * measured.sd)
+    yield f"lifted, with the errors of {_DETECTOR}", align(shapes, true)
 
 
 def _face() -> np.ndarray:

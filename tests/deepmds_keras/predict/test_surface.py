@@ -71,11 +71,12 @@ def test_distances_from_the_true_surface_are_less_than_those_of_the_mean_head(mo
     data = SHARED / "ict-facekit"
     if model == "ict" and not data.exists():
         pytest.skip("no ICT-FaceKit in ../shared")
-    exact, disturbed = measure(load_model(model, data), 6)
-    for _, mean, mesh, _ in (exact, disturbed):
+    exact, disturbed, lifted, detected = measure(load_model(model, data), 6)
+    for _, mean, mesh, _ in (exact, disturbed, lifted):
         assert mesh < mean
     assert exact[2] < 0.85 * exact[1]
     assert exact[3] < 2
+    assert exact[2] < lifted[2] < detected[2], "the less is known the farther off"
 
 
 @pytest.mark.parametrize("suffix", MESH_SUFFIXES)
