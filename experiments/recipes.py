@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepmds_keras.baselines.aldrian import Aldrian
+    from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
     from deepmds_keras.baselines.linear import Linear
     from deepmds_keras.baselines.mean_shape import MeanShape
     from deepmds_keras.baselines.mobileface import MobileFace
@@ -89,6 +90,21 @@ def load_aldrian(run: Run) -> Aldrian:
     from deepmds_keras.baselines.aldrian import Aldrian
 
     return Aldrian(*load_landmark_model(run))
+
+
+def load_aldrian_authors(run: Run) -> AldrianAuthors:
+    """Return the fit as the authors ran it, in micrometres, the unit of their face model."""
+    import numpy as np
+
+    from data_gen.models.registry import load_model
+    from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
+
+    model = load_model(run.model, run.data)
+    landmarks = model.restrict(model.landmarks[run.scheme])
+    # The basis is orthonormal over the mesh, so that a component's s.d. is the norm of its offsets.
+    sd = np.linalg.norm(model.identity_basis_times_sd.reshape(model.n_identity, -1), axis=1)
+    mean, basis = landmarks.mean, landmarks.identity_basis_times_sd
+    return AldrianAuthors(1000 * mean, 1000 * basis, 1000 * sd)
 
 
 # The paper's method
@@ -206,11 +222,13 @@ def load_lifting(run: Run) -> LandmarkLifter:
 # Zhao's net
 
 
-def _zhao(run: Run) -> Zhao:
+def _zhao(run: Run, name: str) -> Zhao:
     from deepmds_keras.baselines.zhao import Zhao
 
+    released = name == "zhao_authors" or run.protocol == "released"
     return Zhao(
         len(load_scheme(run.scheme)),
+        optimizer="rmsprop" if released else "adam",
         epochs=run.preset.zhao_epochs,
         steps_per_epoch=run.preset.zhao_steps,
         seed=run.seed,
@@ -222,13 +240,13 @@ def train_zhao(run: Run, name: str) -> Zhao:
     train = load_faces(run, "train")
     points = train.posed if name == "zhao" else train.shapes[:_ZHAO_AUTHORS_FACES]
     with EpochBar(name, run.preset.zhao_epochs) as bar:
-        return _zhao(run).fit(points, checkpoint=run.network_file(name), progress=bar.losses)
+        return _zhao(run, name).fit(points, checkpoint=run.network_file(name), progress=bar.losses)
 
 
 def load_zhao(run: Run, name: str) -> Zhao:
     """Return the net as trained."""
     with _trained_by(run, "networks"):
-        return _zhao(run).restore(run.network_file(name))
+        return _zhao(run, name).restore(run.network_file(name))
 
 
 # MobileFace, which sees images

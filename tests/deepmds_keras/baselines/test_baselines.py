@@ -7,6 +7,7 @@ from sklearn.base import clone
 
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.aldrian import Aldrian, solve_shape
+from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net, normalise_view
@@ -158,6 +159,18 @@ def test_zhao_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path):
     np.testing.assert_array_equal(quick_zhao().restore(checkpoint).predict(views), whole)
 
 
+def test_zhao_is_trained_by_the_optimiser_that_is_named(faces):
+    _, shapes = faces
+    views = shapes[..., :2]
+    adam, rmsprop = (
+        quick_zhao(optimizer=name).fit(shapes).predict(views) for name in ("adam", "rmsprop")
+    )
+    np.testing.assert_array_equal(adam, quick_zhao().fit(shapes).predict(views))
+    assert np.abs(adam - rmsprop).max() > 1e-3
+    with pytest.raises(InputError, match="optimizer must be one of adam, rmsprop. Received 'sgd'"):
+        quick_zhao(optimizer="sgd").fit(shapes)
+
+
 # Aldrian
 
 
@@ -231,6 +244,21 @@ def test_aldrian_solve_is_the_ridge_solution_of_the_stacked_system(model, rng):
 
 def test_aldrian_trains_nothing(model):
     assert Aldrian(*model).n_parameters == 0
+
+
+def test_aldrian_as_the_authors_ran_it_gives_every_face_coefficients_of_one_size(model, faces):
+    sd = np.array([3.0, 2.0, 1.0, 0.5])
+    basis = model[1] * sd[:, None, None]
+    views = turned(faces[1], 30)[..., :2]
+    shapes = AldrianAuthors(model[0], basis, sd).predict(views)
+    offsets = (shapes - model[0]).reshape(len(views), -1)
+    found = np.linalg.lstsq(basis.reshape(len(sd), -1).T, offsets.T, rcond=None)[0].T
+    np.testing.assert_allclose(found @ basis.reshape(len(sd), -1), offsets, atol=1e-6)
+    np.testing.assert_allclose(found.mean(1), 0, atol=1e-9)
+    np.testing.assert_allclose(found.std(1, ddof=1), 1, rtol=1e-6)
+    np.testing.assert_allclose(
+        AldrianAuthors(model[0], basis, sd).predict(0.1 * views + [5, -3]), shapes, atol=1e-3
+    )
 
 
 # Bad input
