@@ -95,7 +95,7 @@ def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np
     measured = detector_errors(_DETECTOR, _SCHEME)
     errors, radius = errors_in_views(measured, views, cameras, rng)
     shapes = lifter.predict(views + errors, landmark_sd=radius[:, None] * measured.sd)
-    yield f"lifted, with the errors of {_DETECTOR}", align(shapes, true)
+    yield "lifted, with the errors of MediaPipe", align(shapes, true)
 
 
 def _face() -> np.ndarray:
