@@ -52,7 +52,7 @@ export TF_ENABLE_ONEDNN_OPTS := 0
 
 help: ## what there is (this text)
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
-	@echo '            [SEED=0] [PROTOCOL=paper|released] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
+	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '     stream: [FACES=1000000]'
 	@echo '     on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'

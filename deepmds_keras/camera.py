@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.errors import InputError
+
+_STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 
 
 class OrthographicCameras(NamedTuple):
@@ -97,6 +97,23 @@ class HeadPose:
         return self.scale * shape @ self.rotation[:2].T + self.translation
 
 
+def camera_angles(rotations: np.ndarray) -> np.ndarray:
+    """Yaw, pitch and roll of heads in degrees: `(n, 3, 3)` → `(3, n)`.
+
+    Yaw turns first, roll last, so that `R = R_z(roll) R_x(-pitch) R_y(yaw)`. From straight above or
+    below, yaw is as good as roll, and all of the turn is yaw.
+
+    Args:
+        rotations: From the frame of the face to the camera's, to be multiplied from the left.
+    """
+    (right, up_x, front), (_, up_y, _), (side, up, ahead) = np.moveaxis(rotations, 0, 2)
+    steepness = np.hypot(side, ahead)
+    level = steepness > _STEEP
+    yaw = np.arctan2(*np.where(level, (-side, ahead), (front, right)))
+    roll = np.where(level, np.arctan2(-up_x, up_y), 0.0)
+    return np.rad2deg([yaw, -np.arctan2(up, steepness), roll])
+
+
 def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
     """The scaled orthographic camera that sees a shape about as the view has it.
 
@@ -142,13 +159,10 @@ def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
     projected = scales[:, None, None] * (shapes @ np.swapaxes(rotations[:, :2], 1, 2))
     off = projected + translations[:, None] - views
     residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # from straight above, yaw is as good as roll
-        angles = Rotation.from_matrix(rotations).as_euler("yxz", degrees=True) * (1, -1, 1)
     return [
         HeadPose(*angle, rotation, scale, translation, residual)
         for angle, rotation, scale, translation, residual in zip(
-            angles.tolist(),
+            camera_angles(rotations).T.tolist(),
             rotations,
             scales.tolist(),
             translations,

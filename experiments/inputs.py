@@ -78,7 +78,7 @@ def load_faces(run: Run, part: str) -> Faces:
     """
     path = run.work / f"{part}.npz"
     dataset = load_dataset(path)
-    centred = run.track == "flame" and run.protocol == "paper"
+    centred = run.track == "flame" and run.protocol != "released"
     if centred and dataset.description.get("views") != _CENTRED:
         raise InputError(
             f"{path} must hold centred views. Received one made by an earlier version; delete "

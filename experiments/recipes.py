@@ -153,7 +153,7 @@ def train_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
 
 def load_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
     """Return the method as trained, for views that need not be centred on the FLAME track."""
-    centred = run.track == "flame" and run.protocol == "paper"
+    centred = run.track == "flame" and run.protocol != "released"
     model = deep_mds(run, variant, schedule).set_params(centre_views=centred)
     with _trained_by(run, "networks"):
         return _any_way_up(model.restore(run.networks, load_faces(run, "train").shapes))

@@ -7,16 +7,15 @@ roll, about the origin of the face.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from deepmds_keras.camera import camera_angles
 from deepmds_keras.io.errors import InputError
 
 PROJECTIONS = ("orthographic", "perspective")
-PROTOCOLS = ("paper", "released")
+PROTOCOLS = ("paper", "released", "posed")
 _YAWS = (-45.0, 0.0, 45.0)
 # Of the hard views: uniform, to either side, degrees; the field of view is that of a face from afar
 # to so near that it fills a wide lens.
@@ -54,6 +53,9 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
     [0, 45], towards the subject's left, and an elevation in [0, 30], with a field of view in
     [0, 5]. Seen from there the face is turned the other way: yaw and pitch are their negatives.
 
+    `"posed"`, the other reading of that section: faces seen in perspective are turned by a yaw
+    from {-45, 0, 45} too, and the camera goes round the turned face.
+
     `"released"` (the authors' generator): 40 % of the faces are frontal, 30 % turned by a yaw from
     {-45, 0, 45} and 30 % go through MATLAB's `viewmtx` from a camera that looks along z, so that
     its azimuth acts as a roll in [-45, 45] and its elevation as a pitch in [0, 30], and are never
@@ -74,11 +76,12 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
     turn = rng.choice(_YAWS, n)
     azimuth, elevation, angle = (rng.uniform(0, high, n) for high in (45, 30, 5))
     none = np.zeros(n)
-    if protocol == "paper":
+    if protocol != "released":
         perspective = draw < 0.5
+        posed = turn if protocol == "posed" else none
         return Cameras(
             projection=perspective.astype(int),
-            yaw=np.where(perspective, -azimuth, turn),
+            yaw=np.where(perspective, posed - azimuth, turn),
             pitch=np.where(perspective, -elevation, none),
             roll=none,
             field_of_view=np.where(perspective, angle, none),
@@ -135,18 +138,6 @@ def rotations(cameras: Cameras) -> np.ndarray:
     """Rotation matrices of the faces, `(n, 3, 3)`, to be multiplied from the left."""
     yaw, pitch, roll = (np.deg2rad(a) for a in (cameras.yaw, cameras.pitch, cameras.roll))
     return _about(2, roll) @ _about(0, -pitch) @ _about(1, yaw)
-
-
-def camera_angles(rotation: np.ndarray) -> np.ndarray:
-    """Yaw, pitch and roll of rotation matrices, the inverse of `rotations`: `(n, 3, 3)` → `(3, n)`.
-
-    Args:
-        rotation: From the frame of the face to the camera's, to be multiplied from the left.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # from straight above, yaw is as good as roll
-        yaw, minus_pitch, roll = Rotation.from_matrix(rotation).as_euler("yxz", degrees=True).T
-    return np.stack([yaw, -minus_pitch, roll])
 
 
 def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:

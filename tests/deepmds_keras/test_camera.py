@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views.projections import Cameras, camera_angles, project
+from data_gen.views.projections import Cameras, project, rotations
 from deepmds_keras import InputError
-from deepmds_keras.camera import affine_cameras, head_pose, head_poses, orthographic_cameras
+from deepmds_keras.camera import (
+    affine_cameras,
+    camera_angles,
+    head_pose,
+    head_poses,
+    orthographic_cameras,
+)
 
 N = 40
 ANGLES = ("yaw", "pitch", "roll")
@@ -140,3 +146,11 @@ def test_what_is_no_view_of_the_shape_is_named(shape):
         head_pose(view, view)
     with pytest.raises(InputError, match="view must not be collinear"):
         head_pose(np.stack([view[:, 0]] * 2, 1), shape)
+
+
+def test_angles_from_straight_above_are_those_of_the_same_rotation():
+    none = np.zeros(3)
+    pitches = np.array([90.0, -90.0, 89.9999])
+    seen = Cameras(none, np.array([30.0, -20, 170]), pitches, np.array([20.0, 50, -170]), none)
+    again = Cameras(none, *camera_angles(rotations(seen)), none)
+    np.testing.assert_allclose(rotations(again), rotations(seen), atol=1e-6)

@@ -13,10 +13,10 @@ from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
 from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
-from data_gen.views.projections import Cameras, camera_angles, in_camera_frame, project, rotations
+from data_gen.views.projections import Cameras, in_camera_frame, project, rotations
 from deepmds_keras import InputError, align, embed, pair_features
 from deepmds_keras.alignment import is_mirrored
-from deepmds_keras.camera import head_pose
+from deepmds_keras.camera import camera_angles, head_pose
 from deepmds_keras.checks import check_points
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.landmarks.conversion import face_sizes

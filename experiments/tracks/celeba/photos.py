@@ -18,7 +18,8 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from data_gen.rendering.crops import crop
 from data_gen.rendering.renderer import MARGIN
-from data_gen.views.projections import Cameras, camera_angles
+from data_gen.views.projections import Cameras
+from deepmds_keras.camera import camera_angles
 from deepmds_keras.detection.dlib_landmarks import N_LANDMARKS, shared_detector
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.io.errors import InputError

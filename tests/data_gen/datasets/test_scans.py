@@ -7,7 +7,8 @@ from scipy.spatial import KDTree
 from data_gen.datasets.dataset import dataset_of
 from data_gen.fitting.ground_truth import GroundTruth
 from data_gen.models.registry import load_model
-from data_gen.views.projections import Cameras, camera_angles, in_camera_frame, rotations
+from data_gen.views.projections import Cameras, in_camera_frame, rotations
+from deepmds_keras.camera import camera_angles
 from deepmds_keras.io.errors import InputError
 
 N = 7

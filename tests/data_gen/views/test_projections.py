@@ -87,6 +87,27 @@ def test_papers_protocol():
     assert (drawn.roll == 0).all()
 
 
+def test_posed_protocol_turns_the_faces_seen_in_perspective_too():
+    paper, posed = (
+        sample_cameras(20_000, np.random.default_rng(0), name) for name in ("paper", "posed")
+    )
+    perspective = paper.projection == 1
+    assert (posed.projection == paper.projection).all()
+    assert (posed.yaw == paper.yaw)[~perspective].all()
+    turns, counts = np.unique((posed.yaw - paper.yaw)[perspective].round(9), return_counts=True)
+    assert turns.tolist() == [-45, 0, 45]
+    assert (abs(counts / counts.sum() - 1 / 3) < 0.02).all()
+    # The camera stands at its azimuth and elevation whatever the turn of the face.
+    turned = _about_y(posed.yaw - paper.yaw)
+    assert np.allclose(rotations(posed), rotations(paper) @ turned)
+
+
+def _about_y(yaw):
+    cosine, sine, zero = np.cos(np.deg2rad(yaw)), np.sin(np.deg2rad(yaw)), 0 * yaw
+    rows = [[cosine, zero, sine], [zero, zero + 1, zero], [-sine, zero, cosine]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
 def test_released_protocol():
     drawn = sample_cameras(20_000, np.random.default_rng(0), "released")
     through_viewmtx = drawn.projection == 1
@@ -110,7 +131,8 @@ def test_same_random_numbers_same_cameras():
 
 
 def test_unknown_protocol_is_named():
-    with pytest.raises(InputError, match="protocol must be one of paper, released. Received 'new'"):
+    named = "protocol must be one of paper, released, posed. Received 'new'"
+    with pytest.raises(InputError, match=named):
         sample_cameras(3, np.random.default_rng(0), "new")
 
 
