@@ -57,7 +57,6 @@ def predict_photo(
     path = Path(photo) if isinstance(photo, (str, os.PathLike)) else None
     pixels = _pixels(photo) if path is None else open_photo(path)
     landmarks = faces_in_photo(pixels, detector, model)
-    landmarks = landmarks[landmarks[..., 0].mean(1).argsort()]
     if path is not None:
         landmarks = landmarks * photo_step(path)
     found_by = describe_detector(detector, None)

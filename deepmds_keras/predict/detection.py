@@ -35,7 +35,7 @@ def faces_in_photos(
 
     Returns:
         For each photo `(n, L, 2)` pixels of the photo as it is, x right and y down, of all its
-        faces, the largest first, in the scheme that the model takes; or why there is none.
+        faces, from left to right, in the scheme that the model takes; or why there is none.
 
     Raises:
         InputError: The detector itself cannot be used.
@@ -88,7 +88,7 @@ def no_face(source: Path, detector: str, where: str) -> InputError:
 
 
 def _whichever_side_is_up(photo: np.ndarray, find: Find) -> np.ndarray:
-    """Landmarks of the faces in a photo, in its own pixels."""
+    """Landmarks of the faces in a photo, in its own pixels, from left to right."""
     tries = []
     for n in _TURNS:
         own, score = find(np.ascontiguousarray(np.rot90(photo, n)))
@@ -96,7 +96,8 @@ def _whichever_side_is_up(photo: np.ndarray, find: Find) -> np.ndarray:
         if n == 0 and score >= _SURE:
             break
     *_, faces, n = max(tries, key=lambda one: one[:2])
-    return _turned_back(faces, n, *photo.shape[1::-1])
+    faces = _turned_back(faces, n, *photo.shape[1::-1])
+    return faces[faces[..., 0].mean(1).argsort()]
 
 
 def _turned_back(points: np.ndarray, quarters: int, width: int, height: int) -> np.ndarray:
