@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import importlib
+import inspect
 import itertools
 import pickle
 import re
@@ -23,11 +24,13 @@ from data_gen.models import bfm2009, bfm2017, flame, flame_embedding, ict
 from data_gen.models.registry import MODELS, load_model
 from data_gen.views.projections import PROTOCOLS
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
-from deepmds_keras.baselines.mobileface import build_mobileface_net
+from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
+from deepmds_keras.baselines.ringnet import RingNet
 from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
-from deepmds_keras.baselines.zhao import build_zhao_net
+from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
 from deepmds_keras.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.io.errors import InputError
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
 from experiments.build_key import check_key
@@ -199,6 +202,34 @@ def test_numbers_of_the_method_are_those_of_the_code():
     assert f"{recipe.epochs} passes over the {PAPER.train_faces:,} faces" in method
     assert f"mini-batches of {recipe.batch_size}, and {steps:,} mini-batches" in method
     assert f"over {PAPER.n_subsets} subsets of {PAPER.subset_size} faces" in method
+
+
+def test_the_table_of_recipes_is_that_of_the_code():
+    zhao, mobileface, ringnet, lifting = (
+        {name: own.default for name, own in inspect.signature(method).parameters.items()}
+        for method in (Zhao, MobileFace, RingNet, LandmarkLifter)
+    )
+    net = Recipe(PAPER.autoencoder_epochs)
+    passes = f"{PAPER.train_faces // net.batch_size:,}"
+    rings = f"{ringnet['rings_per_batch']} rings of {ringnet['ring_size']} images"
+    rows = {
+        "autoencoder": (net.learning_rate, net.schedule, f"{net.batch_size} faces",
+                        f"{PAPER.autoencoder_epochs} × {passes}"),
+        "dissimilarity net": (net.learning_rate, net.schedule, "pairs of 1 face",
+                              f"{PAPER.dissimilarity_epochs} × {PAPER.dissimilarity_steps:,}"),
+        "Zhao et al.": (zhao["learning_rate"], "constant", f"{zhao['batch_size']} faces",
+                        f"{PAPER.zhao_epochs} × {PAPER.zhao_steps:,}"),
+        "MobileFace": (mobileface["learning_rate"], "constant", f"{mobileface['batch_size']} faces",
+                       f"{PAPER.mobileface_epochs} × {PAPER.mobileface_steps}"),
+        "RingNet": (ringnet["learning_rate"], "warm-up and cosine", rings,
+                    f"{PAPER.ringnet_epochs} × {PAPER.ringnet_steps}"),
+        "Lifting, in the tables": (lifting["learning_rate"], "cosine",
+                                   f"{lifting['batch_size']} faces", f"{PAPER.lifting_steps:,}"),
+    }  # fmt: skip
+    method = text_of("docs/method.md")
+    for network, (rate, schedule, batch, steps) in rows.items():
+        assert f"| {network} | {rate:g}, {schedule} | {batch} | {steps} |" in method, network
+    assert zhao["optimizer"] == "adam"
 
 
 def test_how_much_smaller_the_published_errors_on_celeba_are():

@@ -12,12 +12,17 @@ from deepmds_keras.predict.detection import faces_in_photos
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """A third detector, of the 68: as many faces as the first pixel of the photo says."""
+    """A third detector, of the 68: as many faces as the first pixel says, the right one first."""
 
     def open_model(landmarker):
         assert landmarker == "its model"
-        steps = np.arange(68)[:, None]
-        return lambda photo: (np.full((photo[0, 0, 0], 68, 2), 7.0) + steps, photo[0, 0, 0] > 0)
+        face = np.full((68, 2), 7.0) + np.arange(68)[:, None]
+
+        def find(photo):
+            n = photo[0, 0, 0]
+            return face + 9.0 * np.arange(n)[::-1, None, None], n > 0
+
+        return find
 
     row = Detector("ibug68", open_model, lambda: True, "nobody's")
     monkeypatch.setitem(DETECTORS, "made-up", row)
@@ -34,6 +39,7 @@ def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_
     two, none, text, one = faces_in_photos(paths, "made-up", "its model", None)
     assert two.shape == (2, 68, 2) and one.shape == (1, 68, 2)
     np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(68))
+    np.testing.assert_array_equal(two, [one[0], one[0] + 9], "from left to right")
     assert isinstance(none, InputError) and isinstance(text, InputError)
     assert (
         "no face found by made-up, whichever side is up; try --detector mediapipe or dlib, or"
