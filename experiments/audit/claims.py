@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 
 from deepmds_keras.io.errors import InputError
-from experiments.audit.findings import Finding
+from experiments.audit.findings import ALIKE, OTHER_FACTORS, Finding
+from experiments.scoring.numbers import enumeration
+from experiments.verdicts import UNKNOWN, phrase
 
 CLAIMS_FILE = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
 
@@ -53,15 +55,33 @@ def load_claims(path: Path = CLAIMS_FILE) -> dict[str, Claim]:
 
 
 def judge(claim: Claim, check: Callable[..., Finding], measured: Mapping) -> Finding:
-    """Run a check on those of the measured numbers, and of the claim's, that it names."""
+    """Run a check on those of the measured numbers, and of the claim's, that it names.
+
+    Where it asks what counts as alike, the evidence says what a smaller and a larger factor give.
+    """
     known = {**measured, **claim.numbers}
-    return check(**{name: known[name] for name in inspect.signature(check).parameters})
+    given = {name: known[name] for name in _inputs(check)}
+    finding = check(**given)
+    if "alike" not in inspect.signature(check).parameters or finding.verdict == UNKNOWN:
+        return finding
+    others = {factor: check(**given, alike=factor) for factor in OTHER_FACTORS}
+    said = (f'with {factor:g} the verdict is "{phrase(own.verdict, own.condition)}"'
+            for factor, own in others.items())  # fmt: skip
+    return replace(
+        finding,
+        evidence=f"{finding.evidence} Errors within a factor of {ALIKE:g} count as alike; "
+        f"{enumeration([*said])}.",
+    )
 
 
 def described(check: Callable[..., Finding]) -> str:
     """A check and its inputs as they are called: `parameters.ours(trainable, total)`."""
     module = check.__module__.rpartition(".")[2]
-    return f"{module}.{check.__name__}({', '.join(inspect.signature(check).parameters)})"
+    return f"{module}.{check.__name__}({', '.join(_inputs(check))})"
+
+
+def _inputs(check: Callable[..., Finding]) -> list[str]:
+    return [name for name in inspect.signature(check).parameters if name != "alike"]
 
 
 def _numbers(text: str, path: Path) -> dict[str, float]:

@@ -8,6 +8,7 @@ from experiments.verdicts import DOES_NOT_HOLD, HOLDS, UNKNOWN, WITH_CONDITION
 
 # Errors within this factor count as alike wherever the paper calls methods or views comparable.
 ALIKE = 1.5
+OTHER_FACTORS = (1.2, 2.0)  # with which verdicts are given beside
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def short_connection(ablation: Mapping | None) -> Finding:
     return _compared(own, "same_face", "no_short_connection", "With it", "without")
 
 
-def enough_faces(curve: Sequence[Mapping] | None) -> Finding:
+def enough_faces(curve: Sequence[Mapping] | None, alike: float = ALIKE) -> Finding:
     """Would fewer training faces have done?"""
     if curve is None:
         return unknown("`make ablation`")
@@ -87,9 +87,11 @@ def enough_faces(curve: Sequence[Mapping] | None) -> Finding:
     # With a cosine schedule, since chance of the constant one is larger than the effect.
     own = errors["ours_stable"]
     most = max(own)
-    enough = [n for n, mse in own.items() if n < most and mse <= ALIKE * own[most]]
+    enough = [n for n, mse in own.items() if n < most and mse <= alike * own[most]]
     if not enough:
-        return holds(f"{evidence} With fewer faces the error is more than {ALIKE} times as large.")
+        return holds(
+            f"{evidence} With fewer faces the error is more than {alike:g} times as large."
+        )
     fewest = min(enough)
     return does_not_hold(
         f"{evidence} With {fewest:,} faces the error is {factor(own[fewest] / own[most])} times "
@@ -99,7 +101,7 @@ def enough_faces(curve: Sequence[Mapping] | None) -> Finding:
 
 def known_to(
     by_seed: Mapping | None, mse_by_face: Mapping, printed_mse: float, printed_std: float,
-    subset_size: int,
+    subset_size: int, alike: float = ALIKE,
 ) -> Finding:  # fmt: skip
     """Does the ± of the table cover what another training gives?"""
     over_subsets = mse_by_face["std"] / subset_size**0.5
@@ -120,9 +122,9 @@ def known_to(
         ]
     )
     evidence += f", × {power(_UNIT)}."
-    if spreads["ours"] <= ALIKE * printed_std:
+    if spreads["ours"] <= alike * printed_std:
         return holds(evidence)
-    if over_subsets <= ALIKE * printed_std:
+    if over_subsets <= alike * printed_std:
         return holds_if("for one trained network", evidence)
     return does_not_hold(evidence)
 

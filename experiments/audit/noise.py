@@ -43,7 +43,9 @@ def measure(inputs: Inputs) -> dict:
     return {"n_faces": len(views), "curves": curves}
 
 
-def withstands(curves: Sequence[Mapping], n_faces: int, interocular_percent: float) -> Finding:
+def withstands(
+    curves: Sequence[Mapping], n_faces: int, interocular_percent: float, alike: float = ALIKE
+) -> Finding:
     """Up to which noise does the error stay like that without?"""
     errors: dict[str, dict[float, float]] = {}
     for row in curves:
@@ -51,7 +53,7 @@ def withstands(curves: Sequence[Mapping], n_faces: int, interocular_percent: flo
     ours, mean_shape = errors["ours"], errors["mean_shape"]
     percents = [percent for percent in sorted(ours) if percent <= interocular_percent]
     last = percents[-1]
-    broken = [percent for percent in percents if ours[percent] > ALIKE * ours[0]]
+    broken = [percent for percent in percents if ours[percent] > alike * ours[0]]
     reach = max(percent for percent in percents if not broken or percent < broken[0])
     others = [
         f"{title(method)} {factor(own[last] / own[0])} times, to {scientific(own[last], 3)}"

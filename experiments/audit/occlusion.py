@@ -84,7 +84,12 @@ def measure(inputs: Inputs) -> dict:
 
 
 def occlusion(
-    hidden_by_kind: dict, off_mm: dict, occluded: dict, n_landmarks: int, n_posed: int
+    hidden_by_kind: dict,
+    off_mm: dict,
+    occluded: dict,
+    n_landmarks: int,
+    n_posed: int,
+    alike: float = ALIKE,
 ) -> Finding:
     """The same error without the landmarks that the head hides."""
     ours = occluded["all"]["ours"]
@@ -101,16 +106,16 @@ def occlusion(
         f"where a regression on the others places them ({off_mm['regression']:.1f} mm off). "
         f"Without the autoencoder these three are {enumeration(without)}."
     )
-    if occluded["mean"]["ours"] <= ALIKE * ours:
+    if occluded["mean"]["ours"] <= alike * ours:
         return holds(evidence)
-    if occluded["regression"]["ours"] <= ALIKE * ours:
+    if occluded["regression"]["ours"] <= alike * ours:
         return holds_if(ESTIMATED, evidence)
     return does_not_hold(evidence)
 
 
-def missing_landmarks(thinned: dict, n_thinned: int) -> Finding:
+def missing_landmarks(thinned: dict, n_thinned: int, alike: float = ALIKE) -> Finding:
     """The same error although random landmarks are missing."""
-    withstood = {name: _withstood(errors) for name, errors in thinned.items()}
+    withstood = {name: _withstood(errors, alike) for name, errors in thinned.items()}
     times = {
         name: {percent: mse / errors[0][1] for percent, mse in errors[1:]}
         for name, errors in thinned.items()
@@ -179,8 +184,8 @@ def _errors(models: dict, views: np.ndarray, truth: Faces) -> dict[str, np.ndarr
     return {method: score(model.predict(views), truth).mse for method, model in models.items()}
 
 
-def _withstood(errors: list) -> int:
+def _withstood(errors: list, alike: float) -> int:
     """Largest percentage up to which the error stays alike."""
-    alike = [mse <= ALIKE * errors[0][1] for _, mse in errors]
-    n = alike.index(False) if False in alike else len(alike)
+    same = [mse <= alike * errors[0][1] for _, mse in errors]
+    n = same.index(False) if False in same else len(same)
     return errors[n - 1][0]

@@ -67,8 +67,10 @@ def measure(inputs: Inputs) -> dict:
     }
 
 
-def projection_independent(by_kind: dict, swept: dict, faces_swept: int) -> Finding:
-    """The same error whatever the view; half as much again counts as the same."""
+def projection_independent(
+    by_kind: dict, swept: dict, faces_swept: int, alike: float = ALIKE
+) -> Finding:
+    """The same error whatever the view."""
     errors = {
         method: {kind: own["mse"] for kind, own in by_kind[method].items()}
         for method in (*_OURS, "mean_shape")
@@ -77,11 +79,11 @@ def projection_independent(by_kind: dict, swept: dict, faces_swept: int) -> Find
     ours, mean_shape = errors["ours"], errors["mean_shape"]
     largest, smallest = max(ours, key=ours.get), min(ours, key=ours.get)
     better = sum(mean_shape[kind] < ours[kind] for kind in ours)
-    alike = [method for method in _OURS if ratios[method] <= ALIKE]
-    shown = (alike or _OURS)[0]
+    same = [method for method in _OURS if ratios[method] <= alike]
+    shown = (same or _OURS)[0]
     frontal = swept[shown]["yaw"][SWEEPS["yaw"].index(0)]
     limits = {
-        sweep: reach(SWEEPS[sweep], own, ALIKE * frontal) for sweep, own in swept[shown].items()
+        sweep: reach(SWEEPS[sweep], own, alike * frontal) for sweep, own in swept[shown].items()
     }
     farthest = max(SWEEPS, key=lambda sweep: max(swept[shown][sweep]))
     evidence = (
@@ -89,15 +91,15 @@ def projection_independent(by_kind: dict, swept: dict, faces_swept: int) -> Find
         f"({scientific(ours[smallest], 3)}) and {factor(ratios['ours'])} times as high in those "
         f"that are {minus(largest)}; for {title('ours_stable')} that ratio is "
         f"{factor(ratios['ours_stable'])}. In sweeps beyond them, of {faces_swept} faces, that of "
-        f"{title(shown)} stays within {ALIKE:g} times the frontal one for {_ranges(limits)}, and "
+        f"{title(shown)} stays within {alike:g} times the frontal one for {_ranges(limits)}, and "
         f"reaches {scientific(max(swept[shown][farthest]), 3)} in that of "
         f"{farthest.replace('_', ' ')}. The mean shape, which looks at no view and so depends on "
         f"none, has {scientific(float(np.mean([*mean_shape.values()])), 3)}: less than "
         f"{title('ours')} in {better} of {len(ours)} kinds of test views."
     )
-    if not alike:
+    if not same:
         return does_not_hold(evidence)
-    return _under_conditions(alike, limits, evidence)
+    return _under_conditions(same, limits, evidence)
 
 
 def frontal_view(frontal_views: dict, frontal_swept: dict) -> Finding:
@@ -136,7 +138,9 @@ def frontal_view(frontal_views: dict, frontal_swept: dict) -> Finding:
     return _under_conditions(good, limits, evidence)
 
 
-def autoencoder_needed(swept: dict, trained_without: float | None, faces_swept: int) -> Finding:
+def autoencoder_needed(
+    swept: dict, trained_without: float | None, faces_swept: int, alike: float = ALIKE
+) -> Finding:
     """Turned views are reconstructed far worse once the net is given the views themselves."""
     mean = {
         method: {
@@ -160,9 +164,9 @@ def autoencoder_needed(swept: dict, trained_without: float | None, faces_swept: 
             f" A net trained on the views themselves has {factor(trained_without)} times the MSE "
             "of the paper's method on posed views, in the median over seeds."
         )
-    if ratios["turned"] <= ALIKE:
+    if ratios["turned"] <= alike:
         return does_not_hold(evidence)
-    if trained_without is not None and trained_without <= ALIKE:
+    if trained_without is not None and trained_without <= alike:
         return holds_if("the net is not trained on the views themselves", evidence)
     return holds(evidence)
 

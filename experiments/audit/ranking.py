@@ -42,7 +42,12 @@ def measure(inputs: Inputs) -> dict:
 
 
 def as_printed(
-    face_model: str, bfm: Mapping, depth_corr: float, printed_mse: float, printed_depth_corr: float
+    face_model: str,
+    bfm: Mapping,
+    depth_corr: float,
+    printed_mse: float,
+    printed_depth_corr: float,
+    alike: float = ALIKE,
 ) -> Finding:
     """Are the method's MSE and depth correlation on the Basel model about the printed ones?"""
     mse = bfm["ours"]
@@ -53,8 +58,8 @@ def as_printed(
     )
     if face_model != "bfm2009":
         return unknown("the Basel Face Model 2009 (`MODEL=bfm2009 DATA=…`)", evidence)
-    alike = 1 / ALIKE <= mse / printed_mse <= ALIKE
-    return holds(evidence) if alike else does_not_hold(evidence)
+    as_large = 1 / alike <= mse / printed_mse <= alike
+    return holds(evidence) if as_large else does_not_hold(evidence)
 
 
 def beats_constant(bfm: Mapping, constants: Mapping, printed_trivial: float) -> Finding:
@@ -125,12 +130,16 @@ def celeba_beats_aldrian(celeba: Mapping | None, celeba_true: Mapping | None) ->
     return replace(own, evidence=evidence)
 
 
-def celeba_like_mobileface(celeba: Mapping | None, celeba_true: Mapping | None) -> Finding:
+def celeba_like_mobileface(
+    celeba: Mapping | None, celeba_true: Mapping | None, alike: float = ALIKE
+) -> Finding:
     """Is its error about MobileFace's on photos, by the fitted truth or the true one?"""
-    return _on_photos(celeba, celeba_true, "mobileface", ALIKE)
+    return _on_photos(celeba, celeba_true, "mobileface", alike)
 
 
-def casia_like_others(casia: Mapping | None, casia_true: Mapping | None) -> Finding:
+def casia_like_others(
+    casia: Mapping | None, casia_true: Mapping | None, alike: float = ALIKE
+) -> Finding:
     """Is its error on scans about MediaPipe's and RingNet's, or less?"""
     if casia is None:
         return unknown("`make reproduce-flame`")
@@ -141,10 +150,10 @@ def casia_like_others(casia: Mapping | None, casia_true: Mapping | None) -> Find
     if casia_true is not None:
         methods = ("ours", *others, "mean_shape")
         evidence += f" Against the true landmarks: {_side_by_side(casia_true, methods, _CASIA)}"
-    alike = [m for m in others if casia["ours"] <= ALIKE * casia[m]]
-    if "mediapipe" not in alike or ("ringnet" in others and "ringnet" not in alike):
-        if alike:
-            return holds_if(f"with {enumeration([*map(title, alike)])}", evidence)
+    within = [m for m in others if casia["ours"] <= alike * casia[m]]
+    if "mediapipe" not in within or ("ringnet" in others and "ringnet" not in within):
+        if within:
+            return holds_if(f"with {enumeration([*map(title, within)])}", evidence)
         return does_not_hold(evidence)
     if "ringnet" not in others:
         return holds_if("with MediaPipe; RingNet was not run on these faces", evidence)

@@ -88,7 +88,9 @@ def by_projection(net, dataset: Dataset) -> dict[str, float]:
     }
 
 
-def bfm_score(printed: Mapping, released: Mapping, consistent: Mapping, flat: Mapping) -> Finding:
+def bfm_score(
+    printed: Mapping, released: Mapping, consistent: Mapping, flat: Mapping, alike: float = ALIKE
+) -> Finding:
     """Zhao's method has an MSE of 22e-4 and a depth correlation of 71.42, by far the worst."""
     perfect, frontal = released[TRUE_DEPTH], consistent["zhao_frontal"]
     posed, authors = consistent["zhao"]["mse"], consistent["zhao_authors"]["mse"]
@@ -107,9 +109,9 @@ def bfm_score(printed: Mapping, released: Mapping, consistent: Mapping, flat: Ma
         (posed, ""),
         (authors, "if it is trained on frontal views and tested on posed ones"),
     ):
-        if not _alike(error, printed["mse"]):
+        if not _alike(error, printed["mse"], alike):
             continue
-        if error <= ALIKE * worst:
+        if error <= alike * worst:
             return does_not_hold(f"{evidence}.")
         return holds_if(condition, f"{evidence}.") if condition else holds(f"{evidence}.")
     evidence += (
@@ -118,7 +120,7 @@ def bfm_score(printed: Mapping, released: Mapping, consistent: Mapping, flat: Ma
         f"{_mse(perfect['mse'])} and {scientific(perfect['depth_corr'])} to a depth without error. "
         f"A face without depth has {_mse(flat['mse'])} in consistent units."
     )
-    if _alike(perfect["mse"], printed["mse"]) and printed["mse"] > MUCH * frontal["mse"]:
+    if _alike(perfect["mse"], printed["mse"], alike) and printed["mse"] > MUCH * frontal["mse"]:
         return does_not_hold(
             f"{evidence} That the evaluator made the printed number is inferred from the match, "
             "not proven."
@@ -126,7 +128,7 @@ def bfm_score(printed: Mapping, released: Mapping, consistent: Mapping, flat: Ma
     return unknown("what else than the method's error the printed number may be", evidence)
 
 
-def orthographic_only(views: Mapping) -> Finding:
+def orthographic_only(views: Mapping, alike: float = ALIKE) -> Finding:
     """Zhao's method recovers shapes from orthographic views only."""
     own, authors = views["zhao"], views["zhao_authors"]
     evidence = (
@@ -139,10 +141,10 @@ def orthographic_only(views: Mapping) -> Finding:
         f"{_mse(authors['same_poses'])} on the same poses seen orthographically and "
         f"{_mse(authors['orthographic'])} on the orthographic test views."
     )
-    if own["perspective"] > ALIKE * max(own["same_poses"], own["orthographic"]):
+    if own["perspective"] > alike * max(own["same_poses"], own["orthographic"]):
         return holds(evidence)
-    if authors["perspective"] > ALIKE * authors["frontal"]:
-        turned = authors["orthographic"] > ALIKE * authors["frontal"]
+    if authors["perspective"] > alike * authors["frontal"]:
+        turned = authors["orthographic"] > alike * authors["frontal"]
         return holds_if(
             "if it is trained on frontal orthographic views only"
             + ("; then turned orthographic views fail as well" if turned else ""),
@@ -151,7 +153,7 @@ def orthographic_only(views: Mapping) -> Finding:
     return does_not_hold(evidence)
 
 
-def celeba_score(celeba: Mapping | None) -> Finding:
+def celeba_score(celeba: Mapping | None, alike: float = ALIKE) -> Finding:
     """Zhao's method has an MSE of 21e-5 and a depth correlation of 71.46 on CelebA."""
     if celeba is None:
         return unknown("`make reproduce-celeba`")
@@ -164,13 +166,13 @@ def celeba_score(celeba: Mapping | None) -> Finding:
         f"to a depth without error on {celeba['faces']}, "
         f"{factor(perfect['mse'] / printed['mse'])} times the printed MSE."
     )
-    if _alike(own["mse"], printed["mse"]):
+    if _alike(own["mse"], printed["mse"], alike):
         return holds(evidence)
-    if _alike(perfect["mse"], printed["mse"]):
+    if _alike(perfect["mse"], printed["mse"], alike):
         return does_not_hold(
             f"{evidence} That it made the printed number is inferred from the match, not proven."
         )
-    if _alike(perfect["mse"], _SLIP * printed["mse"]):
+    if _alike(perfect["mse"], _SLIP * printed["mse"], alike):
         return does_not_hold(
             f"{evidence} That the printed number is of that evaluator, with a slip of a factor of "
             f"{_SLIP:g}, is inferred from the match, not proven."
@@ -199,8 +201,8 @@ def _means(scores: Scores) -> dict[str, float]:
     return {"mse": float(scores.mse.mean()), "depth_corr": float(scores.depth_corr.mean())}
 
 
-def _alike(a: float, b: float) -> bool:
-    return max(a / b, b / a) <= ALIKE
+def _alike(a: float, b: float, most: float) -> bool:
+    return max(a / b, b / a) <= most
 
 
 def _mse(error: float) -> str:

@@ -18,7 +18,7 @@ from experiments.audit.findings import (
 )
 from experiments.face_models import TITLES
 from experiments.markup.markdown import markdown
-from experiments.verdicts import VERDICTS, counted, listed, phrase
+from experiments.verdicts import DOES_NOT_HOLD, VERDICTS, counted, listed, phrase
 
 RESULTS = ROOT / "results"
 NAMES = {"openhead": "the open head", "ict": "ICT faces"}
@@ -154,3 +154,19 @@ def test_committed_verdicts_are_on_the_claims_as_they_are_now(model):
         assert (row.where, row.claim) == (claims[row.id].where, claims[row.id].claim)
         # Its module may have another name since.
         assert row.check.split(".")[1] == described(CHECKS[row.id]).split(".")[1]
+
+
+def test_verdicts_by_other_factors_stand_beside_those_that_depend_on_one():
+    claim = Claim("as-good", "Results", "It is as good.", {})
+
+    def as_good(ratio, alike=1.5):
+        return holds("1.8 times.") if ratio <= alike else does_not_hold("1.8 times.")
+
+    found = judge(claim, as_good, {"ratio": 1.8})
+    assert found.verdict == DOES_NOT_HOLD
+    assert found.evidence == (
+        "1.8 times. Errors within a factor of 1.5 count as alike; "
+        'with 1.2 the verdict is "does not hold" and with 2 the verdict is "holds".'
+    )
+    assert described(as_good).endswith("as_good(ratio)")
+    assert judge(claim, lambda ratio: holds("1."), {"ratio": 1.8}).evidence == "1."
