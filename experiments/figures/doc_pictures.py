@@ -1,9 +1,11 @@
-"""Draw the pictures of `docs/`: landmark schemes on the open head, and people to try it on."""
+"""Draw the pictures of `docs/`: landmark schemes, people to try it on, and the paper's method."""
 
 from __future__ import annotations
 
 import argparse
 import io
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from data_gen.rendering.renderer import Lights, Renderer, square_frames
 from deepmds_keras.io.atomic import write_bytes
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
+from experiments.figures.method_diagram import method_diagram
 from experiments.figures.schemes import DPI, numbered
 from experiments.running import exit_on_user_error
 
@@ -74,10 +77,18 @@ def png(figure: Figure) -> bytes:
     return content.getvalue()
 
 
+def _method() -> bytes:
+    return png(method_diagram())
+
+
 def main(arguments: list[str] | None = None) -> None:
     argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     with exit_on_user_error():
         contents = {f"{name}.png": png(figure) for name, figure in pictures().items()}
-        for name, content in (contents | {"portraits.jpg": portraits()}).items():
+        contents["portraits.jpg"] = portraits()
+        # TensorFlow and what renders crash each other.
+        with ProcessPoolExecutor(1, get_context("spawn")) as apart:
+            contents["method.png"] = apart.submit(_method).result()
+        for name, content in contents.items():
             write_bytes(PICTURES / name, content)
             print(PICTURES / name)
