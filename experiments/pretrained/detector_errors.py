@@ -131,3 +131,20 @@ def errors_on(
     found = np.isfinite(errors).all((1, 2))
     views = upright(own - inner.mean(1, keepdims=True), *frame)
     return errors, views, found & ~is_gross(np.nan_to_num(errors))
+
+
+def detection_table(photos: dict[str, np.ndarray], detector: str, scheme: str) -> pd.DataFrame:
+    """How many faces a detector finds, by how far they are turned, and how well.
+
+    Returns:
+        Rows of `detector, yaw, n_photos, found, rms`: the share of the photos, and the root mean
+        square error of a coordinate over these, in percent of the face's radius.
+    """
+    errors, _, found = errors_on(photos, detector, scheme)
+    nearest = nearest_bin(photos["yaw"], BINS)
+    rows = []
+    for b, middle in enumerate(BINS):
+        own = found[nearest == b]
+        rms = 100 * np.sqrt((errors[nearest == b][own] ** 2).mean()) if own.any() else np.nan
+        rows.append((detector, middle, len(own), own.mean() if len(own) else np.nan, rms))
+    return pd.DataFrame(rows, columns=["detector", "yaw", "n_photos", "found", "rms"])

@@ -25,7 +25,12 @@ from experiments.face_models import TITLES
 from experiments.lifting.study_tables import left_out_notes
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import title
-from experiments.pretrained.detector_errors import N_INNER, errors_on, errors_table
+from experiments.pretrained.detector_errors import (
+    N_INNER,
+    detection_table,
+    errors_on,
+    errors_table,
+)
 from experiments.pretrained.photo_networks import (
     DEEP_MDS,
     FOUND,
@@ -116,6 +121,19 @@ def measure(run: Run) -> Iterator[dict]:
                     }
 
 
+def detections(run: Run) -> pd.DataFrame:
+    """`detection_table` of each detector that was there, on the photos of each model."""
+    portraits = load_record(run, "portraits")
+    parts = [
+        detection_table(read_portraits(run, model, "errors"), detector, FOUND[detector][0]).assign(
+            faces=model
+        )
+        for detector in portraits["detectors"]
+        for model in portraits["models"]
+    ]
+    return pd.concat(parts)
+
+
 def cells(table: pd.DataFrame) -> pd.DataFrame:
     """A row a kind of landmarks, a column a method: mean ± standard error, and what is found."""
     methods = list(dict.fromkeys(table["method"]))
@@ -155,6 +173,7 @@ def main(arguments: list[str] | None = None) -> None:
         record["left_out"], record["lacking"] = portraits["left_out"], portraits["lacking"]
         errors = [errors_table(name, FOUND[name][0], *found_on_photos(run, name)[::2])
                   for name in portraits["detectors"]]  # fmt: skip
+        found = detections(run) if portraits["detectors"] else None
         # Weights of one model's faces, or of guessed errors, are not those that the docs describe.
         if run.preset.name == "paper" and not portraits["left_out"] and not portraits["lacking"]:
             ship(run)
@@ -163,6 +182,7 @@ def main(arguments: list[str] | None = None) -> None:
     write_csv(folder / "table.csv", table)
     if errors:
         write_csv(folder / "detector_errors.csv", pd.concat(errors))
+        write_csv(folder / "detection.csv", found)
     shown = cells(table)
     write_text(folder / "table.tex", tabular(shown, "llll" + "r" * (shown.shape[1] - 4), notes))
     write_manifest(run, "pretrained", records_of(run, "pretrained"), folder)

@@ -6,6 +6,7 @@ import pytest
 from deepmds_keras.normalisation import rms_radius
 from experiments.pretrained.detector_errors import (
     BINS,
+    detection_table,
     errors_on,
     summarise_errors,
     turned,
@@ -71,3 +72,15 @@ def test_what_is_not_the_face_is_not_its_error(rng):
     errors, views, found = errors_on(photos, "dlib", "ibug68")
     assert [*found] == [True, False, False]
     assert np.allclose(errors[0] * rms_radius(pixels[:1, 17:])[0], (1, -1))
+
+
+def test_faces_that_are_not_found_are_counted_by_yaw(rng):
+    pixels = np.tile(rng.normal(0, 40, (1, 68, 2)) + 160, (6, 1, 1))
+    photos = {"pixels_ibug68": pixels, "roll": np.zeros(6), "dlib": pixels + (3, 4)}
+    photos["yaw"] = np.array([0.0, 2, -5, 4, 41, 45])
+    photos["dlib"][3:5] = np.nan
+    table = detection_table(photos, "dlib", "ibug68").set_index("yaw")
+    assert table.loc[0, ["n_photos", "found"]].tolist() == [4, 0.75]
+    assert table.loc[40, "found"] == 0.5 and np.isnan(table.loc[-60, "rms"])
+    expected = 100 * np.sqrt((9 + 16) / 2) / rms_radius(pixels[:1, 17:])[0]
+    np.testing.assert_allclose(table.loc[0, "rms"], expected)
