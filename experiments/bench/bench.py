@@ -18,8 +18,10 @@ from experiments.figures import bench_times as figures
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.progress import Bar
+from experiments.records import write_text
 from experiments.run import Run
 from experiments.running import single_threaded, stage
+from experiments.scoring.latex import plain_tabular
 from experiments.scoring.numbers import factor
 from experiments.scoring.tables import write_csv
 
@@ -80,6 +82,7 @@ def main(arguments: list[str] | None = None) -> None:
         clear_results(folder)
         write_csv(folder / "bench.csv", table)
         write_csv(folder / "agreement.csv", agreed)
+        write_text(folder / "bench.tex", plain_tabular(table.drop(columns=["seconds", "note"])))
         save(figures.bench(table), folder / "figures", "bench")
     write_manifest(run, "bench", records_of(run, "bench"), folder)
     print(f"\n{summary(table)}\n\n{agreed.to_string(index=False)}")

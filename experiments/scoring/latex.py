@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from experiments.scoring.numbers import scientific
+
 _CHARACTERS = {c: rf"\{c}" for c in "&%$#_{}"} | {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
@@ -46,6 +48,23 @@ def tabular(
     rows = "".join(f"{below % tex(note)}\n" for note in notes)
     body = body.replace(r"\end{tabular}", rf"{rows}\end{{tabular}}")
     return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body.rstrip()}}}\n"
+
+
+def plain_tabular(table: pd.DataFrame) -> str:
+    r"""A table of names and numbers as it is, with five digits each, to `\input`.
+
+    Args:
+        table: Its columns' names become the heads; NaN and empty cells stay empty.
+    """
+    cells = {name.replace("_", " "): [*map(_plain, table[name])] for name in table}
+    numbers = [pd.api.types.is_numeric_dtype(table[name]) for name in table]
+    return tabular(pd.DataFrame(cells), "".join("r" if own else "l" for own in numbers))
+
+
+def _plain(value) -> str:
+    if pd.isna(value):
+        return ""
+    return scientific(value, 5) if isinstance(value, float) else str(value)
 
 
 def tex(string: str) -> str:

@@ -21,9 +21,10 @@ from experiments.figures.summary import seed_spread
 from experiments.inputs import Faces, load_faces
 from experiments.manifest import clear_results, write_manifest
 from experiments.methods import DEEP_MDS, METHODS, load, title
-from experiments.records import load_record
+from experiments.records import load_record, write_text
 from experiments.run import Run
 from experiments.running import stage
+from experiments.scoring.latex import plain_tabular
 from experiments.scoring.scores import load_prediction, score
 from experiments.scoring.tables import write_csv
 from experiments.tracks.bfm.faces import make_faces
@@ -116,9 +117,11 @@ def main(arguments: list[str] | None = None) -> None:
     write_csv(folder / "metrics.csv", metrics)
     table = spread(metrics)
     write_csv(folder / "table.csv", table)
+    named = table.assign(method=table["method"].map(title))
+    write_text(folder / "table.tex", plain_tabular(named))
     save(seed_spread(metrics), folder / "figures", "seed_spread")
     save(batchnorm_lag(autoencoder_histories(first, metrics)), folder / "figures", "batchnorm_lag")
     write_manifest(first, "seeds", records, folder)
     print(f"\n{first.model}, {len(runs)} seeds\n")
-    print(table.assign(method=table["method"].map(title)).to_string(index=False))
+    print(named.to_string(index=False))
     print(f"\nTables, figures and manifest: {folder}/")

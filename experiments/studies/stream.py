@@ -12,7 +12,9 @@ from experiments.figures.errors import error_distribution
 from experiments.figures.style import save
 from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import load, title
+from experiments.records import write_text
 from experiments.running import single_threaded, stage
+from experiments.scoring.latex import plain_tabular
 from experiments.scoring.tables import write_csv
 from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
 
@@ -53,9 +55,11 @@ def main(arguments: list[str] | None = None) -> None:
             ]
         )
         write_csv(folder / "table.csv", table)
+        named = table.assign(method=table["method"].map(title))
+        write_text(folder / "table.tex", plain_tabular(named))
         errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
         save(error_distribution(errors), folder / "figures", "errors")
     write_manifest(run, "stream", records_of(run, "stream"), folder)
     print(f"\n{run.model}, {shards.n:,} faces\n")
-    print(table.assign(method=table["method"].map(title)).to_string(index=False))
+    print(named.to_string(index=False))
     print(f"\nTable, figure and manifest: {folder}/")

@@ -7,7 +7,7 @@ import pytest
 from deepmds_keras.io.errors import InputError
 from experiments.metrics import metrics_of
 from experiments.scoring import parameters
-from experiments.scoring.latex import tabular, tex
+from experiments.scoring.latex import plain_tabular, tabular, tex
 from experiments.scoring.tables import summarise, write_csv, write_tables
 from experiments.scoring.typesetting import latex, text
 
@@ -91,6 +91,13 @@ def test_the_papers_numbers_have_the_digits_that_it_prints(metrics):
     ):
         assert f" {row[1]} " in line(text(table, "flame"), row[0])
         assert f" {tex(row[1])} & " in line(latex(table, "flame"), row[0])
+
+
+def test_a_plain_table_keeps_names_counts_and_what_is_missing():
+    plain = pd.DataFrame({"method": ["a_b", "c"], "n_faces": [5, 12_000], "mse": [1.5e-5, np.nan]})
+    first, second = plain_tabular(plain).splitlines()[5:7]
+    assert first == r"a\_b & 5 & 1.5 $\times$ 10$^{-5}$ \\"
+    assert second == r"c & 12000 &  \\"
 
 
 def test_latex_is_balanced(table):
