@@ -58,7 +58,8 @@ def test_table_has_every_method_with_a_number_or_a_reason(whole):
     table = pd.read_csv(results(whole) / "table.csv").set_index(["method", "metric"])
     mse = table.xs("mse", level="metric")
     measured = ["mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian",
-                "aldrian_authors", "mobileface", "ours", "ours_released", "ours_stable", "lifting"]  # fmt: skip
+                "aldrian_authors", "mobileface", "ours", "ours_released", "ours_stable",
+                "lifting"]  # fmt: skip
     assert [*mse.index[mse["mean"].notna()]] == measured
     assert mse.loc["authors_weights", "note"].startswith("their weight files were not given")
     assert "2 steps of 16 images" in mse.loc["mobileface", "note"]
