@@ -100,10 +100,9 @@ def load_aldrian_authors(run: Run) -> AldrianAuthors:
     from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
 
     model = load_model(run.model, run.data)
-    landmarks = model.restrict(model.landmarks[run.scheme])
     # The basis is orthonormal over the mesh, so that a component's s.d. is the norm of its offsets.
     sd = np.linalg.norm(model.identity_basis_times_sd.reshape(model.n_identity, -1), axis=1)
-    mean, basis = landmarks.mean, landmarks.identity_basis_times_sd
+    mean, basis = load_landmark_model(run)
     return AldrianAuthors(1000 * mean, 1000 * basis, 1000 * sd)
 
 
