@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from deepmds_keras import __version__
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from deepmds_keras.predict.faces import Face
-from deepmds_keras.predict.writing import write_bytes
+from deepmds_keras.predict.writing import new_file
 
 AXES = {
     "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front",
@@ -85,13 +85,11 @@ def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    content = FORMATS[path.suffix[1:]](faces, model)
-    if isinstance(content, str):
-        content = content.encode("utf-8", "backslashreplace")  # of a file name that is no text
-    write_bytes(path, content)
+    with new_file(path) as file:
+        FORMATS[path.suffix[1:]](file, faces, model)
 
 
-def csv_text(faces: Sequence[Face], model: Mapping) -> str:
+def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """One landmark a row, with its number as the scheme's authors count and where it is seen."""
     scheme = load_scheme(faces[0].scheme)
     number = f"%.{_DIGITS}g"
@@ -99,28 +97,30 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> str:
     std = [number if faces[0].std is not None else ""] * 3
     cells = ",".join([*[number] * 3, *std, *[number] * 4])
     rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, scheme.names, strict=True)]
-    parts = [f"# {line}\n" for line in description(faces, model)]
-    parts += [f"# {columns}: {AXES[key]}\n" for key, columns in _TOLD.items()]
-    parts += [f"# frame: {TIME}\n"] * (faces[0].moment is not None)
-    parts += [",".join(["face", *_moment(faces[0]), _COLUMNS]) + "\n"]
+    yield from (f"# {line}\n" for line in description(faces, model))
+    yield from (f"# {columns}: {AXES[key]}\n" for key, columns in _TOLD.items())
+    if faces[0].moment is not None:
+        yield f"# frame: {TIME}\n"
+    yield ",".join(["face", *_moment(faces[0]), _COLUMNS]) + "\n"
     for face in faces:
         # Quoted, so that no character of a file name is taken for one of the table.
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
         name += "".join(f"{value}," for value in _moment(face).values())
         std = () if face.std is None else (face.std,)
         numbers = np.hstack([face.shape, *std, face.image_xyz, face.residual[:, None]])
-        parts.append("".join(name + row for row in rows) % tuple(numbers.ravel().tolist()))
-    return "".join(parts)
+        yield "".join(name + row for row in rows) % tuple(numbers.ravel().tolist())
 
 
-def json_text(faces: Sequence[Face], model: Mapping) -> str:
+def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """Everything that is known of the faces, one face a line."""
     scheme = load_scheme(faces[0].scheme)
     described = _common(faces, model) | {"landmark_numbers": scheme.numbers}
     described["landmark_names"] = scheme.names
-    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in described.items()]
-    records = [
-        {
+    yield "{\n"
+    yield from (f" {json.dumps(key)}: {json.dumps(value)},\n" for key, value in described.items())
+    yield ' "faces": ['
+    for i, face in enumerate(faces):
+        record = {
             "name": face.name,
             "source": str(face.source),
             "photo": None if face.photo is None else str(face.photo),
@@ -133,13 +133,11 @@ def json_text(faces: Sequence[Face], model: Mapping) -> str:
             "std": None if face.std is None else _rounded(face.std),
             "residual": _rounded(face.residual),
         }
-        for face in faces
-    ]
-    records = ",\n".join(f"  {json.dumps(record, allow_nan=False)}" for record in records)
-    return "{\n" + ",\n".join([*lines, f' "faces": [\n{records}\n ]']) + "\n}\n"
+        yield f"{',' * (i > 0)}\n  {json.dumps(record, allow_nan=False)}"
+    yield "\n ]\n}\n"
 
 
-def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
+def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
     """Arrays over all faces, for `numpy.load`: for sources of thousands of faces, in float32.
 
     `shape`, `image_xyz` and, if the model knows it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
@@ -149,30 +147,30 @@ def npz_bytes(faces: Sequence[Face], model: Mapping) -> bytes:
     `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
+
+    def over_faces(values: Iterable) -> np.ndarray:
+        return np.array([*values], np.float32)
+
     measured = {
-        "shape": np.stack([face.shape for face in faces]),
-        "landmarks": np.stack([face.landmarks for face in faces]),
-        "image_xyz": np.stack([face.image_xyz for face in faces]),
-        "residual": np.stack([face.residual for face in faces]),
-        **({} if faces[0].std is None else {"std": np.stack([face.std for face in faces])}),
-        **{f"pose_{key}" if key == "residual" else key:
-           np.stack([getattr(face.pose, key) for face in faces])
-           for key in vars(faces[0].pose)},
-    }  # fmt: skip
-    content = io.BytesIO()
+        key: over_faces(getattr(face, key) for face in faces)
+        for key in ("shape", "landmarks", "image_xyz", "residual", "std")
+        if getattr(faces[0], key) is not None
+    }
+    for key in vars(faces[0].pose):
+        name = f"pose_{key}" if key in measured else key
+        measured[name] = over_faces(getattr(face.pose, key) for face in faces)
     np.savez(  # to compress the digits of measurements takes long and gains little
-        content,
+        file,
         face=np.array([face.name for face in faces]),
         **{key: np.array([_moment(face)[key] for face in faces]) for key in _moment(faces[0])},
-        **{key: np.float32(array) for key, array in measured.items()},
+        **measured,
         landmark_numbers=np.array(scheme.numbers),
         landmark_names=np.array(scheme.names),
         description=np.array(json.dumps(_common(faces, model))),
     )
-    return content.getvalue()
 
 
-def ply_text(faces: Sequence[Face], model: Mapping) -> str:
+def ply_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """The wireframe of one face: vertices, and edges along the lines of its scheme."""
     edges = wireframe_edges(load_scheme(faces[0].scheme))
     lines = [
@@ -190,10 +188,10 @@ def ply_text(faces: Sequence[Face], model: Mapping) -> str:
         *(_numbers(vertex) for vertex in faces[0].shape),
         *(f"{first} {second}" for first, second in edges),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    yield "\n".join(lines) + "\n"
 
 
-def obj_text(faces: Sequence[Face], model: Mapping) -> str:
+def obj_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """The wireframe of one face: vertices and the lines of its scheme."""
     lines = [
         *(f"# {line}" for line in description(faces, model)),
@@ -201,7 +199,7 @@ def obj_text(faces: Sequence[Face], model: Mapping) -> str:
         *(f"l {' '.join(str(i + 1) for i in line)}"
           for line in load_scheme(faces[0].scheme).polylines),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    yield "\n".join(lines) + "\n"
 
 
 def wireframe_edges(scheme: LandmarkScheme) -> np.ndarray:
@@ -274,5 +272,21 @@ def _rounded(values) -> list | float | None:
     return np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))).tolist()
 
 
+def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:
+    """The writer of a format, which gives the text of a face at a time: those of a video fill GB."""
+
+    def write(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
+        for part in parts(faces, model):
+            file.write(part.encode("utf-8", "backslashreplace"))  # of a file name that is no text
+
+    return write
+
+
 _TABLES = ("csv", "json", "npz")
-FORMATS = {"csv": csv_text, "json": json_text, "npz": npz_bytes, "ply": ply_text, "obj": obj_text}
+FORMATS = {
+    "csv": _as_text(csv_text),
+    "json": _as_text(json_text),
+    "npz": write_npz,
+    "ply": _as_text(ply_text),
+    "obj": _as_text(obj_text),
+}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,23 @@ _OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.05
 _MOST_NOISE_MM = 6.0
 # A detector may do better or worse on the photos of a user than on those drawn here.
 _STRENGTH = (0.6, 1.4)
+# Of faces as they were found, where there are any. What errors owe to the face is drawn as if it
+# were linear, and of all models alike: of 68 landmarks on the open head that misses a part.
+_SHARE_FOUND = 0.25
+
+
+class FoundFaces(NamedTuple):
+    """Faces of photos with known shapes, as a detector found them.
+
+    Attributes:
+        views: `(n, L, 2)` what it found, y up, any scale.
+        shapes: `(n, L, 3)` true landmarks.
+        sd: `(n, L)` of its errors, in the unit of the views.
+    """
+
+    views: np.ndarray
+    shapes: np.ndarray
+    sd: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +55,13 @@ class PhotoFaces:
         scheme: Landmark scheme.
         errors: Of detectors, in the landmarks of the scheme; of as many faces as of each of them
             the errors are white.
+        found: What detectors found in photos, mixed in as it is.
     """
 
     models: Sequence[MorphableModel]
     scheme: str
     errors: Sequence[DetectorErrors] = ()
+    found: Sequence[FoundFaces] = ()
     _parts: list = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -52,7 +72,21 @@ class PhotoFaces:
     def __call__(
         self, n: int, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Views `(n, L, 2)`, shapes `(n, L, 3)` and s.d. `(n, L)` of the errors, millimetres."""
+        """Views `(n, L, 2)`, shapes `(n, L, 3)` and s.d. `(n, L)` of the errors."""
+        faces = self._drawn(n, rng)
+        if self.found:
+            kind = rng.integers(len(self.found), size=n)
+            kind[rng.random(n) >= _SHARE_FOUND] = -1
+            for k, own in enumerate(self.found):
+                places = np.flatnonzero(kind == k)
+                chosen = rng.integers(len(own.views), size=len(places))
+                for array, known in zip(faces, own, strict=True):
+                    array[places] = known[chosen]
+        return faces
+
+    def _drawn(
+        self, n: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         share = np.arange(n) * len(self._parts) // n
         shapes = [
             _beyond(part, smooth, int((share == k).sum()), rng)

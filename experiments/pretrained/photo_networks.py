@@ -20,7 +20,7 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from experiments.arguments import parse_run
 from experiments.methods import METHODS
 from experiments.pretrained.detector_errors import errors_on, summarise_errors
-from experiments.pretrained.photo_faces import PhotoFaces
+from experiments.pretrained.photo_faces import FoundFaces, PhotoFaces
 from experiments.pretrained.portraits import open_model, read_portraits
 from experiments.recipes import deep_mds, fit_deep_mds, fit_lifter
 from experiments.records import load_record
@@ -48,29 +48,41 @@ def measured_errors(run: Run) -> dict[tuple[str, str], DetectorErrors]:
     """Errors over the photos of all models, by detector that was there and scheme."""
     measured = {}
     for detector in load_record(run, "portraits")["detectors"]:
-        *found, yaw = found_on_photos(run, detector)
+        errors, views, _, yaw = found_on_photos(run, detector)
         for scheme in FOUND[detector]:
-            own = (convert(array, FOUND[detector][0], scheme) for array in found)
+            own = (convert(array, FOUND[detector][0], scheme) for array in (errors, views))
             measured[detector, scheme] = summarise_errors(*own, yaw)
     return measured
 
 
 @functools.cache
-def found_on_photos(run: Run, detector: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors and true views `(n, L, 2)` in the detector's own scheme, and yaws `(n,)`."""
-    parts = []
+def found_on_photos(run: Run, detector: str) -> tuple[np.ndarray, ...]:
+    """What is known of the faces that a detector found in the photos of all models.
+
+    Returns:
+        `(n, L, 2)` errors and true views, and `(n, L, 3)` true shapes in millimetres, in the
+        detector's own scheme; and `(n,)` yaws.
+    """
+    parts, scheme = [], FOUND[detector][0]
     for model in load_record(run, "portraits")["models"]:
         photos = read_portraits(run, model, "errors")
-        errors, views, found = errors_on(photos, detector, FOUND[detector][0])
-        parts.append((errors[found], views[found], photos["yaw"][found]))
+        errors, views, found = errors_on(photos, detector, scheme)
+        shapes = convert(photos["landmarks_ibug68"], "ibug68", scheme)
+        parts.append([own[found] for own in (errors, views, shapes, photos["yaw"])])
     return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def photo_faces(run: Run, scheme: str) -> PhotoFaces:
     """What a lifter is trained on."""
     models = [open_model(run, name, scheme) for name in load_record(run, "portraits")["models"]]
-    errors = [own for (_, found), own in measured_errors(run).items() if found == scheme]
-    return PhotoFaces(models, scheme, errors)
+    errors, found = [], []
+    for (detector, own_scheme), own in measured_errors(run).items():
+        known = found_on_photos(run, detector)
+        if own_scheme == scheme and len(known[0]):
+            wrong, views, shapes = (convert(a, FOUND[detector][0], scheme) for a in known[:3])
+            errors.append(own)
+            found.append(FoundFaces(views + wrong, shapes, np.broadcast_to(own.sd, views.shape[:2])))
+    return PhotoFaces(models, scheme, errors, found)
 
 
 def train_lifter(run: Run, scheme: str) -> None:

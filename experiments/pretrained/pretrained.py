@@ -171,7 +171,7 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "pretrained") as record:
         table = pd.DataFrame(measure(run))
         record["left_out"], record["lacking"] = portraits["left_out"], portraits["lacking"]
-        errors = [errors_table(name, FOUND[name][0], *found_on_photos(run, name)[::2])
+        errors = [errors_table(name, FOUND[name][0], *found_on_photos(run, name)[::3])
                   for name in portraits["detectors"]]  # fmt: skip
         found = detections(run) if portraits["detectors"] else None
         # Weights of one model's faces, or of guessed errors, are not those that the docs describe.

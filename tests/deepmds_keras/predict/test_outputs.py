@@ -203,7 +203,7 @@ def test_a_name_cannot_add_rows_comments_or_elements(tmp_path):
     face = make_face(name, notes=("note",))
     for kind in ("csv", "ply", "obj"):
         path = tmp_path / f"a.{kind}"
-        path.write_text(FORMATS[kind]([face], {"name": name}), encoding="utf-8")
+        write_output(path, [face], {"name": name})
     with open(tmp_path / "a.csv", encoding="utf-8", newline="") as file:
         rows = [row for row in csv.reader(file) if not row[0].startswith("#")]
     assert len(rows) == 73
