@@ -11,6 +11,7 @@ MODEL ?= openhead
 DATA ?=
 PRESET ?= paper
 SEED ?= 0
+SEEDS ?=
 PROTOCOL ?= paper
 AUTHORS ?=
 EVALUATOR ?= paper
@@ -45,6 +46,7 @@ RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
        --celeba '$(CELEBA)' --tf-flame '$(TF_FLAME)' --ringnet '$(filter-out yes no,$(RINGNET))' \
        $(if $(FACES),--faces $(FACES)) \
+       $(if $(SEEDS),--seeds $(SEEDS)) \
        $(foreach switch,MOBILEFACE MEDIAPIPE RINGNET,$(if $(filter no,$($(switch))),--without $(switch)))
 # No start-up notices, and sums in one order whatever the processor offers.
 export TF_CPP_MIN_LOG_LEVEL := 3
@@ -55,7 +57,7 @@ help: ## what there is (this text)
 	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '     stream: [FACES=1000000]'
 	@echo '     on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
-	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no]'
+	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no] [SEEDS=10]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
 	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
@@ -83,7 +85,7 @@ ablation: ## the method with a part changed, over five seeds   (25 min after rep
 audit: ## which claims of the paper hold: results/audit/   (3 min after ablation)
 bench: ## speed and memory beside the released way: results/bench/   (18 min)
 stream: ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
-seeds: ## five seeds of ours and ours_stable, their spread    (45 min)
+seeds: ## ten seeds of Deep-MDS, and one rounded otherwise   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (70 min)
 reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting: | $(READY)

@@ -37,6 +37,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
     add("--without", choices=SWITCHES, action="append", default=[], help="stages to leave out")
     add("--faces", type=int, help="of make stream, instead of the preset's")
+    add("--seeds", type=int, help="number of them, of make seeds and of the BFM table")
     add("--jobs", type=int, default=-1, help="processes side by side, -1 for every core")
     add("--build", type=Path, default=Path("build"), help="folder of arrays and weights")
     add("--results", type=Path, default=Path("results"), help="folder of tables and figures")
@@ -49,6 +50,8 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
         if faces < 2:
             parser.error(f"--faces must be at least 2. Received {faces}.")
         values["preset"] = replace(values["preset"], streamed_faces=faces)
+    if values["seeds"] is not None and values["seeds"] < 2:
+        parser.error(f"--seeds must be at least 2. Received {values['seeds']}.")
     for name in (*_PATHS, "authors", "ringnet"):
         values[name] = values[name] or None
     for name in _PATHS:

@@ -26,6 +26,8 @@ _KEY_FILE = "key.json"
 def inputs_of(run: Run, stage: str) -> dict[str, str]:
     """sha256 of the files that a stage reads from outside the build, as far as they are named.
 
+    Beside them, its number of seeds.
+
     Returns:
         By variable of `make`; of the authors' weights and of the licensed RingNet for each file.
         Data sets, which are large, are hashed by the names and sizes of their files.
@@ -41,6 +43,8 @@ def inputs_of(run: Run, stage: str) -> dict[str, str]:
 
 @functools.cache
 def _hashes(run: Run, variable: str) -> dict[str, str]:
+    if variable == "SEEDS":
+        return {variable: str(run.n_seeds)}
     if variable in ("COMA", "CASIA", "CELEBA"):
         folder = run.folder_of(variable.lower())
         return {variable: "stand-in" if folder is None else _listing(run, variable, folder)}
@@ -92,7 +96,8 @@ def is_done(run: Run, stage: str) -> bool:
     if not path.exists():
         return False
     record = read_record(path)
-    left_out = {n.id for n in stage_of(run.track, stage).needed if n.switch in run.without}
+    own = stage_of(run.track, stage)
+    left_out = {need.id for need in {*own.needed} - {*own.needed_by(run)}}
     needs = {name: own for name, own in needs_of(run, stage).items() if name not in left_out}
     inputs = inputs_of(run, stage)
     return (

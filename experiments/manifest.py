@@ -38,6 +38,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         stages: Records of the stages, in order, as `records_of` reads them.
         folder: Of the results.
     """
+    done = {record["stage"] for record in stages if record["build"] == run.work.name}
     variables = {
         "MODEL": run.model,
         "DATA": run.data,
@@ -52,9 +53,9 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "CASIA_INDEX": None if run.casia_index is None else str(run.casia_index),
         "RINGNET": run.ringnet,
         "FACES": str(run.preset.streamed_faces) if target == "stream" else None,
+        "SEEDS": str(run.n_seeds) if "seeds" in done else None,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
-    done = {record["stage"] for record in stages if record["build"] == run.work.name}
     own = [stage for goal in stages_to(target) for stage in goal.needed if stage.switch]
     for variable in sorted({stage.switch for stage in own if stage.track == run.track}):
         if not done & {stage.name for stage in own if stage.switch == variable}:
@@ -141,6 +142,7 @@ def records_of(run: Run, name: str, *, own: bool = True) -> list[dict]:
     records = [_record(run, stage.id) for stage in STAGES if stage.id in found]
     for record in records:
         record.pop("checksums", None)  # of the images, which nobody else has
+        record.pop("rows", None)  # of the tables
     return records
 
 

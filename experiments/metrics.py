@@ -35,6 +35,7 @@ class Metric:
             holds the other metric only.
         in_paper: Whether the paper prints it. Such a metric has two columns, paper and here, and is
             compared by Wilcoxon's test.
+        over_seeds: Whether a table has a column of its spread over seeds.
         decimals: Of a mean that is shown without its s.d.; None: three significant digits.
         shown: Outputs with this column, of `"latex"`, `"terminal"` and `"report"`; the CSV files
             hold every metric.
@@ -50,6 +51,7 @@ class Metric:
     per_subset: Callable[..., float] | None = None
     derived: tuple[str, Callable[[np.ndarray], np.ndarray]] | None = None
     in_paper: bool = False
+    over_seeds: bool = False
     decimals: int | None = None
     shown: frozenset[str] = _ALL
     tracks: tuple[str, ...] | None = None
@@ -82,6 +84,7 @@ METRICS = {
             better="lower",
             per_face=lambda scores: scores.mse,
             in_paper=True,
+            over_seeds=True,
         ),
         Metric(
             id="mse_mm2",

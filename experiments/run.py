@@ -49,6 +49,7 @@ class Run:
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
+        seeds: Number of seeds over which the BFM table shows Deep-MDS, or None: of its own alone.
         without: Variables of `make` that leave stages out.
         jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
         build: Folder of arrays and weights; results: folder of tables and figures.
@@ -68,6 +69,7 @@ class Run:
     authors: str | None = None
     evaluator: str = "paper"
     ringnet: str | None = None
+    seeds: int | None = None
     without: tuple[str, ...] = ()
     jobs: int = -1
     build: Path = Path("build")
@@ -88,6 +90,11 @@ class Run:
     def trained(self) -> Run:
         """The run whose training faces and networks this one tests: itself, or the BFM track's."""
         return self.on("bfm") if self.track == "celeba" else self
+
+    @property
+    def n_seeds(self) -> int:
+        """Of `make seeds`."""
+        return self.seeds or self.preset.n_seeds
 
     def on(self, track: str) -> Run:
         """The run of a track with the same model, sizes and seed."""

@@ -21,8 +21,10 @@ class Stage:
         name: On the command line, and of the record.
         module: Below `experiments`, whose `main` it is.
         needs: Stages whose files it reads: their names, with `track/` before those of another.
-        reads: Variables of `make` that name files it reads; `MODEL` stands for the face model's.
+        reads: Variables of `make` that name files it reads; `MODEL` stands for the face model's,
+            `SEEDS` is a number.
         switch: Variable of `make` that leaves it out where it is `no`.
+        asked: Attribute of a run without which no other stage needs it.
         given: Attribute of a run without which it is left out.
         unless: Attribute of a run with which it is left out.
         target: Of `make`, if it is the last stage of one.
@@ -37,6 +39,7 @@ class Stage:
     needs: tuple[str, ...] = ()
     reads: tuple[str, ...] = ()
     switch: str | None = None
+    asked: str | None = None
     given: str | None = None
     unless: str | None = None
     target: str | None = None
@@ -51,6 +54,15 @@ class Stage:
     def needed(self) -> tuple[Stage, ...]:
         """The stages that it needs."""
         return tuple(_BY_ID[n if "/" in n else f"{self.track}/{n}"] for n in self.needs)
+
+    def needed_by(self, run: Run) -> tuple[Stage, ...]:
+        """The stages that it needs, but for those that the run leaves out or does not ask for."""
+        return tuple(
+            need
+            for need in self.needed
+            if need.switch not in run.without
+            and (need.asked is None or getattr(run, need.asked) is not None)
+        )
 
     def is_of(self, run: Run) -> bool:
         """Whether what the run was given is what the stage is for."""
@@ -68,7 +80,11 @@ STAGES = (
     Stage("bfm", "images", "tracks.bfm.images", needs=("faces",), reads=_MODEL),
     Stage("bfm", "mobileface", "tracks.mobileface", needs=("images",),
           switch="MOBILEFACE", onednn=True),
-    Stage("bfm", "bfm", "tracks.bfm.bfm", needs=("predictions", "mobileface"),
+    Stage("bfm", "seed", "studies.seed", needs=("faces",)),
+    Stage("bfm", "seeds", "studies.seeds", needs=("seed",), reads=("MODEL", "SEEDS"),
+          asked="seeds", target="seeds", always=True),
+    Stage("bfm", "rounding", "studies.rounding", needs=("faces",), target="seeds"),
+    Stage("bfm", "bfm", "tracks.bfm.bfm", needs=("predictions", "mobileface", "seeds"),
           target="reproduce-bfm"),
     Stage("flame", "authors", "tracks.authors", reads=("AUTHORS",), given="authors"),
     Stage("flame", "frames", "tracks.flame.frames", reads=("MODEL", "COMA")),
@@ -99,7 +115,6 @@ STAGES = (
           target="ablation", always=True),
     Stage("bfm", "audit", "audit.audit", needs=("bfm", "ablation"), reads=_MODEL,
           target="audit", always=True),
-    Stage("bfm", "seeds", "studies.seeds", reads=_MODEL, target="seeds", always=True),
     Stage("bfm", "stream", "studies.stream", needs=("networks",), reads=_MODEL,
           target="stream", always=True),
     Stage("bfm", "portraits", "pretrained.portraits", reads=_MODEL),
@@ -149,6 +164,7 @@ RESULTS = (
     Result("parameters", "bfm/bfm"),
     Result("ablation", "bfm/ablation"),
     Result("seeds", "bfm/seeds"),
+    Result("rounding", "bfm/rounding"),
     Result("stream", "bfm/stream"),
     Result("pretrained", "bfm/pretrained"),
     Result("lifting/hard", "bfm/hard"),
@@ -172,12 +188,12 @@ def with_needed(stages: Iterable[Stage], run: Run) -> list[Stage]:
 
     Args:
         stages: The stages.
-        run: What leaves some of them out, by `Stage.is_of` and `run.without`.
+        run: What leaves some of them out, by `Stage.is_of` and `Stage.needed_by`.
     """
     found, left = set(), [*stages]
     while left:
         stage = left.pop()
-        if stage not in found and stage.is_of(run) and stage.switch not in run.without:
+        if stage not in found and stage.is_of(run):
             found.add(stage)
-            left += stage.needed
+            left += stage.needed_by(run)
     return [stage for stage in STAGES if stage in found]

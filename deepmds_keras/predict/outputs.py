@@ -273,7 +273,7 @@ def _rounded(values) -> list | float | None:
 
 
 def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:
-    """The writer of a format, which gives the text of a face at a time: those of a video fill GB."""
+    """The writer of a format of text, which is in memory a face at a time."""
 
     def write(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
         for part in parts(faces, model):

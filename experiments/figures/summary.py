@@ -13,7 +13,7 @@ from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
 from experiments.metrics import METRICS
 from experiments.published import unit_of
-from experiments.scoring.numbers import as_quoted, plus_minus
+from experiments.scoring.numbers import as_quoted, between, plus_minus
 from experiments.scoring.typesetting import head_of, n_landmarks
 
 _MSE_UNIT = 1e-4
@@ -28,10 +28,14 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
 
     Args:
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`,
-            `paper_std`; NaN where there is no number.
+            `paper_std`; NaN where there is no number. Over seeds `n_seeds`, `median`, `lowest` and
+            `highest`, if it has them.
         experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
     """
     most = n_landmarks(experiment)
+    over_seeds = "n_seeds" in table
+    if not over_seeds:
+        table = table.assign(median=np.nan, lowest=np.nan, highest=np.nan)
     methods = list(dict.fromkeys(table["method"]))
     figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
     panels = figure.subplots(
@@ -42,7 +46,11 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
     depth_corr = table[table["metric"] == "depth_corr"].set_index("method")
     lost = most - depth_corr["paper_mean"]
     # The paper prints values above the greatest one for the FLAME landmarks: in the text only.
-    missing = depth_corr.assign(mean=most - depth_corr["mean"], paper_mean=lost.where(lost >= 0))
+    missing = depth_corr.assign(
+        mean=most - depth_corr["mean"],
+        paper_mean=lost.where(lost >= 0),
+        **{name: most - depth_corr[name] for name in ("median", "lowest", "highest")},
+    )
     for axes, rows, name in (
         (panels[0], mse, "MSE (squared normalised units)"),
         (panels[2], missing, f"{most} − depth correlation (no unit)"),
@@ -57,25 +65,30 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
         _numbers(axes, rows.reindex(methods), unit, head_of(metric, experiment))
     panels[0].set_yticks(range(len(methods)), [title(method) for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
-    figure.legend(
-        handles=[
-            Line2D([], [], color=INK, marker="o", ms=5, lw=0.9, label="this work, mean ± s.d."),
-            Line2D([], [], color=INK, marker="o", ms=5, mfc="white", lw=0, label="as published"),
-        ],
-        loc="outside lower center",
-        ncols=2,
-    )
+    dot = {"color": INK, "marker": "o", "ms": 5}
+    handles = [Line2D([], [], **dot, lw=0.9, label="this work, mean ± s.d.")]
+    if over_seeds:
+        label = f"over {table['n_seeds'].max():.0f} seeds, median and range"
+        handles.append(Line2D([], [], **dot, lw=3, alpha=0.6, label=label))
+    handles.append(Line2D([], [], **dot, mfc="white", lw=0, label="as published"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
 
 def _markers(axes: Axes, rows: pd.DataFrame) -> None:
-    """One row per method: filled, our mean with its s.d.; hollow, the published mean."""
+    """One row per method: filled, our mean with its s.d., or our median and the range over seeds;
+    hollow, the published mean.
+    """
     axes.set_xscale("log", nonpositive="clip")
     axes.xaxis.set_minor_formatter(NullFormatter())  # over few decades they would overlap
     for y, row in enumerate(rows.itertuples()):
         look = {"color": colour(row.Index), "marker": marker(row.Index), "linestyle": "none"}
         axes.plot(row.paper_mean, y, **look, ms=6.5, mfc="none", mew=0.9)
-        axes.errorbar(row.mean, y, xerr=row.std, **look, ms=4.5, mew=0, elinewidth=1)
+        if np.isnan(row.median):
+            axes.errorbar(row.mean, y, xerr=row.std, **look, ms=4.5, mew=0, elinewidth=1)
+        else:
+            axes.plot([row.lowest, row.highest], [y, y], color=colour(row.Index), lw=3, alpha=0.45)
+            axes.plot(row.median, y, **look, ms=4.5, mew=0)
     _stripes(axes, len(rows))
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="x")
@@ -83,17 +96,23 @@ def _markers(axes: Axes, rows: pd.DataFrame) -> None:
 
 
 def _numbers(axes: Axes, rows: pd.DataFrame, unit: float, name: str) -> None:
-    """The two means and their s.d. as text, in the same rows."""
+    """The same numbers as text, in the same rows."""
     axes.set_axis_off()
     _stripes(axes, len(rows))
     axes.set(xlim=(0, 1), title=f"{name}\n")
-    for x, head, mean, std, text in (
-        (0.50, "this work", rows["mean"], rows["std"], plus_minus),
-        (0.98, "published", rows["paper_mean"], rows["paper_std"], as_quoted),
+    ours = [
+        plus_minus(row.mean, row.std, unit) if np.isnan(row.median)
+        else between(row.median, row.lowest, row.highest, unit)
+        for row in rows.itertuples()
+    ]  # fmt: skip
+    paper = zip(rows["paper_mean"], rows["paper_std"], strict=True)
+    for x, head, texts in (
+        (0.56, "this work", ours),
+        (0.98, "published", [as_quoted(*of, unit) for of in paper]),
     ):
         axes.text(x, -0.6, head, ha="right", va="bottom", size=6.5, color=INK)
-        for y, values in enumerate(zip(mean, std, strict=True)):
-            axes.text(x, y, text(*values, unit), ha="right", va="center", size=5.8, color=INK)
+        for y, text in enumerate(texts):
+            axes.text(x, y, text, ha="right", va="center", size=5.8, color=INK)
 
 
 def _stripes(axes: Axes, n_rows: int) -> None:

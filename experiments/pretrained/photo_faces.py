@@ -84,9 +84,7 @@ class PhotoFaces:
                     array[places] = known[chosen]
         return faces
 
-    def _drawn(
-        self, n: int, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _drawn(self, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         share = np.arange(n) * len(self._parts) // n
         shapes = [
             _beyond(part, smooth, int((share == k).sum()), rng)

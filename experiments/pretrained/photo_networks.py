@@ -81,7 +81,9 @@ def photo_faces(run: Run, scheme: str) -> PhotoFaces:
         if own_scheme == scheme and len(known[0]):
             wrong, views, shapes = (convert(a, FOUND[detector][0], scheme) for a in known[:3])
             errors.append(own)
-            found.append(FoundFaces(views + wrong, shapes, np.broadcast_to(own.sd, views.shape[:2])))
+            found.append(
+                FoundFaces(views + wrong, shapes, np.broadcast_to(own.sd, views.shape[:2]))
+            )
     return PhotoFaces(models, scheme, errors, found)
 
 

@@ -9,7 +9,15 @@ from experiments.methods import title
 from experiments.metrics import METRICS
 from experiments.published import unit_of
 from experiments.report.experiment import Experiment
-from experiments.scoring.numbers import NOTHING, as_quoted, difference, minus, plus_minus, power
+from experiments.scoring.numbers import (
+    NOTHING,
+    as_quoted,
+    between,
+    difference,
+    minus,
+    plus_minus,
+    power,
+)
 from experiments.scoring.typesetting import columns_of, head_of
 
 _OF_PAPER = "in the paper, "
@@ -31,6 +39,10 @@ def criteria_table(experiment: Experiment) -> Table:
             row[f"{head}: here"] = plus_minus(mean, std, unit) + notes.mark(here)
             row[f"{head}: paper"] = as_quoted(paper, paper_std, unit) + notes.mark(there)
             row[f"{head}: difference"] = difference(mean, paper, unit)
+            if metric.over_seeds and "n_seeds" in cells:
+                row[f"{head}: seeds"] = between(
+                    *cells.loc[metric.id, ["median", "lowest", "highest"]], unit
+                )
         rows.append(row)
     subsets = experiment.table()[["n_subsets", "subset_size"]].dropna().astype(int)
     over = "".join(
@@ -41,6 +53,10 @@ def criteria_table(experiment: Experiment) -> Table:
         f"The paper's criteria: mean ± s.d. here{over}; as the paper prints them; and how much "
         "more ours is, with how many times the paper's."
     )
+    if "n_seeds" in experiment.table():
+        caption += (
+            " Seeds: median, lowest and highest over several trainings, each on faces of its own."
+        )
     return Table(caption, pd.DataFrame(rows), notes=tuple(notes))
 
 

@@ -47,7 +47,7 @@ EXPERIMENTS = {
     ),
     "ablation": (
         "What the parts are good for",
-        "The dissimilarity net trained {n_seeds} times in each of several ways, on the frontal "
+        "The dissimilarity net trained from several seeds in each of several ways, on the frontal "
         "views of one autoencoder, and both networks on fewer faces; scored on "
         "{subset_size} test faces.",
     ),
@@ -57,7 +57,12 @@ EXPERIMENTS = {
     ),
     "seeds": (
         "How much is luck",
-        "The paper's recipe and the one with a cosine schedule, trained from {n_seeds} seeds each.",
+        "Deep-MDS in each of its forms, trained from {n_seeds} seeds.",
+    ),
+    "rounding": (
+        "The same seed, rounded otherwise",
+        "The paper's recipe from one seed, twice as it is, with one thread, and by the "
+        "instructions of older processors.",
     ),
     "stream": (
         "Many faces: the tails of the errors",

@@ -21,6 +21,14 @@ def plus_minus(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
     return minus(f"{mean:,.{decimals}f} ± {std:,.{decimals}f}")
 
 
+def between(median: float, lowest: float, highest: float, unit: float = 1.0) -> str:
+    """`median [lowest, highest]` in a unit, to the second digit of the range."""
+    width = (highest - lowest) / unit
+    decimals = max(0, 1 - math.floor(math.log10(width))) if width > 0 else None
+    numbers = [rounded(value / unit, decimals) for value in (median, lowest, highest)]
+    return NOTHING if math.isnan(median) else f"{numbers[0]} [{numbers[1]}, {numbers[2]}]"
+
+
 def rounded(value: float, decimals: int | None = None) -> str:
     """With that many decimals, or three significant digits, or more to the units' place."""
     if math.isnan(value):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,21 @@ def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
 def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]:
     """Arrays and description of a method's predictions."""
     return read_arrays(run.prediction_file(method))
+
+
+def runs_by_seed(run: Run) -> list[Run]:
+    """The same run from each seed of `make seeds`; the first is its own."""
+    return [replace(run, seed=run.seed + k) for k in range(run.n_seeds)]
+
+
+def metrics_by_seed(run: Run) -> pd.DataFrame:
+    """Rows of `method, seed, metric, value` of all of them."""
+    rows = [
+        (method, own.seed, metric, value)
+        for own in runs_by_seed(run)
+        for method, metric, value in load_record(own, "seed")["rows"]
+    ]
+    return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
 
 
 def costs(descriptions: dict[str, dict]) -> pd.DataFrame:

@@ -28,6 +28,7 @@ COLUMNS = (
     "subset_size",
     "note",
 )
+SEED_COLUMNS = ("n_seeds", "median", "lowest", "highest")
 
 
 def summarise(
@@ -37,6 +38,7 @@ def summarise(
     *,
     subset_size: int,
     beside: Mapping[str, str] = {},
+    seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
     """Mean and standard deviation over subsets of every method and metric, beside the paper's.
 
@@ -47,11 +49,13 @@ def summarise(
         subset_size: Test faces in a subset.
         beside: Method of the paper to the one that its numbers stand beside, where that is another
             than `METHODS` says.
+        seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, of methods that
+            were trained from several.
 
     Returns:
-        `COLUMNS`, with a row for every method (measured, quoted or noted) and metric. A cell that
-        was not measured is empty and its `note` says why. `std` is that of a sample (n - 1). Notes
-        of a cell are separated by `"; "`.
+        `COLUMNS`, and with seeds `SEED_COLUMNS`, with a row for every method (measured, quoted or
+        noted) and metric. A cell that was not measured is empty and its `note` says why. `std` is
+        that of a sample (n - 1). Notes of a cell are separated by `"; "`.
 
     Raises:
         InputError: A column is missing, a row is there twice, or the experiment, a method or a
@@ -82,7 +86,8 @@ def summarise(
         _note(method, metric, row, method in run, notes.get(method))
         for (method, metric), row in table.iterrows()
     ]
-    return table.reset_index()[[*COLUMNS]]
+    table = table.reset_index()[[*COLUMNS]]
+    return table if seeds is None else table.join(_over_seeds(seeds), on=["method", "metric"])
 
 
 def write_tables(
@@ -94,18 +99,21 @@ def write_tables(
     notes: Mapping[str, str],
     per_face: Mapping[str, Mapping[str, np.ndarray]],
     beside: Mapping[str, str] = {},
+    seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
     """Write `table.csv`, `table.tex` and `wilcoxon.csv`.
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, experiment, subset_size, notes, beside: As for `summarise`.
+        metrics, experiment, subset_size, notes, beside, seeds: As for `summarise`.
         per_face: Metric to method to `(n,)`, of all test faces in one order.
 
     Returns:
         What `table.csv` holds.
     """
-    table = summarise(metrics, experiment, notes, subset_size=subset_size, beside=beside)
+    table = summarise(
+        metrics, experiment, notes, subset_size=subset_size, beside=beside, seeds=seeds
+    )
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
     write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face))
@@ -139,6 +147,12 @@ def write_csv(path: Path, table: pd.DataFrame) -> None:
     """Write CSV with eight significant digits, alike on every system."""
     text = table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
     write_text(path, text)
+
+
+def _over_seeds(seeds: pd.DataFrame) -> pd.DataFrame:
+    found = seeds.groupby(["method", "metric"])["value"].agg(["count", "median", "min", "max"])
+    found.columns = [*SEED_COLUMNS]
+    return found.astype({"n_seeds": "Int64"})
 
 
 def _checked(metrics: pd.DataFrame) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from experiments.metrics import Metric, metrics_of
 from experiments.published import unit_of
 from experiments.run import SCHEMES
 from experiments.scoring.latex import tabular
-from experiments.scoring.numbers import NOTHING, as_quoted, plus_minus, power, rounded
+from experiments.scoring.numbers import NOTHING, as_quoted, between, plus_minus, power, rounded
 
 _METHOD = ("", "Method")
 
@@ -85,6 +85,9 @@ def _cells(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> pd.Da
             paper = zip(rows["paper_mean"], rows["paper_std"], strict=True)
             cells[head, "paper"] = [as_quoted(*of, unit) for of in paper]
             cells[head, "here"] = [plus_minus(*of, unit) for of in ours]
+            if metric.over_seeds and "n_seeds" in rows:
+                spread = zip(rows["median"], rows["lowest"], rows["highest"], strict=True)
+                cells[head, "seeds"] = [between(*of, unit) for of in spread]
         else:
             cells[head, "here"] = [rounded(mean, metric.decimals) for mean, _ in ours]
     return pd.DataFrame(cells)
@@ -116,6 +119,11 @@ def _remarks(table: pd.DataFrame, experiment: str, metrics: list[Metric]) -> lis
     remarks += [
         f"Here: mean (± s.d.) over {n} random subsets of {size} test faces."
         for n, size in subsets.itertuples(index=False)
+    ]
+    remarks += [
+        f"Seeds: median [lowest, highest] of {n:.0f} trainings, each on faces of its own, over all "
+        "test faces."
+        for n in (table["n_seeds"].dropna().unique() if "n_seeds" in table else ())
     ]
     remarks.append(f"Paper: quoted from Kamyab and Azimifar. {NOTHING}: no number.")
     shown = table[table["metric"].isin([metric.id for metric in metrics])]

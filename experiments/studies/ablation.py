@@ -53,7 +53,7 @@ _IN_BATCHES = ("same_face", "shuffled", "same_face_stable", "shuffled_stable")
 
 def trainings(run: Run) -> list[tuple[Variant, int]]:
     """Every variant with every seed; those on fewer faces, of two networks each, with one."""
-    seeds = range(run.seed, run.seed + run.preset.n_seeds)
+    seeds = range(run.seed, run.seed + run.preset.ablation_seeds)
     of_net = [(variant, seed) for variant in VARIANTS for seed in seeds]
     return of_net + [(variant, run.seed) for variant in fewer_faces(run)]
 

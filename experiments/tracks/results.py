@@ -25,6 +25,7 @@ def write_results(
     scores: dict[str, Scores],
     remarks: Mapping[str, str] = {},
     beside: Mapping[str, str] = {},
+    seeds: pd.DataFrame | None = None,
 ) -> None:
     """Write `metrics.csv`, the tables and `figures/summary`, in the place of an earlier run's.
 
@@ -33,7 +34,7 @@ def write_results(
         folder: Of the results.
         metrics, scores: As from `scores.evaluate`.
         remarks: Notes on methods beside those of their rows.
-        beside: As for `tables.summarise`.
+        beside, seeds: As for `tables.summarise`.
     """
     found = {method: own.found for method, own in scores.items()}
     clear_results(folder)
@@ -46,6 +47,7 @@ def write_results(
         notes=notes(run, found) | dict(remarks),
         per_face=per_face(scores),
         beside=beside,
+        seeds=seeds,
     )
     save(summary(table, run.track), folder / "figures", "summary")
 

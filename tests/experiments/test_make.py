@@ -84,7 +84,7 @@ def test_the_makefile_hands_on_what_it_is_given(tmp_path):
     given = {"MODEL": "ict", "DATA": "data", "PRESET": "smoke", "SEED": "3", "PROTOCOL": "released",
              "COMA": "coma", "CASIA": "casia", "CASIA_INDEX": "index.csv", "CELEBA": "celeba",
              "TF_FLAME": "tf", "RINGNET": "net", "MOBILEFACE": "no", "MEDIAPIPE": "no", "JOBS": "2",
-             "FACES": "9"}  # fmt: skip
+             "FACES": "9", "SEEDS": "4"}  # fmt: skip
     files = {"data", "coma", "casia", "index.csv", "celeba", "tf", "net"}
     words = [f"{name}={tmp_path / v if v in files else v}" for name, v in given.items()]
     command = ["make", "--no-print-directory", "-n", "reproduce-flame", f"VENV={tmp_path}/venv"]
@@ -94,6 +94,7 @@ def test_the_makefile_hands_on_what_it_is_given(tmp_path):
     run = parse_run("", options.replace("'", "").replace("--authors ", "").split())
     assert (run.model, run.seed, run.protocol, run.jobs) == ("ict", 3, "released", 2)
     assert run.preset == replace(SMOKE, streamed_faces=9)
+    assert run.seeds == run.n_seeds == 4
     own = (run.data, run.coma, run.casia, run.casia_index, run.celeba, run.tf_flame, run.ringnet)
     assert {str(path) for path in own} == {str(tmp_path / name) for name in files}
     assert {*run.without} == {"MOBILEFACE", "MEDIAPIPE"}
@@ -117,6 +118,17 @@ def test_only_what_is_missing_is_run(run):
     assert would_run(run, "reproduce-bfm") == would_run(run, "reproduce-bfm", **alone) == []
     run.record_file("networks").unlink()
     assert would_run(run, "reproduce-bfm", **alone) == ["networks", "predictions", "bfm"]
+
+
+def test_other_seeds_are_trained_where_they_are_asked_for(run):
+    run = replace(run, without=("MOBILEFACE",))
+    finish(run, "faces", "networks", "predictions", "bfm")
+    assert would_run(run, "reproduce-bfm") == []
+    assert would_run(run, "reproduce-bfm", seeds=3) == ["seed", "seeds", "bfm"]
+    assert would_run(run, "seeds") == ["seed", "seeds", "rounding"]
+    finish(replace(run, seeds=3), "seed", "seeds", "bfm")
+    assert would_run(run, "reproduce-bfm", seeds=3) == would_run(run, "reproduce-bfm") == []
+    assert would_run(run, "reproduce-bfm", seeds=4) == ["seeds", "bfm"]
 
 
 def test_what_was_made_of_another_run_of_a_stage_is_run_again(run):

@@ -11,6 +11,7 @@ from data_gen.views.projections import PROJECTIONS
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
+from experiments.build_key import is_done
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors, drawn_of
@@ -25,7 +26,7 @@ from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.parameters import write_parameter_table
-from experiments.scoring.scores import Scores, evaluate, load_predictions
+from experiments.scoring.scores import Scores, evaluate, load_predictions, metrics_by_seed
 from experiments.tracks.bfm.released_evaluator import BESIDE, REMARKS, as_released
 from experiments.tracks.results import load_histories, write_results
 
@@ -96,7 +97,8 @@ def main(arguments: list[str] | None = None) -> None:
         shapes = {method: arrays["shapes"] for method, arrays in predictions.items()}
         metrics, scores = evaluate(run, test, shapes, descriptions)
         remarks, beside = (REMARKS, BESIDE) if released else ({}, {})
-        write_results(run, folder, metrics, scores, remarks, beside)
+        seeds = metrics_by_seed(run) if is_done(run, "seeds") and not released else None
+        write_results(run, folder, metrics, scores, remarks, beside, seeds)
         if not released:  # the other figures and tables are of the methods, however scored
             draw(run, test, scores, predictions, folder)
             parameters = run.model_results / "parameters"

@@ -93,6 +93,17 @@ def test_the_papers_numbers_have_the_digits_that_it_prints(metrics):
         assert f" {tex(row[1])} & " in line(latex(table, "flame"), row[0])
 
 
+def test_several_seeds_have_columns_and_a_range(metrics):
+    rows = [("ours", seed, "mse", value) for seed, value in enumerate((1e-4, 1.3e-4, 0.9e-4))]
+    seeds = pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
+    table = summarise(metrics, "bfm", NOTES, subset_size=500, seeds=seeds)
+    cells = table.set_index(["method", "metric"])[["n_seeds", "median", "lowest", "highest"]]
+    assert cells.loc["ours", "mse"].tolist() == [3, 1e-4, 0.9e-4, 1.3e-4]
+    assert cells.loc["linear", "mse"].isna().all()
+    assert "1.00 [0.90, 1.30]" in line(text(table, "bfm"), "Deep-MDS ")
+    assert "of 3 trainings" in text(table, "bfm")
+
+
 def test_a_plain_table_keeps_names_counts_and_what_is_missing():
     plain = pd.DataFrame({"method": ["a_b", "c"], "n_faces": [5, 12_000], "mse": [1.5e-5, np.nan]})
     first, second = plain_tabular(plain).splitlines()[5:7]

@@ -23,7 +23,7 @@ def run(tmp_path):
 def test_every_variant_is_trained_from_every_seed_and_has_files_of_its_own(run):
     trainings = ablation.trainings(run)
     of_net = [item for item in trainings if item[0] in VARIANTS]
-    assert len(of_net) == len(VARIANTS) * SMOKE.n_seeds
+    assert len(of_net) == len(VARIANTS) * SMOKE.ablation_seeds
     assert len(trainings) - len(of_net) == len(FEWER_FACES) * len(SMOKE.training_sizes)
     files = {
         variant.file(run, seed, kind) for variant, seed in trainings for kind in ("json", "npz")
@@ -90,7 +90,7 @@ def test_spread_is_over_the_seeds_of_a_variant_and_a_number_of_faces(run):
     metrics, losses = ablation.collected(run)
     table = ablation.spread(metrics).set_index(["variant", "faces", "metric"])
     own = table.loc[("shuffled", SMOKE.train_faces, "mse")]
-    assert (own["mean"], own["count"]) == (0.5, SMOKE.n_seeds)
+    assert (own["mean"], own["count"]) == (0.5, SMOKE.ablation_seeds)
     n = SMOKE.training_sizes[0]
     assert table.loc[("fewer_faces", n, "mse"), "mean"] == n
     first = losses[(losses["variant"] == "same_face") & (losses["seed"] == 0)]

@@ -1,7 +1,12 @@
 """The spread over seeds, and batch statistics estimated anew."""
 
+import json
+import shutil
+
 import numpy as np
 import pandas as pd
+import pytest
+import runs
 
 from deepmds_keras.networks import build_autoencoder, forward
 from experiments.studies.batchnorm import recalibrate_batchnorm
@@ -33,3 +38,36 @@ def test_spread_is_over_the_seeds_of_a_method():
     assert table.iloc[0].tolist()[:4] == ["ours", "mse", 2.0, 4.0]
     assert table.iloc[0][["min", "max", "count"]].tolist() == [1.0, 9.0, 3]
     assert table["method"].tolist() == ["ours", "ours_stable"]
+
+
+@pytest.mark.slow
+def test_the_table_shows_the_spread_over_seeds(whole_bfm, tmp_path):
+    """The first seed is the run itself; MSE and range are those of the seeds."""
+    shutil.copytree(whole_bfm.folder, tmp_path, dirs_exist_ok=True)
+    for stage in ("seed", "seeds", "bfm"):
+        runs.succeed(stage, tmp_path, "--seeds", "2", "--jobs", "1")
+    metrics = pd.read_csv(runs.results(tmp_path, "seeds") / "metrics.csv")
+    table = pd.read_csv(runs.results(tmp_path, "bfm") / "table.csv").set_index(["method", "metric"])
+    for method in ("ours", "ours_released", "ours_stable"):
+        own = metrics[(metrics["method"] == method) & (metrics["metric"] == "mse")]
+        assert own["seed"].tolist() == [0, 1]
+        first, second = own["value"]
+        assert first != second
+        row = table.loc[method, "mse"]
+        assert row["n_seeds"] == 2
+        assert row[["lowest", "highest"]].tolist() == sorted((first, second))
+        assert abs(row["median"] - (first + second) / 2) < 1e-9
+    assert table.loc["linear", "mse"][["n_seeds", "median"]].isna().all()
+    made = json.loads((runs.results(tmp_path, "bfm") / "manifest.json").read_text())
+    assert " SEEDS=2" in made["command"]
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_unless_it_is_rounded_otherwise(whole_bfm, tmp_path):
+    shutil.copytree(whole_bfm.folder, tmp_path, dirs_exist_ok=True)
+    runs.succeed("rounding", tmp_path)
+    table = pd.read_csv(runs.results(tmp_path, "rounding") / "table.csv").set_index("rounding")
+    errors = table["mse"]
+    assert errors["as trained"] == errors["again"]
+    assert errors["SSE 4.2 at most"] != errors["again"]
+    assert (abs(errors / errors["again"] - 1) < 0.1).all()
