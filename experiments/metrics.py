@@ -140,8 +140,17 @@ METRICS = {
         Metric(
             id="ms_per_face",
             head="ms/face",
-            legend="time of a prediction",
+            legend="time of a prediction, median of several taken in turns",
             shown=_TERMINAL,
+        ),
+        *(
+            Metric(
+                id=f"ms_per_face_{end}",
+                head=f"ms/face, {end}",
+                legend=f"{end} time of a prediction",
+                shown=frozenset(),
+            )
+            for end in ("lowest", "highest")
         ),
         Metric(
             id="n_parameters",

@@ -184,9 +184,11 @@ def tables(folder: Path) -> dict[str, list[list[str]]]:
     for path in sorted((folder / "results").rglob("*.csv")):
         with open(path, encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
-        columns = [k for k, name in enumerate(header) if name != "ms_per_face"]
+        columns = [k for k, name in enumerate(header) if "ms_per_face" not in name]
         found[str(path.relative_to(folder))] = [
-            [row[k] for k in columns] for row in (header, *rows) if "ms_per_face" not in row[:2]
+            [row[k] for k in columns]
+            for row in (header, *rows)
+            if not any("ms_per_face" in cell for cell in row[:2])
         ]
     return found
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.bench.memory import NO_GAUGE, peak_memory_mb
+from experiments.timing import seconds_in_turns
 
 # The ways with which others are compared.
 RELEASED, SKLEARN, BATCHED = BASELINES = "released", "sklearn", "batched"
@@ -70,13 +70,12 @@ def measure(
         _first_pass(way.call) if run else (math.nan,) * 2
         for way, run in zip(ways, timed, strict=True)
     ]
-    seconds = [[own] for own, _ in first]
+    seconds = [own for own, _ in first]
     again = [k for k, (own, _) in enumerate(first) if passes and own < _LONG]
-    for k in again:
-        seconds[k].clear()
-    for _ in range(passes):
-        for k in again:
-            seconds[k].append(_seconds(ways[k].call))
+    if again:
+        taken = seconds_in_turns([ways[k].call for k in again], passes)
+        for k, median in zip(again, np.median(taken, axis=0), strict=True):
+            seconds[k] = median
     rows = []
     for k, way in enumerate(ways):
         memory = first[k][1]
@@ -95,7 +94,7 @@ def measure(
                 "n_landmarks": way.n_landmarks,
                 "n_faces": way.n_faces,
                 "jobs": way.jobs,
-                "seconds": float(np.median(seconds[k])),
+                "seconds": float(seconds[k]),
                 "peak_memory_mb": memory,
                 "note": "; ".join(filter(None, notes)),
             }
@@ -140,11 +139,5 @@ def _estimate(way: Implementation, before: Iterable[dict]) -> float:
 
 def _first_pass(call):
     taken = []
-    memory = peak_memory_mb(lambda: taken.append(_seconds(call)))
+    memory = peak_memory_mb(lambda: taken.append(seconds_in_turns([call], 1).item()))
     return taken[0], memory
-
-
-def _seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start

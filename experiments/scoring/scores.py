@@ -23,13 +23,15 @@ from experiments.streams import Stream
 
 def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
     """Arrays and description of the predictions of every method whose stage is complete."""
-    methods = load_record(run, "predictions")["methods"]
+    record = load_record(run, "predictions")
+    methods, times = record["methods"], record.get("times", {})
     others = {method.stage for method in METHODS.values()} - {"predictions", None}
     for name in sorted(others):
         name = run.ringnet_stage if name == "ringnet" else name
         if (run.work / f"{name}.json").exists():
             methods = methods + load_record(run, name).get("methods", [name])
-    return {method: load_prediction(run, method) for method in methods}
+    found = {method: load_prediction(run, method) for method in methods}
+    return {m: (arrays, told | times.get(m, {})) for m, (arrays, told) in found.items()}
 
 
 def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -15,7 +14,8 @@ from experiments.inputs import Faces, load_faces
 from experiments.methods import Method, load, methods_of
 from experiments.progress import Bar
 from experiments.run import Run
-from experiments.running import call_single_threaded, single_threaded, stage
+from experiments.running import call_single_threaded, stage
+from experiments.timing import prediction_times
 
 _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their own
 
@@ -23,11 +23,14 @@ _FACES_PER_CHUNK = 250  # of the progress bar of methods that have none of their
 def predict(run: Run, test: Faces, method: Method) -> None:
     """Write the predictions of one method, unless they are there."""
     if not run.prediction_file(method.id).exists():
-        write_prediction(run, method, load(run, method.id), method.sees(test))
+        write_prediction(run, method, load(run, method.id), method.sees(test), alone=False)
 
 
-def write_prediction(run: Run, method: Method, model, inputs) -> None:
-    """Write what a trained method makes of its inputs, views or images: one of each test face."""
+def write_prediction(run: Run, method: Method, model, inputs, *, alone: bool = True) -> None:
+    """Write what a trained method makes of its inputs, views or images: one of each test face.
+
+    Its time is written too if it is `alone` in its stage.
+    """
     with Bar(total=len(inputs), desc=method.id, unit="face") as bar:
         if isinstance(model, DeepMDS):
             arrays = {
@@ -43,8 +46,10 @@ def write_prediction(run: Run, method: Method, model, inputs) -> None:
     described = {
         "method": method.id,
         "n_parameters": int(model.n_parameters),
-        "ms_per_face": milliseconds_per_face(model, inputs[: run.preset.timed_faces]),
     }
+    if alone:
+        (times,) = prediction_times([model], [inputs[: run.preset.timed_faces]])
+        described |= times
     write_shapes(run, method.id, arrays, described)
 
 
@@ -63,19 +68,12 @@ def write_shapes(run: Run, method: str, arrays: dict[str, np.ndarray], described
     write_arrays(path, {k: np.float32(a) for k, a in arrays.items()}, described)
 
 
-def milliseconds_per_face(model, inputs: np.ndarray) -> float:
-    """Time of one call of `predict` for all the inputs, in this process, after one to warm up.
-
-    Matrices are multiplied by one thread: of Aldrian's, which are small, many take far longer.
-    """
-    if isinstance(model, DeepMDS):
-        model = model.set_params(n_jobs=1)
-    predict: Callable = model.predict
-    with single_threaded():
-        predict(inputs)
-        start = time.perf_counter()
-        predict(inputs)
-        return 1000 * (time.perf_counter() - start) / len(inputs)
+def times_of(run: Run, test: Faces, methods: Sequence[Method]) -> dict[str, dict[str, float]]:
+    """Method to its times, as `prediction_times` returns them, taken in turns."""
+    timed = test[: run.preset.timed_faces]
+    models = [load(run, method.id) for method in methods]
+    times = prediction_times(models, [method.sees(timed) for method in methods])
+    return {method.id: own for method, own in zip(methods, times, strict=True)}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -86,3 +84,4 @@ def main(arguments: list[str] | None = None) -> None:
         record["methods"] = [method.id for method in methods]
         for method in methods:
             predict(run, test, method)
+        record["times"] = times_of(run, test, methods)

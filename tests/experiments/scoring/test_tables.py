@@ -191,4 +191,4 @@ def test_parameters_are_counted_from_the_networks(metrics):
     assert int(ringnet["trainable"]) > 23_534_592 and ringnet["paper"] == "> 23000000"
     assert [*table.loc["mediapipe", ["trainable", "paper"]]] == ["", "Not found"]
     row = line(parameters.latex(table.reset_index()), "MediaPipe")
-    assert row == r"MediaPipe & -- & -- & Not found & O(1) & O(1) & -- \\"
+    assert row == r"MediaPipe & -- & -- & Not found & O(1) & O(1) & -- & -- & -- \\"
