@@ -31,8 +31,8 @@ DASK_ADDRESS ?=
 RAY_ADDRESS ?=
 export JOBLIB_BACKEND DASK_ADDRESS RAY_ADDRESS
 
-ifeq ($(filter yes no,$(MOBILEFACE)),)
-$(error MOBILEFACE must be yes or no. Received $(MOBILEFACE))
+ifeq ($(filter yes paper no,$(MOBILEFACE)),)
+$(error MOBILEFACE must be yes, paper or no. Received $(MOBILEFACE))
 endif
 ifeq ($(filter yes no,$(MEDIAPIPE)),)
 $(error MEDIAPIPE must be yes or no. Received $(MEDIAPIPE))
@@ -46,7 +46,7 @@ RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        --coma '$(COMA)' --casia '$(CASIA)' --casia-index '$(CASIA_INDEX)' \
        --celeba '$(CELEBA)' --tf-flame '$(TF_FLAME)' --ringnet '$(filter-out yes no,$(RINGNET))' \
        $(if $(FACES),--faces $(FACES)) \
-       $(if $(SEEDS),--seeds $(SEEDS)) \
+       $(if $(SEEDS),--seeds $(SEEDS)) $(if $(filter paper,$(MOBILEFACE)),--mobileface paper) \
        $(foreach switch,MOBILEFACE MEDIAPIPE RINGNET,$(if $(filter no,$($(switch))),--without $(switch)))
 # No start-up notices, and sums in one order whatever the processor offers.
 export TF_CPP_MIN_LOG_LEVEL := 3
@@ -57,7 +57,8 @@ help: ## what there is (this text)
 	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '     stream: [FACES=1000000]'
 	@echo '     on a cluster: [JOBLIB_BACKEND=dask DASK_ADDRESS=tcp://host:port]'
-	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|no] [SEEDS=10]'
+	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|paper|no]'
+	@echo '                    [SEEDS=10]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
 	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'

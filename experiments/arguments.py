@@ -9,7 +9,7 @@ from pathlib import Path
 from data_gen.models.registry import MODELS
 from data_gen.views.projections import PROTOCOLS
 from experiments.presets import PRESETS
-from experiments.run import AUTHORS_FILES, EVALUATORS, SCHEMES, Run
+from experiments.run import AUTHORS_FILES, EVALUATORS, MOBILEFACES, SCHEMES, Run
 from experiments.stages import SWITCHES
 
 _PATHS = ("data", "coma", "casia", "celeba", "tf_flame", "casia_index")
@@ -33,6 +33,7 @@ def parse_run(description: str, arguments: list[str] | None = None) -> Run:
     add("--celeba", metavar="DIR", help="folder of the data set CelebA, instead of its stand-in")
     add("--tf-flame", metavar="DIR", help="folder of photos with 51 landmarks, for a figure")
     add("--evaluator", choices=EVALUATORS, default="paper", help="how predictions are scored")
+    add("--mobileface", choices=MOBILEFACES, default="cosine", help="how MobileFace is trained")
     add("--casia-index", metavar="CSV", help="table of the scans of CASIA-3D that are used")
     add("--ringnet", metavar="PREFIX", help="checkpoint of the licensed RingNet, to use that one")
     add("--without", choices=SWITCHES, action="append", default=[], help="stages to leave out")

@@ -20,13 +20,15 @@ from experiments.stages import stage_of
 # What a folder of arrays is of, from its first stage to its last. Of other files of the rest,
 # stages are run again.
 _KEY = ("MODEL", "COMA", "CASIA", "CELEBA")
+# Variables that name no file.
+_WORDS = {"SEEDS": lambda run: str(run.n_seeds), "MOBILEFACE": lambda run: run.mobileface}
 _KEY_FILE = "key.json"
 
 
 def inputs_of(run: Run, stage: str) -> dict[str, str]:
     """sha256 of the files that a stage reads from outside the build, as far as they are named.
 
-    Beside them, its number of seeds.
+    Beside them, the words that it depends on.
 
     Returns:
         By variable of `make`; of the authors' weights and of the licensed RingNet for each file.
@@ -43,8 +45,8 @@ def inputs_of(run: Run, stage: str) -> dict[str, str]:
 
 @functools.cache
 def _hashes(run: Run, variable: str) -> dict[str, str]:
-    if variable == "SEEDS":
-        return {variable: str(run.n_seeds)}
+    if variable in _WORDS:
+        return {variable: _WORDS[variable](run)}
     if variable in ("COMA", "CASIA", "CELEBA"):
         folder = run.folder_of(variable.lower())
         return {variable: "stand-in" if folder is None else _listing(run, variable, folder)}

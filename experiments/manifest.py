@@ -54,6 +54,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "RINGNET": run.ringnet,
         "FACES": str(run.preset.streamed_faces) if target == "stream" else None,
         "SEEDS": str(run.n_seeds) if "seeds" in done else None,
+        "MOBILEFACE": "paper" if run.mobileface == "paper" and "mobileface" in done else None,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }
     own = [stage for goal in stages_to(target) for stage in goal.needed if stage.switch]

@@ -251,14 +251,30 @@ def load_zhao(run: Run, name: str) -> Zhao:
 # MobileFace, which sees images
 
 
+def mobileface_recipe(run: Run) -> tuple[str, int]:
+    """Schedule of the learning rate and epochs."""
+    preset = run.preset
+    return {
+        "cosine": ("cosine", preset.mobileface_epochs),
+        "paper": ("constant", preset.mobileface_paper_epochs),
+    }[run.mobileface]
+
+
+def mobileface_file(run: Run) -> Path:
+    """Checkpoint."""
+    return run.network_file(f"mobileface-{run.mobileface}")
+
+
 def _mobileface(run: Run) -> MobileFace:
     from deepmds_keras.baselines.mobileface import MobileFace
 
+    schedule, epochs = mobileface_recipe(run)
     return MobileFace(
         *load_landmark_model(run),
         load_shape_gram(run),
         standardise="batch" if run.protocol == "released" else "face",
-        epochs=run.preset.mobileface_epochs,
+        schedule=schedule,
+        epochs=epochs,
         steps_per_epoch=run.preset.mobileface_steps,
         seed=run.seed,
     )
@@ -267,11 +283,11 @@ def _mobileface(run: Run) -> MobileFace:
 def train_mobileface(run: Run) -> MobileFace:
     """Train on the run's images."""
     images = load_images(run, "train")
-    with EpochBar("mobileface", run.preset.mobileface_epochs) as bar:
+    with EpochBar("mobileface", mobileface_recipe(run)[1]) as bar:
         return _mobileface(run).fit(
             images,
             load_dataset(run.work / "train.npz").identity[: len(images)],
-            checkpoint=run.network_file("mobileface"),
+            checkpoint=mobileface_file(run),
             progress=bar.losses,
         )
 
@@ -279,7 +295,7 @@ def train_mobileface(run: Run) -> MobileFace:
 def load_mobileface(run: Run) -> MobileFace:
     """Return the net as trained."""
     with _trained_by(run, "mobileface"):
-        return _mobileface(run).restore(run.network_file("mobileface"))
+        return _mobileface(run).restore(mobileface_file(run))
 
 
 def mobileface_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:

@@ -8,17 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.inputs import load_landmark_model
-from experiments.recipes import LIFTING_NOISE
+from experiments.recipes import LIFTING_NOISE, mobileface_recipe
 from experiments.run import Run
+
+_RATES = {"cosine": "learning rate that decays to 0", "constant": "constant learning rate"}
 
 
 def of_mobileface(run: Run, found: np.ndarray) -> str:
     if run.track == "celeba":
         return "trained on renders before an empty background, as on the BFM track"
-    steps = run.preset.mobileface_epochs * run.preset.mobileface_steps
-    of_all = "as many as in the released code" if steps == 100_000 else "the released code: 100,000"
+    schedule, epochs = mobileface_recipe(run)
     return (
-        f"trained for {steps:,} steps of 16 images ({of_all}) to find "
+        f"trained for {epochs * run.preset.mobileface_steps:,} steps of 16 images at a "
+        f"{_RATES[schedule]} (the released code: 100,000 at a constant one) to find "
         f"{len(load_landmark_model(run)[1])} coefficients of the face model"
     )
 

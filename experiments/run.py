@@ -9,6 +9,7 @@ from deepmds_keras.io.errors import InputError
 from experiments.presets import Preset
 
 EVALUATORS = ("paper", "released")
+MOBILEFACES = ("cosine", "paper")
 # The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
 # release; and the CelebA experiment, which tests the networks of the first half.
 SCHEMES = {"bfm": "bfm72", "flame": "ibug51", "celeba": "bfm72"}
@@ -49,6 +50,8 @@ class Run:
         authors: Folder of the authors' released weights, or None.
         evaluator: How predictions are scored, one of `EVALUATORS`.
         ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
+        mobileface: How MobileFace is trained, one of `MOBILEFACES`: with a cosine schedule, or as
+            the paper's authors did, which takes longer.
         seeds: Number of seeds over which the BFM table shows Deep-MDS, or None: of its own alone.
         without: Variables of `make` that leave stages out.
         jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
@@ -69,6 +72,7 @@ class Run:
     authors: str | None = None
     evaluator: str = "paper"
     ringnet: str | None = None
+    mobileface: str = "cosine"
     seeds: int | None = None
     without: tuple[str, ...] = ()
     jobs: int = -1

@@ -22,7 +22,7 @@ class Stage:
         module: Below `experiments`, whose `main` it is.
         needs: Stages whose files it reads: their names, with `track/` before those of another.
         reads: Variables of `make` that name files it reads; `MODEL` stands for the face model's,
-            `SEEDS` is a number.
+            `SEEDS` and `MOBILEFACE` are words.
         switch: Variable of `make` that leaves it out where it is `no`.
         asked: Attribute of a run without which no other stage needs it.
         given: Attribute of a run without which it is left out.
@@ -78,7 +78,7 @@ STAGES = (
     Stage("bfm", "networks", "tracks.networks", needs=("faces",)),
     Stage("bfm", "predictions", "tracks.predictions", needs=("authors", "networks")),
     Stage("bfm", "images", "tracks.bfm.images", needs=("faces",), reads=_MODEL),
-    Stage("bfm", "mobileface", "tracks.mobileface", needs=("images",),
+    Stage("bfm", "mobileface", "tracks.mobileface", needs=("images",), reads=("MOBILEFACE",),
           switch="MOBILEFACE", onednn=True),
     Stage("bfm", "seed", "studies.seed", needs=("faces",)),
     Stage("bfm", "seeds", "studies.seeds", needs=("seed",), reads=("MODEL", "SEEDS"),

@@ -17,6 +17,7 @@ from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.networks import count_trainable, draw_kernels, forward_images
 from deepmds_keras.photos import IMAGE_SIZE
 from deepmds_keras.training import (
+    Recipe,
     face_order,
     image_batches,
     restore_network,
@@ -69,7 +70,8 @@ class MobileFace(BaseEstimator):
         shape_gram: `(K, K)` mean over all coordinates of the mesh of the product of two components'
             offsets at one s.d., square millimetres.
         standardise: One of `STANDARDISED`: over what, in training.
-        learning_rate: Of Adam.
+        schedule: `"constant"` learning rate, as the authors have it, or `"cosine"` decay to zero.
+        learning_rate: Of Adam, at the start.
         epochs: Rounds of `steps_per_epoch` mini-batches.
         steps_per_epoch: Mini-batches in an epoch.
         batch_size: Faces in a mini-batch.
@@ -88,6 +90,7 @@ class MobileFace(BaseEstimator):
         shape_gram: np.ndarray | None = None,
         *,
         standardise: str = "face",
+        schedule: str = "constant",
         learning_rate: float = 1e-3,
         epochs: int = 200,
         steps_per_epoch: int = 500,
@@ -98,6 +101,7 @@ class MobileFace(BaseEstimator):
         self.landmark_basis_times_sd = landmark_basis_times_sd
         self.shape_gram = shape_gram
         self.standardise = standardise
+        self.schedule = schedule
         self.learning_rate = learning_rate
         self.epochs = epochs
         self.steps_per_epoch = steps_per_epoch
@@ -139,8 +143,8 @@ class MobileFace(BaseEstimator):
         loss = self._loss()
         network = build_mobileface_net(n_coefficients, seed=self.seed)
         steps, batch = self.steps_per_epoch, self.batch_size
-        optimizer = keras.optimizers.Adam(self.learning_rate)
-        network.compile(optimizer, loss, steps_per_execution=steps_per_call(steps))
+        recipe = Recipe(self.epochs, steps, self.schedule, self.learning_rate, batch)
+        network.compile(recipe.optimizer(steps), loss, steps_per_execution=steps_per_call(steps))
 
         def batches(epoch: int) -> tf.data.Dataset:
             order = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)

@@ -102,7 +102,7 @@ def test_the_makefile_hands_on_what_it_is_given(tmp_path):
         ["make", "-n", "reproduce-bfm", "MOBILEFACE=nein"],
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
-    assert "MOBILEFACE must be yes or no. Received nein" in refused.stderr
+    assert "MOBILEFACE must be yes, paper or no. Received nein" in refused.stderr
 
 
 # What is missing.

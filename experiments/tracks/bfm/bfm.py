@@ -23,6 +23,7 @@ from experiments.inputs import (
     load_faces,
 )
 from experiments.manifest import clear_results, records_of, write_manifest
+from experiments.recipes import mobileface_file
 from experiments.run import Run
 from experiments.running import stage
 from experiments.scoring.parameters import write_parameter_table
@@ -49,7 +50,7 @@ def draw(
         files, first = image_files(run, "test"), range(min(_RENDERS, len(test.views)))
         figure = renders(files[slice(len(first))], files.landmarks(first), scheme)
         save(figure, figures, "renders")
-        mobileface = read_arrays(run.network_file("mobileface"))[1]["history"]
+        mobileface = read_arrays(mobileface_file(run))[1]["history"]
     save(learning_curves(load_histories(run), mobileface), figures, "learning_curves")
 
     titles, faces = typical_faces(test, scores["ours"].mse)
