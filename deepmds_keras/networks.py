@@ -47,7 +47,7 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
 
 
 def build_dissimilarity_net(
-    variant: str = "paper", *, seed: int = 0, short_connection: bool = True
+    variant: str = "paper", *, seed: int = 0, chain: tuple[int, int] | None = None
 ) -> keras.Model:
     """The five-layer net that estimates the 3D distance of a pair of landmarks.
 
@@ -58,7 +58,8 @@ def build_dissimilarity_net(
         variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
             (5 features, 2,423 of 2,625); see `pair_features`.
         seed: Of the initial weights.
-        short_connection: False leaves it out, to see what it is good for.
+        chain: Number of hidden layers and units of each, of a net without a short connection, to
+            see what the paper's is good for; None is the paper's.
 
     Returns:
         Model from `(P, F)` features to `(P, 1)` distances in the unit of `normalise`.
@@ -69,26 +70,29 @@ def build_dissimilarity_net(
     if variant not in VARIANTS:
         raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
     pair = keras.Input((VARIANTS[variant],), name="pair_features")
-    distance = distance_layers(dense_blocks(seed), pair, 20, short_connection=short_connection)
-    name = f"dissimilarity_{variant}" + "_chain" * (not short_connection)
-    return keras.Model(pair, distance, name=name)
+    dense, name = dense_blocks(seed), f"dissimilarity_{variant}"
+    if chain is None:
+        return keras.Model(pair, distance_layers(dense, pair, 20), name=name)
+    x, (n_layers, units) = pair, chain
+    for k in range(1, n_layers + 1):
+        x = dense(x, units, f"hidden_{k}")
+    distance = dense(x, 1, "distance", activated=False)
+    return keras.Model(pair, distance, name=f"{name}_chain_{n_layers}x{units}")
 
 
-def distance_layers(dense: Callable, pair, units: int, *, short_connection: bool = True):
+def distance_layers(dense: Callable, pair, units: int):
     """Layers of the dissimilarity net, from what is known of pairs to their distances.
 
     Args:
         dense: As from `dense_blocks`.
         pair: Tensor `(P, F)`.
         units: Of each hidden layer.
-        short_connection: As for `build_dissimilarity_net`.
     """
     x = dense(pair, units, "hidden_1")
     second = x = dense(x, units, "hidden_2")
     x = dense(x, units, "hidden_3")
     x = dense(x, units, "hidden_4")
-    if short_connection:
-        x = layers.Concatenate(name="short_connection")([second, x])
+    x = layers.Concatenate(name="short_connection")([second, x])
     x = dense(x, units, "hidden_5")
     return dense(x, 1, "distance", activated=False)
 

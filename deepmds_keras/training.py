@@ -108,7 +108,7 @@ def train_dissimilarity_net(
     *,
     variant: str = "paper",
     shuffled: bool = False,
-    short_connection: bool = True,
+    chain: tuple[int, int] | None = None,
     seed: int = 0,
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
@@ -122,7 +122,7 @@ def train_dissimilarity_net(
         frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
         shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
         recipe: Epochs, steps (faces) in an epoch and learning rate.
-        variant, short_connection: As for `build_dissimilarity_net`.
+        variant, chain: As for `build_dissimilarity_net`.
         shuffled: Whether a mini-batch is as many pairs as one face has, drawn from all faces (the
             other scheme of the paper's "Ablation Study").
         seed: Of the initial weights and of the order of the faces.
@@ -141,7 +141,7 @@ def train_dissimilarity_net(
     else:
         first, second = np.triu_indices(n_landmarks, 1)
     steps = recipe.steps_per_epoch or n
-    model = build_dissimilarity_net(variant, seed=seed, short_connection=short_connection)
+    model = build_dissimilarity_net(variant, seed=seed, chain=chain)
     # Element-wise work on thousands of pairs is most of a step, which XLA fuses.
     model.compile(
         recipe.optimizer(steps),

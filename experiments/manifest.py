@@ -20,6 +20,11 @@ from experiments.stages import STAGES, stage_of, stages_to
 
 MANIFEST = "manifest.json"
 
+# What runs write.
+_WRITTEN = tuple(
+    f":!/{folder}"
+    for folder in ("results", "deepmds_keras/pretrained", "deepmds_keras/detection/measured_errors")
+)
 _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
     "scikit-learn", "scipy", "tensorflow", "tensorflow-cpu", "vtk",
@@ -176,10 +181,10 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """Commit of the code, with a `+` if files that git knows, results aside, were changed since."""
+    """Commit of the code, with a `+` if files that git knows were changed since, but by runs."""
     try:
         commit = _git("rev-parse", "--short=12", "HEAD")
-        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit + "+" * bool(changed)

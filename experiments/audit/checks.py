@@ -9,6 +9,7 @@ from experiments.audit import (
     bias,
     complexity,
     criteria,
+    data_sets,
     dissimilarity,
     lifted_distances,
     mini_batches,
@@ -17,6 +18,7 @@ from experiments.audit import (
     occlusion,
     parameter_counts,
     perspective,
+    posed_photos,
     poses,
     ranking,
     significance,
@@ -26,12 +28,16 @@ from experiments.audit.findings import Finding
 
 _TOPICS = (
     dissimilarity, parameter_counts, complexity, poses, perspective, occlusion, mini_batches,
-    criteria, significance, ranking, zhao, bias, not_testable, noise, lifted_distances,
+    criteria, significance, ranking, zhao, bias, posed_photos, data_sets, not_testable, noise,
+    lifted_distances,
 )  # fmt: skip
 # By name: modules whose `measure` gives their checks the inputs.
 TOPICS: dict[str, ModuleType] = {module.__name__.rpartition(".")[2]: module for module in _TOPICS}
 # What is measured anew each time: it takes seconds, or is of results that may have changed.
-NOT_KEPT = ("parameter_counts", "mini_batches", "ranking", "zhao", "not_testable")
+NOT_KEPT = (
+    "parameter_counts", "mini_batches", "ranking", "zhao", "posed_photos", "data_sets",
+    "not_testable",
+)  # fmt: skip
 
 # By the ids of `results/published/claims.csv`.
 CHECKS: dict[str, Callable[..., Finding]] = {
@@ -49,6 +55,8 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "inference-time": parameter_counts.inference_time,
     "cubic-time": complexity.cubic_time,
     "many-landmarks": complexity.many_landmarks,
+    "complexity-others": complexity.others_as_printed,
+    "aldrian-slower": parameter_counts.aldrian_slower,
     "frontal-view": poses.frontal_view,
     "autoencoder-needed": poses.autoencoder_needed,
     "projection-independent": poses.projection_independent,
@@ -56,11 +64,13 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "occlusion": occlusion.occlusion,
     "mini-batches": mini_batches.same_face_batches,
     "short-connection": mini_batches.short_connection,
+    "five-layers": mini_batches.five_layers,
     "mse-formula": criteria.mse_formula,
     "depth-corr-meaning": criteria.depth_corr_meaning,
     "depth-corr-percent": criteria.depth_corr_percent,
     "casia-depth-corr": criteria.casia_depth_corr,
     "p-value": significance.p_value,
+    "p-value-casia": significance.p_value_of_casia,
     "significance": significance.samplings,
     "bfm-mse": ranking.as_printed,
     "training-luck": mini_batches.known_to,
@@ -74,7 +84,11 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "celeba-mobileface": ranking.celeba_like_mobileface,
     "celeba-zhao": zhao.celeba_score,
     "casia-comparable": ranking.casia_like_others,
+    "pose-51": posed_photos.pose_invariant_51,
+    "mediapipe-poses": posed_photos.mediapipe_poses,
     "bfm-triangles": not_testable.triangles,
+    "coma-vertices": data_sets.coma_vertices,
+    "test-set-size": data_sets.size_of_test_sets,
     "first-use": not_testable.first_use,
     "landmark-noise": noise.withstands,
     "missing-landmarks": occlusion.missing_landmarks,

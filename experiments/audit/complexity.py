@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from deepmds_keras.embedding import classical_scaling, embed, pairwise_distances
+from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import pair_features
 from experiments.audit.evidence import Inputs
 from experiments.audit.findings import Finding, does_not_hold, holds
 from experiments.running import single_threaded
 from experiments.scoring.numbers import factor
 from experiments.streams import Stream
+from experiments.timing import seconds_in_turns
 
 # An exponent is the slope of a straight line through a few measured times.
 _TOLERANCE = 0.2
@@ -50,6 +52,7 @@ def measure(inputs: Inputs) -> dict:
     whole = np.add(by_part[EMBEDDING], by_part[NET])
     iterations = np.subtract(by_part[EMBEDDING], by_part[START]) / by_part[ITERATION]
     return {
+        "growth_of_others": growth_of_others(inputs, numbers, rng),
         "landmarks": numbers,
         "whole_ms": (1000 * whole).tolist(),
         "iterations": iterations.tolist(),
@@ -84,6 +87,23 @@ def cubic_time(
     return holds(f"{evidence} The claim is an upper bound.")
 
 
+def others_as_printed(
+    growth_of_others: Mapping[str, float], landmarks: Sequence[int], zhao: float, aldrian: float
+) -> Finding:
+    """Have the compared methods the printed complexities?"""
+    own = growth_of_others
+    evidence = (
+        f"From {landmarks[0]} to {landmarks[-1]} landmarks the parameters of Zhao's net, each of "
+        f"which a prediction uses once, grow as the number to the power {own['zhao']:.2f} (printed "
+        f"{zhao:g}): its layers are as wide as the view. The time of Aldrian's fit grows as "
+        f"{own['aldrian']:.2f} (printed {aldrian:g}). The networks of MobileFace and RingNet see "
+        "an image, whose size the number does not change."
+    )
+    if own["zhao"] > zhao + _TOLERANCE or own["aldrian"] > aldrian + _TOLERANCE:
+        return does_not_hold(evidence)
+    return holds(f"{evidence} The claims are upper bounds.")
+
+
 def many_landmarks(landmarks: Sequence[int], whole_ms: Sequence[float]) -> Finding:
     """Does a prediction take longer with more landmarks?"""
     first, last = whole_ms[0], whole_ms[-1]
@@ -93,6 +113,25 @@ def many_landmarks(landmarks: Sequence[int], whole_ms: Sequence[float]) -> Findi
         f"{factor(last / first)} times as long."
     )
     return holds(evidence) if last > first else does_not_hold(evidence)
+
+
+def growth_of_others(
+    inputs: Inputs, numbers: Sequence[int], rng: np.random.Generator
+) -> dict[str, float]:
+    """Exponents of the growth of Zhao's parameters, and of the time of Aldrian's fit to a face."""
+    from deepmds_keras.baselines.aldrian import Aldrian
+    from deepmds_keras.baselines.zhao import build_zhao_net
+
+    fits = []
+    for n in numbers:
+        part = inputs.model.restrict(rng.choice(inputs.model.n_vertices, n, replace=False))
+        fit = Aldrian(part.mean, part.identity_basis_times_sd)
+        view = normalise(part.mean[None, :, :2])
+        fits.append(lambda fit=fit, view=view: fit.predict(view))
+    with single_threaded():
+        times = np.median(seconds_in_turns(fits, _ROUNDS + 1)[1:], axis=0)
+    parameters = [build_zhao_net(n).count_params() for n in numbers]
+    return {"zhao": growth(numbers, parameters), "aldrian": growth(numbers, times)}
 
 
 def growth(numbers: Sequence[int], times: Sequence[float]) -> float:

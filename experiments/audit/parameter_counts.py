@@ -202,6 +202,20 @@ def inference_time(milliseconds: Mapping, embedding_share: float) -> Finding:
     return holds(f"{evidence} That is {slower} times the slowest of the compared networks.")
 
 
+def aldrian_slower(milliseconds: Mapping) -> Finding:
+    """Aldrian's method takes longer for a face than the framework."""
+    fits = {m: own for m, own in milliseconds.items() if m.startswith("aldrian")}
+    if "ours" not in milliseconds or not fits:
+        return unknown("`make reproduce-bfm`")
+    ours = milliseconds["ours"]
+    evidence = (
+        f"A face takes {title('ours')} {scientific(ours, 2)} ms, with scikit-learn's MDS; "
+        + enumeration([f"{title(method)} {scientific(own, 2)} ms" for method, own in fits.items()])
+        + ". Both are this project's code, in Python on one core."
+    )
+    return holds(evidence) if ours < min(fits.values()) else does_not_hold(evidence)
+
+
 def _counts(network) -> dict[str, int]:
     return {"trainable": count_trainable(network), "total": network.count_params()}
 
@@ -220,5 +234,5 @@ def milliseconds_of(metrics: pd.DataFrame | None) -> dict[str, float]:
     if metrics is None:
         return {}
     times = metrics[metrics["metric"] == "ms_per_face"].set_index("method")["value"]
-    compared = ("ours", "zhao", "mobileface", "aldrian")
+    compared = ("ours", "zhao", "mobileface", "aldrian", "aldrian_authors")
     return {method: float(times[method]) for method in compared if method in times}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -48,15 +49,15 @@ def measure(inputs: Inputs) -> dict:
     models[WITHOUT] = without_autoencoder(models["ours"])
     autoencoders = {method: models[method] for method in _OURS}
     faces = inputs.audited[:_FACES_SWEPT]
-    views = _sweep(inputs.test_dataset.landmarks[faces].astype(float))
-    curves = _curves(models, views, inputs.test[faces])
+    views = sweep_views(inputs.test_dataset.landmarks[faces].astype(float))
+    rows = curves(models, views, inputs.test[faces])
     return {
-        "curves": curves,
+        "curves": rows,
         "faces_swept": len(faces),
         "by_kind": _by_kind(inputs),
         "swept": {
             m: {
-                sweep: [row["mse"] for row in curves if (row["method"], row["sweep"]) == (m, sweep)]
+                sweep: [row["mse"] for row in rows if (row["method"], row["sweep"]) == (m, sweep)]
                 for sweep in SWEEPS
             }
             for m in models
@@ -213,10 +214,11 @@ def reach(values, errors, bound: float) -> list[float] | None:
     return [float(inside.min()), float(inside.max())]
 
 
-def _sweep(landmarks: np.ndarray) -> dict[str, np.ndarray]:
-    """Normalised views of every face for every value of a sweep in turn."""
+def sweep_views(landmarks: np.ndarray, sweeps: Sequence[str] = (*SWEEPS,)) -> dict[str, np.ndarray]:
+    """Normalised views of every face `(n, L, 3)` for every value of a sweep in turn."""
     views = {}
-    for sweep, values in SWEEPS.items():
+    for sweep in sweeps:
+        values = SWEEPS[sweep]
         angles = {angle: np.zeros(len(values) * len(landmarks)) for angle in SWEEPS}
         angles[sweep] += np.repeat(values, len(landmarks))
         cameras = Cameras((angles["field_of_view"] > 0).astype(int), **angles)
@@ -224,19 +226,21 @@ def _sweep(landmarks: np.ndarray) -> dict[str, np.ndarray]:
     return views
 
 
-def _curves(models: dict, views: dict[str, np.ndarray], truth: Faces) -> list[dict]:
-    curves = []
-    for sweep, values in SWEEPS.items():
+def curves(models: dict, views: dict[str, np.ndarray], truth: Faces) -> list[dict]:
+    """Rows of `sweep, value, method, mse, sem`: errors of each method in `sweep_views`."""
+    rows = []
+    for sweep in views:
+        values = SWEEPS[sweep]
         faces = np.tile(np.arange(len(truth.shapes)), len(values))
         for method, model in models.items():
             mse = score(model.predict(views[sweep]), truth[faces]).mse.reshape(len(values), -1)
-            curves += [
+            rows += [
                 {"sweep": sweep, "value": value, "method": method, "mse": mean, "sem": own}
                 for value, mean, own in zip(
                     values, mse.mean(1).tolist(), sem(mse, axis=1).tolist(), strict=True
                 )
             ]
-    return curves
+    return rows
 
 
 def _frontal_swept(inputs: Inputs, faces: np.ndarray, models: dict, views: dict) -> dict:

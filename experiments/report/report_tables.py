@@ -30,7 +30,7 @@ def parameters_table(experiment: Experiment) -> Table:
     """The paper's table of parameters and complexity, ours beside it."""
     table = experiment.table()
     rows = pd.DataFrame({HEADS["method"]: table["method"].map(title)})
-    for name, head in [*HEADS.items()][1:]:
+    for name, head in [(name, HEADS[name]) for name in HEADS if name in table][1:]:
         shown = "{:,.0f}" if name in ("trainable", "total") else "{:.3g}"
         rows[head] = [
             value if isinstance(value, str) else NOTHING if pd.isna(value) else shown.format(value)

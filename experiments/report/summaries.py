@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from experiments.methods import METHODS, title
+from experiments.methods import DEEP_MDS, METHODS, title
 from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
     NOTHING,
@@ -126,7 +126,8 @@ def _of_seeds(experiment: Experiment) -> str:
     table = experiment.table().set_index(["method", "metric"])
     unit = experiment.mse_unit
     ranges, lags = [], []
-    for method in dict.fromkeys(table.index.get_level_values("method")):
+    methods = dict.fromkeys(table.index.get_level_values("method"))
+    for method in [method for method in methods if method in DEEP_MDS]:
         mse = table.loc[(method, "mse")]
         low, high = (plus_minus(mse[end], unit=unit) for end in ("min", "max"))
         ratio = factor(mse["max"] / mse["min"])

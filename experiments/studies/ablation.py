@@ -1,7 +1,8 @@
 """Ablation of the method's parts: trainings with one of them changed, over seeds.
 
 The paper compares mini-batches of one face with shuffled ones. Beside that stand the net without
-its short connection, the method without its autoencoder, and both networks trained on fewer faces.
+its short connection and nets of other depths, the method without its autoencoder, and both networks
+trained on fewer faces.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import score, subsets
 from experiments.scoring.tables import write_csv
-from experiments.studies.variants import TITLES, VARIANTS, Variant, fewer_faces
+from experiments.studies.variants import DEPTHS, TITLES, VARIANTS, Variant, fewer_faces
 from experiments.trainings import side_by_side
 
 METRICS = (
@@ -54,7 +55,7 @@ _IN_BATCHES = ("same_face", "shuffled", "same_face_stable", "shuffled_stable")
 def trainings(run: Run) -> list[tuple[Variant, int]]:
     """Every variant with every seed; those on fewer faces, of two networks each, with one."""
     seeds = range(run.seed, run.seed + run.preset.ablation_seeds)
-    of_net = [(variant, seed) for variant in VARIANTS for seed in seeds]
+    of_net = [(variant, seed) for variant in (*VARIANTS, *DEPTHS) for seed in seeds]
     return of_net + [(variant, run.seed) for variant in fewer_faces(run)]
 
 

@@ -1,4 +1,4 @@
-"""Stage: every form of Deep-MDS trained and scored from one seed, on faces of that seed.
+"""Stage: every form of Deep-MDS, and the mean shape, from one seed, on faces of that seed.
 
 It is a run of `make reproduce-bfm SEED=…` cut down to these methods, whose files that command goes
 on from.
@@ -33,11 +33,12 @@ def run_seed(run: Run) -> list[tuple[str, str, float]]:
     side_by_side(run.jobs, train_chain, [(run, chain) for chain in own if chain])
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
-    for method in DEEP_MDS:
+    for method in ("mean_shape", *DEEP_MDS):
         predict(run, test, METHODS[method])
         scores = score(load_prediction(run, method)[0]["shapes"], test)
         values = {metric: METRICS[metric].per_face(scores).mean() for metric in _SCORES}
-        values |= _autoencoder_errors(run, train, method)
+        if method in DEEP_MDS:
+            values |= _autoencoder_errors(run, train, method)
         rows += [(method, metric, float(value)) for metric, value in values.items()]
     return rows
 

@@ -41,7 +41,7 @@ def train_and_score(run: Run, variant: Variant, seed: int) -> None:
             train.shapes,
             Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, variant.schedule),
             shuffled=variant.shuffled,
-            short_connection=variant.short_connection,
+            chain=variant.chain,
             seed=seed,
             checkpoint=variant.file(run, seed, "npz"),
             progress=bar.losses,

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from data_gen.models.registry import load_model
 from experiments.audit import complexity
 from experiments.verdicts import DOES_NOT_HOLD, HOLDS
 
@@ -14,7 +15,8 @@ NUMBERS = (120, 24)
 @pytest.fixture(scope="module")
 def measured():
     preset = SimpleNamespace(timed_landmarks=NUMBERS)
-    return complexity.measure(SimpleNamespace(run=SimpleNamespace(seed=0, preset=preset)))
+    run = SimpleNamespace(seed=0, preset=preset)
+    return complexity.measure(SimpleNamespace(run=run, model=load_model("openhead")))
 
 
 def test_exponent_of_a_power_is_found():
@@ -52,6 +54,22 @@ def test_cubic_time_is_a_bound_from_above(slope, verdict):
     assert finding.verdict == verdict
     assert f"{slope:.2f}" in finding.evidence
     assert "about 20 at first and 4 at last" in finding.evidence
+
+
+def test_zhaos_net_grows_as_wide_as_the_view(measured):
+    """Its square matrices as the number squared, its other weights as the number."""
+    found = measured["growth_of_others"]
+    assert 1.9 < found["zhao"] < 2
+    assert 0 < found["aldrian"] < 3
+
+
+@pytest.mark.parametrize(
+    ("zhao", "aldrian", "verdict"),
+    [(0.0, 3.0, HOLDS), (2.0, 3.0, DOES_NOT_HOLD), (0.1, 4.5, DOES_NOT_HOLD)],
+)
+def test_printed_complexities_are_bounds_from_above(zhao, aldrian, verdict):
+    found = {"zhao": zhao, "aldrian": aldrian}
+    assert complexity.others_as_printed(found, [51, 478], zhao=0, aldrian=4).verdict == verdict
 
 
 def test_more_landmarks_are_heavier_if_they_take_longer():

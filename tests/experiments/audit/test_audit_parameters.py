@@ -156,3 +156,10 @@ def test_without_results_there_are_no_times():
     finding = parameters.inference_time(parameters.milliseconds_of(None), 0.9)
     assert finding.verdict == UNKNOWN
     assert "reproduce-bfm" in finding.condition
+
+
+def test_aldrian_is_slower_if_every_fit_of_it_is():
+    times = {"ours": 8.0, "aldrian": 15.0, "aldrian_authors": 20.0}
+    assert parameters.aldrian_slower(times).verdict == HOLDS
+    assert parameters.aldrian_slower(times | {"aldrian": 5.0}).verdict == DOES_NOT_HOLD
+    assert parameters.aldrian_slower({"ours": 8.0}).verdict == UNKNOWN

@@ -28,7 +28,10 @@ def test_a_constant_solution_is_beaten_or_not_or_one_of_them():
     def beats(mean_shape, random_face):
         constants = {"mean shape": mean_shape, "one random training face": random_face}
         means = PAPER | {"mean_shape": mean_shape}
-        return ranking.beats_constant(means, {"ours": PAPER["ours"], **constants}, 2.9e-4)
+        errors = {"ours": PAPER["ours"], **constants}
+        return ranking.beats_constant(means, errors, by_seed, 2.9e-4)
+
+    by_seed = None
 
     assert beats(2.9e-4, 6e-4).verdict == HOLDS
     found = beats(0.6e-4, 2e-4)
@@ -37,6 +40,10 @@ def test_a_constant_solution_is_beaten_or_not_or_one_of_them():
     found = beats(0.6e-4, 1.2e-4)
     assert found.verdict == DOES_NOT_HOLD
     assert "Methods that err less than the mean shape on all faces: Linear." in found.evidence
+    by_seed = {"ours": [1e-4, 0.5e-4, 2e-4], "mean_shape": [0.6e-4, 0.62e-4, 0.61e-4]}
+    found = beats(0.6e-4, 1.2e-4)
+    assert "From 3 seeds Deep-MDS has 1.0 [0.5, 2.0] (median and range)" in found.evidence
+    assert found.evidence.endswith("it beats the mean shape from 1.")
 
 
 def test_second_place_is_behind_mobileface_alone():

@@ -37,6 +37,13 @@ def judged(claim, check, measured, **changed):
     return judge(CLAIMS[claim], check, {**measured, **changed})
 
 
+def test_the_p_value_of_casia_is_judged_by_the_numbers_of_its_own_table(measured):
+    finding = judged("p-value-casia", significance.p_value_of_casia, measured)
+    assert finding.verdict == DOES_NOT_HOLD
+    assert measured["criteria_casia"] != measured["criteria"]
+    assert f"{measured['criteria_casia']['opposite']} of 6 pairs" in finding.evidence
+
+
 def test_the_least_p_value_is_that_of_all_signs_equal():
     for n in (5, 10, 20):
         least = significance.least_p_value(n)

@@ -57,6 +57,23 @@ def test_the_short_connection_is_judged_by_what_the_net_is_without_it(without, v
     assert training.short_connection(ablation).verdict == verdict
 
 
+DEPTHS = ("two_layers_stable", "three_layers_stable", "five_layers_stable", "eight_layers_stable")
+
+
+@pytest.mark.parametrize(
+    ("errors", "verdict"),
+    [
+        ((2e-4, 2e-4, 2e-4, 2e-4), HOLDS),
+        ((2e-4, 0.5e-4, 2e-4, 2e-4), DOES_NOT_HOLD),
+        ((2e-4, 1e-4, 2e-4, 2e-4), WITH_CONDITION),
+    ],
+)
+def test_five_layers_are_best_if_every_other_depth_is_worse(errors, verdict):
+    ablation = {name: variant(own) for name, own in zip(DEPTHS, errors, strict=True)}
+    assert training.five_layers(ablation | {"same_face_stable": variant(1e-4)}).verdict == verdict
+    assert training.five_layers({"same_face_stable": variant(1e-4)}).verdict == UNKNOWN
+
+
 def curve(fewer, all_faces):
     errors = {"ours_stable": (fewer, all_faces), "ours": (2e-4, 1e-4), "linear": (3e-6, 3e-6),
               "mean_shape": (6e-5, 6e-5)}  # fmt: skip

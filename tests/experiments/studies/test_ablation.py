@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 
 from deepmds_keras import normalise
-from deepmds_keras.networks import build_dissimilarity_net
+from deepmds_keras.networks import build_dissimilarity_net, count_trainable
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.presets import PAPER, SMOKE
 from experiments.run import Run
 from experiments.studies import ablation
-from experiments.studies.variants import FEWER_FACES, TITLES, VARIANTS, fewer_faces
+from experiments.studies.variants import DEPTHS, FEWER_FACES, TITLES, VARIANTS, fewer_faces
 
 
 @pytest.fixture
@@ -22,8 +22,8 @@ def run(tmp_path):
 
 def test_every_variant_is_trained_from_every_seed_and_has_files_of_its_own(run):
     trainings = ablation.trainings(run)
-    of_net = [item for item in trainings if item[0] in VARIANTS]
-    assert len(of_net) == len(VARIANTS) * SMOKE.ablation_seeds
+    of_net = [item for item in trainings if item[0] in (*VARIANTS, *DEPTHS)]
+    assert len(of_net) == (len(VARIANTS) + len(DEPTHS)) * SMOKE.ablation_seeds
     assert len(trainings) - len(of_net) == len(FEWER_FACES) * len(SMOKE.training_sizes)
     files = {
         variant.file(run, seed, kind) for variant, seed in trainings for kind in ("json", "npz")
@@ -71,9 +71,17 @@ def test_training_loss_of_shuffled_pairs_is_that_of_all_faces():
 
 def test_net_without_the_short_connection_has_fewer_parameters_and_learns():
     with_it, without = (
-        build_dissimilarity_net(short_connection=short).count_params() for short in (True, False)
+        build_dissimilarity_net(chain=chain).count_params() for chain in (None, (5, 20))
     )
     assert with_it - without == 20 * 20, "the fifth layer sees the fourth alone"
+
+
+def test_nets_of_other_depths_have_as_many_parameters_as_the_paper_allows():
+    for variant in DEPTHS:
+        n_layers, units = variant.chain
+        nets = (build_dissimilarity_net(chain=(n_layers, units + more)) for more in (0, 1))
+        below, above = map(count_trainable, nets)
+        assert below < 3000 <= above, variant.id
 
 
 def write(run, value=lambda variant, seed: 1.0):
