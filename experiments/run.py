@@ -96,6 +96,13 @@ class Run:
         return self.on("bfm") if self.track == "celeba" else self
 
     @property
+    def drawn_photos(self) -> bool | None:
+        """Whether photos can be drawn for those of TF_FLAME, or None: they are given, or the face
+        model's expressions have no names.
+        """
+        return True if self.tf_flame is None and self.model != "flame" else None
+
+    @property
     def n_seeds(self) -> int:
         """Of `make seeds`."""
         return self.seeds or self.preset.n_seeds

@@ -41,6 +41,11 @@ EXPERIMENTS = {
         "The paper's CelebA faces with FLAME's landmarks",
         "Photos with 51 landmarks and no truth: what each method makes of them.",
     ),
+    "celeba-flame-stand-in": (
+        "FLAME's landmarks in rendered photos",
+        "In place of CelebA's, which may not be shown: photos drawn of the face model, turned by "
+        "up to 45°, with the landmarks that dlib finds; what each method makes of them.",
+    ),
     "audit": (
         "Which claims of the paper hold",
         "Each claim of the paper as a check that is run here.",

@@ -153,17 +153,21 @@ def test_the_audit_always_runs_after_what_it_needs(run):
 def test_the_flame_track_runs_what_is_missing(run):
     run = replace(run, track="flame")
     assert {*would_run(run, "reproduce-flame")} == {
-        *("frames", "networks", "scans", "predictions", "mediapipe", "rings", "ringnet", "flame")
+        *("frames", "networks", "scans", "predictions", "mediapipe", "rings", "ringnet", "flame"),
+        "celeba-flame-stand-in",
     }
-    finish(run, "frames", "networks", "scans", "predictions", "flame")
+    assert "celeba-flame-stand-in" not in would_run(run, "reproduce-flame", tf_flame=str(ROOT))
+    drawn = "celeba-flame-stand-in"
+    finish(run, "frames", "networks", "scans", "predictions", "flame", drawn)
 
     def without(*names, **changes):
         return would_run(run, "reproduce-flame", without=names, **changes)
 
     assert without("RINGNET", "MEDIAPIPE") == []
     assert without("RINGNET") == ["mediapipe", "flame"]
-    assert without("MEDIAPIPE") == ["rings", "ringnet", "flame"]
-    assert without("MEDIAPIPE", ringnet="x/ring_6_68641") == ["ringnet-licensed", "flame"]
+    assert without("MEDIAPIPE") == ["rings", "ringnet", "flame", drawn]
+    licensed = without("MEDIAPIPE", ringnet="x/ring_6_68641")
+    assert licensed == ["ringnet-licensed", "flame", drawn]
 
 
 def test_the_celeba_experiment_takes_the_networks_of_the_bfm_track(run):

@@ -1,4 +1,4 @@
-"""The paper's figure of CelebA faces with FLAME's landmarks, from a folder of such faces.
+"""The paper's figure of CelebA faces with FLAME's landmarks, or of rendered ones in their place.
 
 The folder is `data` of the public repository TF_FLAME: photos, and 51 landmarks of each.
 """
@@ -26,6 +26,7 @@ from experiments.methods import load
 from experiments.records import load_record
 from experiments.run import Run
 from experiments.running import stage
+from experiments.tracks.celeba.stand_in_photos import stand_in_photos
 
 _METHODS = ("zhao", "ours", "ours_stable")  # beside those that see the photo
 _PHOTO = 224  # pixels of a side of a photo in the picture
@@ -99,10 +100,15 @@ def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 def main(arguments: list[str] | None = None) -> None:
     flame = parse_run(__doc__, arguments).on("flame")
-    folder = flame.experiment_results("celeba-flame")
-    with stage(flame, "celeba-flame") as record:
-        photos, landmarks = read_folder(Path(flame.tf_flame))
-        images = [open_photo(path) for path in photos]
+    name = "celeba-flame" + "-stand-in" * (flame.tf_flame is None)
+    folder = flame.experiment_results(name)
+    with stage(flame, name) as record:
+        if flame.tf_flame is None:
+            images, landmarks = stand_in_photos(flame)
+        else:
+            photos, landmarks = read_folder(Path(flame.tf_flame))
+            images = [open_photo(path) for path in photos]
+            record["faces"] = [path.name for path in photos]
         shapes = shapes_of(flame, images, landmarks)
         squares = [crop(*pair, _PHOTO, CROP_MARGIN)
                    for pair in zip(images, landmarks, strict=True)]  # fmt: skip
@@ -113,7 +119,7 @@ def main(arguments: list[str] | None = None) -> None:
         )
         clear_results(folder)
         save(figure, folder / "figures", "celeba_flame")
-        record |= {"faces": [path.name for path in photos], "methods": [*shapes]}
+        record["methods"] = [*shapes]
         record["model_sha256"] = load_record(flame, "frames")["model_sha256"]
-    records = records_of(flame, "celeba-flame")
-    write_manifest(flame, "reproduce-celeba", records, folder)
+    target = "reproduce-flame" if flame.tf_flame is None else "reproduce-celeba"
+    write_manifest(flame, target, records_of(flame, name), folder)

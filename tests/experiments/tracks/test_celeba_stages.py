@@ -149,6 +149,16 @@ def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
     assert record["methods"] == expected
 
 
+def test_without_them_photos_are_drawn(whole_flame, tmp_path):
+    runs.copy_build(whole_flame.folder, tmp_path)
+    succeed("celeba-flame-stand-in", tmp_path, "--track", "flame")
+    folder = results(tmp_path, "celeba-flame-stand-in")
+    assert (folder / "figures" / "celeba_flame.png").stat().st_size > 50_000
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["command"].startswith("make reproduce-flame MODEL=openhead")
+    assert manifest["stages"][-1]["methods"][:1] == ["ringnet"]
+
+
 def test_a_folder_without_such_faces_is_refused(tmp_path):
     done = run("celeba-flame", tmp_path, "--track", "celeba", "--tf-flame", str(tmp_path))
     assert done.returncode == 2 and "_lmks.npy" in done.stderr
