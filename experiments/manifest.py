@@ -13,6 +13,7 @@ from pathlib import Path
 from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
 from experiments.build_key import needs_of
+from experiments.code_hash import code_hash
 from experiments.published import PUBLISHED
 from experiments.records import load_record, write_json
 from experiments.run import Run
@@ -80,10 +81,17 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "seconds": round(sum(record["seconds"] for record in stages), 1),
         "stages": stages,
         **environment(),
+        "code_sha256": code_hash(modules_of(stages)),
         "published_sha256": sha256_of([PUBLISHED]),
         "files": files_of(folder),
     }
     write_json(folder / MANIFEST, made)
+
+
+def modules_of(stages: list[dict]) -> list[str]:
+    """Modules of the stages whose records are given."""
+    names = {record["stage"] for record in stages}
+    return sorted({f"experiments.{stage.module}" for stage in STAGES if stage.name in names})
 
 
 def read_manifest(folder: Path) -> dict:
