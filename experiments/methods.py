@@ -203,7 +203,6 @@ _ROWS = (
         note=remarks.of_mediapipe,
         colour="#00727A",
         marker="H",
-        pictured=False,
         complexity="O(1)",
     ),
     Method(
@@ -342,7 +341,8 @@ def notes(run: Run, found: Mapping[str, np.ndarray]) -> dict[str, str]:
     said = {}
     for method in METHODS.values():
         if method.id in found:
-            said[method.id] = method.note(run, found[method.id]) if method.note else ""
+            note = method.note(run, found[method.id]) if method.note else ""
+            said[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
         elif run.track in method.tracks:
             said[method.id] = method.absent
     return {method_id: note for method_id, note in said.items() if note}

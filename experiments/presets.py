@@ -49,6 +49,7 @@ class Preset:
         shipped_steps: Mini-batches of the lifters that ship.
         fitted_faces: Test faces of `make lifting` that a face model is fitted to.
         streamed_faces, faces_per_file: Faces of `make stream`, and those of one of its files.
+        caution: Stands on figures and below tables.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Preset:
     fitted_faces: int
     streamed_faces: int
     faces_per_file: int
+    caution: str = ""
 
 
 PAPER = Preset(
@@ -185,6 +187,7 @@ SMOKE = Preset(
     fitted_faces=10,
     streamed_faces=1_000,
     faces_per_file=100,
+    caution="smoke: too short to mean anything",
 )
 # Of the tests. A prime number of steps above 50 is a call each: what is traced is one step, not a
 # loop of them, which takes longer than to train.

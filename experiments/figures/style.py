@@ -13,6 +13,7 @@ from PIL import Image
 
 from deepmds_keras.io.atomic import write_bytes
 from experiments.methods import METHODS
+from experiments.presets import PRESETS
 
 RC = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
@@ -71,13 +72,15 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
 
     Args:
         figure: As returned by the functions of this package.
-        folder: Made if it is missing.
+        folder: Made if it is missing. On figures of results of a small preset stands its caution.
         name: File name without its ending.
 
     Returns:
         The paths of the png and of the pdf.
     """
     folder = Path(folder)
+    for caution in {p.caution for p in PRESETS.values() if p.name in folder.parts and p.caution}:
+        figure.text(0.5, 0.5, caution, ha="center", va="center", size=12, color="red", alpha=0.6)
     png, pdf = folder / f"{name}.png", folder / f"{name}.pdf"
     with matplotlib.rc_context(RC):
         write_bytes(png, _small_png(figure))

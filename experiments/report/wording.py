@@ -29,8 +29,9 @@ EXPERIMENTS = {
     ),
     "celeba": (
         "The paper's CelebA table",
-        "{photos} photos of faces, 72 landmarks. For the truth stands a fit of the face model to "
-        "landmarks and edges of the photo, as in the paper.",
+        "{photos} photos of faces, less those in which no face is found; 72 landmarks. For the "
+        "truth stands a fit of the face model to landmarks and edges of the photo, as in the "
+        "paper.",
     ),
     "celeba-true-landmarks": (
         "CelebA, against the true landmarks",

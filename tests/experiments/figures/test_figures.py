@@ -151,6 +151,13 @@ def texts(axes):
     return [text.get_text() for text in axes.texts]
 
 
+def test_a_figure_of_a_small_preset_says_so(tmp_path):
+    for name, said in (("openhead", []), ("smoke", ["smoke: too short to mean anything"])):
+        figure = draw_summary(None)
+        style.save(figure, tmp_path / name / "figures", "summary")
+        assert [text.get_text() for text in figure.texts] == said
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", [*PLOTS, draw_small_qualitative])
 def test_equal_inputs_give_equal_bytes(draw, tmp_path):
