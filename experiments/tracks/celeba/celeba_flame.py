@@ -28,7 +28,7 @@ from experiments.run import Run
 from experiments.running import stage
 from experiments.tracks.celeba.stand_in_photos import stand_in_photos
 
-_METHODS = ("zhao", "ours", "ours_stable")  # beside those that see the photo
+_METHODS = ("zhao", "ours", "ours_stable", "lifting")  # beside those that see the photo
 _PHOTO = 224  # pixels of a side of a photo in the picture
 _MOST = 12  # faces in the picture
 

@@ -145,7 +145,7 @@ def test_faces_with_flames_landmarks_are_drawn(whole_flame, tmp_path):
     stages = json.loads((folder / "manifest.json").read_text())["stages"]
     record = next(own for own in stages if own["stage"] == "celeba-flame")
     assert len(record["faces"]) == 4
-    expected = ["mediapipe_corrected"] * MEDIAPIPE + ["zhao", "ours", "ours_stable"]
+    expected = ["mediapipe_corrected"] * MEDIAPIPE + ["zhao", "ours", "ours_stable", "lifting"]
     assert record["methods"] == expected
 
 
