@@ -112,7 +112,7 @@ test: | $(READY) ## the tests, but for what takes long                (5 min)
 	$(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files, clusters   (1.5 h)
-	KILLS=30 FUZZ=10 $(PY) -m pytest
+	KILLS=30 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: | $(READY) ## ruff
 	$(PY) -m ruff check .
