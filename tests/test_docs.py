@@ -219,8 +219,11 @@ def test_the_table_of_recipes_is_that_of_the_code():
                               f"{PAPER.dissimilarity_epochs} × {PAPER.dissimilarity_steps:,}"),
         "Zhao et al.": (zhao["learning_rate"], "constant", f"{zhao['batch_size']} faces",
                         f"{PAPER.zhao_epochs} × {PAPER.zhao_steps:,}"),
-        "MobileFace": (mobileface["learning_rate"], "constant", f"{mobileface['batch_size']} faces",
+        "MobileFace": (mobileface["learning_rate"], "cosine", f"{mobileface['batch_size']} faces",
                        f"{PAPER.mobileface_epochs} × {PAPER.mobileface_steps}"),
+        "MobileFace, `MOBILEFACE=paper`": (
+            mobileface["learning_rate"], "constant", f"{mobileface['batch_size']} faces",
+            f"{PAPER.mobileface_paper_epochs} × {PAPER.mobileface_steps}"),
         "RingNet": (ringnet["learning_rate"], "warm-up and cosine", rings,
                     f"{PAPER.ringnet_epochs} × {PAPER.ringnet_steps}"),
         "Lifting, in the tables": (lifting["learning_rate"], "cosine",
