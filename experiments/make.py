@@ -6,12 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from statistics import median
 
 from experiments.arguments import parse_run
 from experiments.build_key import check_key, is_done
+from experiments.manifest import MANIFEST, read_manifest
 from experiments.run import Run
 from experiments.running import exit_on_user_error
-from experiments.stages import STAGES, Stage, stages_to, with_needed
+from experiments.scoring.numbers import duration
+from experiments.stages import STAGES, SWITCHES, Stage, stages_to, with_needed
 from experiments.tracks import show
 
 TARGETS = tuple(dict.fromkeys(stage.target for stage in STAGES if stage.target))
@@ -34,25 +39,70 @@ def missing(run: Run, target: str) -> list[Stage]:
     return found
 
 
+def in_turns(run: Run, target: str, todo: list[Stage]) -> list[list[Stage]]:
+    """The stages to run in one turn or two: what comes soon first, with a table of its own.
+
+    What `make` can leave out, MobileFace or RingNet, is most of the time; the table without it
+    need not wait.
+    """
+    goal = stages_to(target)[0]
+    soon = {*with_needed([goal], replace(run, without=SWITCHES))}
+    first = [stage for stage in todo if stage in soon]
+    later = [stage for stage in todo if stage not in soon]
+    waits = {*later} & {*with_needed([goal], run)}
+    if goal.always or not waits or is_done(run.on(goal.track), goal.name):
+        return [todo]
+    return [first, [*later, goal]]
+
+
 def main(arguments: list[str] | None = None) -> None:
     target, *options = [*arguments] or [""]
     if target not in TARGETS:
         print(f"error: TARGET must be one of {', '.join(TARGETS)}. Received {target}.",
               file=sys.stderr)  # fmt: skip
         raise SystemExit(2)
-    goals = stages_to(target)
-    own = [*options, "--track", goals[0].track]
+    goal = stages_to(target)[0]
+    own = [*options, "--track", goal.track]
     run = parse_run(__doc__, own)
     with exit_on_user_error():
-        todo = missing(run, target)
+        turns = in_turns(run, target, missing(run, target))
     # A stage is not to live on alone.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    for stage in todo:
-        # The authors' files and scripts are of the target's own track.
-        other = ["--track", stage.track, "--authors", "", "--evaluator", "paper"]
-        _start(stage, own if stage.track == run.track else [*options, *other])
-    if not goals[0].always:
-        show.main(own)
+    left = [stage for turn in turns for stage in turn]
+    number, seconds = len(left), usual_seconds(run)
+    for turn in turns:
+        last = turn is turns[-1]
+        without = [] if last else [word for name in SWITCHES for word in ("--without", name)]
+        for stage in turn:
+            print(progress_line(left, number, seconds), flush=True)
+            # The authors' files and scripts are of the target's own track.
+            other = ["--track", stage.track, "--authors", "", "--evaluator", "paper"]
+            given = own if stage.track == run.track else [*options, *other]
+            _start(stage, [*given, *without] if stage == goal else given)
+            left.pop(0)
+        if not goal.always:
+            show.main(own)
+        if not last:
+            print("\nThe rest of the table follows.\n", flush=True)
+
+
+def usual_seconds(run: Run) -> dict[str, float]:
+    """Stage to how long it took for the results that are there, of runs of the same size."""
+    found: dict[str, list[float]] = {}
+    for path in run.model_results.parent.glob(f"*/**/{MANIFEST}"):
+        made = read_manifest(path.parent)
+        if made.get("preset", {}).get("name") == run.preset.name:
+            for record in made["stages"]:
+                found.setdefault(record["stage"], []).append(record["seconds"])
+    return {stage: median(seconds) for stage, seconds in found.items()}
+
+
+def progress_line(left: list[Stage], number: int, seconds: Mapping[str, float]) -> str:
+    """Which stage of how many begins, and about how long all that are left take."""
+    known = [seconds[stage.name] for stage in left if stage.name in seconds]
+    about = f", about {duration(sum(known))} left" if known else ""
+    more = " or more" * (0 < len(known) < len(left))
+    return f"Stage {number - len(left) + 1} of {number}: {left[0].name}{about}{more}"
 
 
 def _start(stage: Stage, options: list[str]) -> None:

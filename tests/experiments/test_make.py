@@ -16,8 +16,8 @@ from deepmds_keras.io.errors import InputError
 from experiments.__main__ import main
 from experiments.arguments import parse_run
 from experiments.build_key import check_key, inputs_of, is_done, needs_of
-from experiments.make import TARGETS, missing
-from experiments.presets import SMOKE, TINY
+from experiments.make import TARGETS, in_turns, missing, progress_line, usual_seconds
+from experiments.presets import PAPER, SMOKE, TINY
 from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, SCHEMES, Run
 from experiments.running import locked
@@ -118,6 +118,37 @@ def test_only_what_is_missing_is_run(run):
     assert would_run(run, "reproduce-bfm") == would_run(run, "reproduce-bfm", **alone) == []
     run.record_file("networks").unlink()
     assert would_run(run, "reproduce-bfm", **alone) == ["networks", "predictions", "bfm"]
+
+
+def turns(run, target):
+    return [[stage.name for stage in turn] for turn in in_turns(run, target, missing(run, target))]
+
+
+def test_the_table_of_what_comes_soon_is_made_first(run):
+    soon, later = turns(run, "reproduce-bfm")
+    assert soon == ["faces", "networks", "predictions", "bfm"]
+    assert later == ["images", "mobileface", "bfm"]
+    finish(run, *soon)
+    assert turns(run, "reproduce-bfm") == [later], "it is there"
+    finish(run, *later)
+    assert turns(run, "reproduce-bfm") == [[]]
+    without = replace(run, build=run.build / "other", without=("MOBILEFACE",))
+    assert turns(without, "reproduce-bfm") == [soon]
+    assert len(turns(run, "ablation")) == 1
+    flame = replace(run, track="flame")
+    assert turns(flame, "reproduce-flame")[1][-1] == "flame"
+    quick = replace(flame, without=("MEDIAPIPE", "RINGNET"))
+    assert turns(quick, "reproduce-flame")[0][-1] == "celeba-flame-stand-in"
+
+
+def test_progress_says_which_stage_of_how_many_and_how_long_the_rest_takes(run):
+    stages = [stage_of("bfm", name) for name in ("faces", "networks", "bfm")]
+    assert progress_line(stages, 3, {}) == "Stage 1 of 3: faces"
+    line = progress_line(stages[1:], 3, {"networks": 200.0, "bfm": 40.0})
+    assert line == "Stage 2 of 3: networks, about 4 min 0 s left"
+    assert progress_line(stages[1:], 3, {"bfm": 40.0}).endswith("about 40 s left or more")
+    assert usual_seconds(run) == {}
+    assert usual_seconds(replace(run, preset=PAPER, results=ROOT / "results"))["networks"] > 30
 
 
 def test_other_seeds_are_trained_where_they_are_asked_for(run):
