@@ -491,7 +491,23 @@ def test_examples_are_small_and_say_what_was_not_found(tmp_path):
 
 @pytest.fixture
 def page(visit, written):
-    return visit(written / "index.html", **DESKTOP)
+    shown = visit(written / "index.html", **DESKTOP)
+    shown.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
+    return shown
+
+
+@pytest.mark.parametrize("model", ["openhead", "ict"])
+def test_the_committed_report_opens_at_the_findings(visit, model, tmp_path):
+    experiments = load_experiments(ROOT / "results" / model)
+    folder = ROOT / "results" / model / "report"
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    path = tmp_path / "index.html"
+    path.write_text(html_page(text, folder, faces(experiments), colour_of), encoding="utf-8")
+    shown = visit(path, **DESKTOP)
+    assert shown.evaluate("document.documentElement.scrollHeight") < 6000
+    first = shown.locator("h2").first
+    assert first.text_content() == "At a glance"
+    assert first.bounding_box()["y"] < 900
 
 
 def column(page, table, number):
@@ -636,6 +652,8 @@ def test_a_phone_scrolls_tables_in_their_box_and_nothing_else_sideways(visit, wr
     page = visit(written / "index.html", **PHONE)
     width = page.evaluate("document.documentElement.scrollWidth")
     assert width <= 390
+    page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
     table = page.locator(".scroll").nth(criteria(page))
     inside, outside = table.evaluate("(box) => [box.scrollWidth, box.clientWidth]")
     assert inside > outside
@@ -643,11 +661,10 @@ def test_a_phone_scrolls_tables_in_their_box_and_nothing_else_sideways(visit, wr
     # The method's name stays in sight.
     first = table.locator("tbody th").first
     assert first.bounding_box()["x"] == pytest.approx(table.bounding_box()["x"], abs=1)
-    page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_on_paper_every_fold_is_open(page):
+def test_on_paper_every_fold_is_open(visit, written):
+    page = visit(written / "index.html", **DESKTOP)
     assert page.locator("details[open]").count() == 0
     page.pdf()
     assert page.locator("details").count() == page.locator("details[open]").count() > 3
