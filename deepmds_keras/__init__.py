@@ -26,7 +26,7 @@ _HOME = {
 _MODULES = ("baselines", "metrics")
 
 __all__ = [*_HOME, *_MODULES]
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def __getattr__(name):
