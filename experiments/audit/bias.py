@@ -17,7 +17,7 @@ TOLERANCE = 0.1
 _MODEL_BASED = ("aldrian", "mobileface")
 _METHODS = (
     "mean_shape", "linear", "zhao", *_MODEL_BASED, "ours", "ours_released", "ours_stable",
-    "authors_weights",
+    "authors_weights", "lifting",
 )  # fmt: skip
 
 
@@ -73,6 +73,17 @@ def model_based_bias(bias: Mapping[str, Mapping[str, float]], n_faces: int) -> F
     if len(biased) < len(methods):
         return holds_if(f"of {enumeration([*map(title, biased)])}", evidence)
     return holds(evidence)
+
+
+def lifting_unbiased(bias: Mapping[str, Mapping[str, float]], n_faces: int) -> Finding:
+    """A face's offset from the mean comes out whole, by the lifting network."""
+    own = bias["lifting"]
+    evidence = (
+        f"{_slopes(bias, ['lifting', 'ours'], n_faces)} {_percent(own['systematic_share'])} of the "
+        f"squared error of {title('lifting')} is the same for all faces. More than "
+        f"{_percent(TOLERANCE)} lost counts as a bias."
+    )
+    return holds(evidence) if abs(1 - own["slope"]) <= TOLERANCE else does_not_hold(evidence)
 
 
 def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[str, float]:

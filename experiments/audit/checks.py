@@ -94,6 +94,8 @@ CHECKS: dict[str, Callable[..., Finding]] = {
     "missing-landmarks": occlusion.missing_landmarks,
     "training-faces": mini_batches.enough_faces,
     "lifted-distances": lifted_distances.nothing_added,
+    "lifting-poses": poses.lifting_independent,
+    "lifting-unbiased": bias.lifting_unbiased,
 }
 
 

@@ -130,6 +130,11 @@ def test_unbiased(ours, systematic, verdict, condition):
         assert number in finding.evidence
 
 
+@pytest.mark.parametrize(("slope", "verdict"), [(0.95, HOLDS), (1.05, HOLDS), (0.8, DOES_NOT_HOLD)])
+def test_lifting_is_biased_if_a_part_of_the_offset_is_lost(slope, verdict):
+    assert bias.lifting_unbiased(numbers({"lifting": slope, "ours": 0.3}), 5).verdict == verdict
+
+
 def test_unbiased_without_mobileface():
     finding = bias.unbiased(numbers({"ours": 0.6, "aldrian": 0.5}), 5)
     assert finding.condition == "compared with Aldrian & Smith"

@@ -98,7 +98,10 @@ def test_frontal_depth_is_right_from_the_front_only(measured):
 
 def test_curves_have_a_row_for_each_view_and_method(measured):
     rows = pd.DataFrame(measured["curves"])
-    methods = ["mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable", WITHOUT]
+    methods = [
+        *("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable", "lifting"),
+        WITHOUT,
+    ]
     assert rows.groupby("method").size().to_dict() == dict.fromkeys(
         methods, sum(map(len, SWEEPS.values()))
     )
@@ -207,6 +210,22 @@ def test_projection_independent(ours, stable, sweeps, verdict, condition):
     yaw = "yaw −30° to 30°" if sweeps else "yaw −90° to 90°"
     for text in (yaw, f"{max(ours):.2f} times", f"{max(stable):.3g}", "51 faces", "3 of 3"):
         assert text in finding.evidence
+
+
+@pytest.mark.parametrize(
+    ("errors", "sweeps", "verdict"),
+    [
+        ((1, 1.2, 1.4), {}, HOLDS),
+        ((1, 1.2, 1.4), SHORT_YAW, WITH_CONDITION),
+        ((1, 1.2, 1.7), {}, DOES_NOT_HOLD),
+    ],
+)
+def test_lifting_is_judged_as_the_papers_method_is(errors, sweeps, verdict):
+    kinds_of = by_kind(errors, errors)
+    kinds_of["lifting"] = kinds_of["ours"]
+    finding = poses.lifting_independent(kinds_of, {"lifting": flat(**sweeps)}, 51)
+    assert finding.verdict == verdict
+    assert f"{max(errors):.2f} times" in finding.evidence and "51 faces" in finding.evidence
 
 
 def frontal_views(ours, stable):
