@@ -13,6 +13,7 @@ import pandas as pd
 
 from experiments.arguments import parse_run
 from experiments.bench.measurements import RATIOS, measure, table_of
+from experiments.bench.mobileface_steps import mobileface_rows
 from experiments.bench.step_times import in_own_process
 from experiments.figures import bench_times as figures
 from experiments.figures.style import save
@@ -30,7 +31,7 @@ _ONE_THREAD = {"TF_NUM_INTRAOP_THREADS": "1", "TF_NUM_INTEROP_THREADS": "1"}
 
 def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
     """The table of times, that of the two solvers' agreement, and the face model's hash."""
-    training = in_own_process(run)
+    training = in_own_process(run) + mobileface_rows(run)
     os.environ |= _ONE_THREAD
     with single_threaded():
         rows, agreed, digest = measure_parts(run)

@@ -20,6 +20,7 @@ COLUMNS = (
     *RATIOS, "peak_memory_mb", "note",
 )  # fmt: skip
 SEVERAL_JOBS = "the released way has one process; memory of other processes is not counted"
+NO_MEMORY = "in processes of its own, whose memory is not counted"
 _LONG = 5.0  # seconds from which a way is timed once
 _LONGEST = 300.0  # seconds beyond which, to judge by a smaller row, a way is not timed
 _SAME = ["part", "n_landmarks", "jobs"]
