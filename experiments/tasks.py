@@ -27,7 +27,9 @@ from deepmds_keras.io.errors import InputError
 from experiments.running import single_threaded
 
 # What may change a task's results, in their last digits.
-_DECISIVE = ("TF_ENABLE_ONEDNN_OPTS", "TF_NUM_INTRAOP_THREADS", "TF_CPP_MIN_LOG_LEVEL")
+_DECISIVE = (
+    "TF_ENABLE_ONEDNN_OPTS", "TF_NUM_INTRAOP_THREADS", "TF_CPP_MIN_LOG_LEVEL", "XLA_FLAGS",
+)  # fmt: skip
 _SECONDS = 10  # to wait for a cluster
 _RETRIES = 3  # of a task whose worker was lost, before the task is taken for the cause
 

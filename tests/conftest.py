@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 # As `make` has it, before TensorFlow is loaded: sums in one order on every processor.
 os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_max_isa=AVX2")
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 

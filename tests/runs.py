@@ -26,7 +26,11 @@ from places import ROOT
 
 PRESET = "tiny"
 # `make` sets the same; a stage that runs alone is as deterministic as its threads.
-ENVIRONMENT = os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3", "TF_ENABLE_ONEDNN_OPTS": "0"}
+ENVIRONMENT = os.environ | {
+    "TF_CPP_MIN_LOG_LEVEL": "3",
+    "TF_ENABLE_ONEDNN_OPTS": "0",
+    "XLA_FLAGS": "--xla_cpu_max_isa=AVX2",
+}
 _RENDERING = {"images", "scans", "rings", "photos", "celeba", "portraits"}
 _LIBRARIES = (
     "tensorflow", "keras", "h5py", "pandas", "joblib", "sklearn.manifold", "sklearn.linear_model",

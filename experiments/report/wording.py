@@ -67,8 +67,8 @@ EXPERIMENTS = {
     ),
     "rounding": (
         "The same seed, rounded otherwise",
-        "The paper's recipe from one seed, twice as it is, with one thread, and by the "
-        "instructions of older processors.",
+        "The paper's recipe from one seed, twice as it is (instructions up to AVX2, two threads), "
+        "with one thread, and by the instructions of other processors.",
     ),
     "stream": (
         "Many faces: the tails of the errors",
