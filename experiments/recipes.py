@@ -251,6 +251,11 @@ def load_zhao(run: Run, name: str) -> Zhao:
 # MobileFace, which sees images
 
 
+# Of MobileFace by its schedule. With a cosine 0.002 and 30,000 steps reach, on the open head, what
+# 0.001 and the 100,000 constant ones of the authors' code do; 0.001 and 20,000 do not.
+MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
+
+
 def mobileface_recipe(run: Run) -> tuple[str, int]:
     """Schedule of the learning rate and epochs."""
     preset = run.preset
@@ -274,6 +279,7 @@ def _mobileface(run: Run) -> MobileFace:
         load_shape_gram(run),
         standardise="batch" if run.protocol == "released" else "face",
         schedule=schedule,
+        learning_rate=MOBILEFACE_RATES[schedule],
         epochs=epochs,
         steps_per_epoch=run.preset.mobileface_steps,
         seed=run.seed,

@@ -38,6 +38,7 @@ from experiments.lifting.hard_tables import title
 from experiments.lifting.study_tables import STEPS
 from experiments.lifting.views import CONDITIONS
 from experiments.presets import PAPER, PRESETS, SMOKE
+from experiments.recipes import MOBILEFACE_RATES
 from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, EVALUATORS, Run
 
@@ -219,10 +220,10 @@ def test_the_table_of_recipes_is_that_of_the_code():
                               f"{PAPER.dissimilarity_epochs} × {PAPER.dissimilarity_steps:,}"),
         "Zhao et al.": (zhao["learning_rate"], "constant", f"{zhao['batch_size']} faces",
                         f"{PAPER.zhao_epochs} × {PAPER.zhao_steps:,}"),
-        "MobileFace": (mobileface["learning_rate"], "cosine", f"{mobileface['batch_size']} faces",
+        "MobileFace": (MOBILEFACE_RATES["cosine"], "cosine", f"{mobileface['batch_size']} faces",
                        f"{PAPER.mobileface_epochs} × {PAPER.mobileface_steps}"),
         "MobileFace, `MOBILEFACE=paper`": (
-            mobileface["learning_rate"], "constant", f"{mobileface['batch_size']} faces",
+            MOBILEFACE_RATES["constant"], "constant", f"{mobileface['batch_size']} faces",
             f"{PAPER.mobileface_paper_epochs} × {PAPER.mobileface_steps}"),
         "RingNet": (ringnet["learning_rate"], "warm-up and cosine", rings,
                     f"{PAPER.ringnet_epochs} × {PAPER.ringnet_steps}"),

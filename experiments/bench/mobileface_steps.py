@@ -53,7 +53,7 @@ def mobileface_rows(run: Run) -> list[dict]:
     rows, context = [], multiprocessing.get_context("spawn")
     with Bar(total=len(ways), desc="bench, MobileFace", unit="row") as bar:
         for way in ways:
-            arguments = [(run.seed, steps, run.preset.bench_passes)] * way.processes
+            arguments = [(steps, run.preset.bench_passes, run.seed)] * way.processes
             with ProcessPoolExecutor(way.processes, context, _set, (way,)) as processes:
                 seconds = max(processes.map(_trained, *zip(*arguments, strict=True)))
             rows.append(
@@ -81,7 +81,7 @@ def _set(way: Way) -> None:
     }
 
 
-def _trained(seed: int, steps: int, passes: int) -> float:
+def _trained(steps: int, passes: int, seed: int) -> float:
     """Median seconds of the passes after the first."""
     import keras
 
