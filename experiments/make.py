@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from statistics import median
 
+from deepmds_keras.io.errors import InputError
 from experiments.arguments import parse_run
 from experiments.build_key import check_key, is_done
 from experiments.manifest import MANIFEST, read_manifest
@@ -87,19 +88,25 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def usual_seconds(run: Run) -> dict[str, float]:
-    """Stage to how long it took for the results that are there, of runs of the same size."""
+    """Id of a stage to how long it took for the results that are there, of runs of this size."""
     found: dict[str, list[float]] = {}
     for path in run.model_results.parent.glob(f"*/**/{MANIFEST}"):
-        made = read_manifest(path.parent)
-        if made.get("preset", {}).get("name") == run.preset.name:
-            for record in made["stages"]:
-                found.setdefault(record["stage"], []).append(record["seconds"])
+        try:
+            made = read_manifest(path.parent)
+        except InputError:  # a damaged one is the report's to refuse
+            continue
+        if made.get("preset", {}).get("name") != run.preset.name:
+            continue
+        for record in made["stages"]:
+            # Stages of several tracks have one name; a build begins with its track.
+            track = record.get("build", made["track"]).partition("-")[0]
+            found.setdefault(f"{track}/{record['stage']}", []).append(record["seconds"])
     return {stage: median(seconds) for stage, seconds in found.items()}
 
 
 def progress_line(left: list[Stage], number: int, seconds: Mapping[str, float]) -> str:
     """Which stage of how many begins, and about how long all that are left take."""
-    known = [seconds[stage.name] for stage in left if stage.name in seconds]
+    known = [seconds[stage.id] for stage in left if stage.id in seconds]
     about = f", about {duration(sum(known))} left" if known else ""
     more = " or more" * (0 < len(known) < len(left))
     return f"Stage {number - len(left) + 1} of {number}: {left[0].name}{about}{more}"

@@ -171,8 +171,10 @@ def main(arguments: list[str] | None = None) -> None:
     with stage(run, "pretrained") as record:
         table = pd.DataFrame(measure(run))
         record["left_out"], record["lacking"] = portraits["left_out"], portraits["lacking"]
-        errors = [errors_table(name, FOUND[name][0], *found_on_photos(run, name)[::3])
-                  for name in portraits["detectors"]]  # fmt: skip
+        errors = []
+        for name in portraits["detectors"]:
+            wrong, _, _, yaw = found_on_photos(run, name)
+            errors.append(errors_table(name, FOUND[name][0], wrong, yaw))
         found = detections(run) if portraits["detectors"] else None
         # Weights of one model's faces, or of guessed errors, are not those that the docs describe.
         if run.preset.name == "paper" and not portraits["left_out"] and not portraits["lacking"]:

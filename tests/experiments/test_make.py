@@ -144,11 +144,21 @@ def test_the_table_of_what_comes_soon_is_made_first(run):
 def test_progress_says_which_stage_of_how_many_and_how_long_the_rest_takes(run):
     stages = [stage_of("bfm", name) for name in ("faces", "networks", "bfm")]
     assert progress_line(stages, 3, {}) == "Stage 1 of 3: faces"
-    line = progress_line(stages[1:], 3, {"networks": 200.0, "bfm": 40.0})
+    line = progress_line(stages[1:], 3, {"bfm/networks": 200.0, "bfm/bfm": 40.0})
     assert line == "Stage 2 of 3: networks, about 4 min 0 s left"
-    assert progress_line(stages[1:], 3, {"bfm": 40.0}).endswith("about 40 s left or more")
+    assert progress_line(stages[1:], 3, {"bfm/bfm": 40.0}).endswith("about 40 s left or more")
     assert usual_seconds(run) == {}
-    assert usual_seconds(replace(run, preset=PAPER, results=ROOT / "results"))["networks"] > 30
+    assert usual_seconds(replace(run, preset=PAPER, results=ROOT / "results"))["bfm/networks"] > 30
+
+
+def test_a_damaged_manifest_and_stages_of_other_tracks_do_not_mislead_progress(run):
+    for folder, track, seconds in (("bfm", "bfm", 300.0), ("celeba", "celeba", 8.0)):
+        record = {"stage": "mobileface", "seconds": seconds, "build": f"{track}-smoke-paper-seed0"}
+        made = {"preset": {"name": "smoke"}, "track": track, "stages": [record]}
+        write_json(run.model_results / folder / "manifest.json", made)
+    (run.model_results / "flame").mkdir()
+    (run.model_results / "flame" / "manifest.json").write_text("{")
+    assert usual_seconds(run) == {"bfm/mobileface": 300.0, "celeba/mobileface": 8.0}
 
 
 def test_other_seeds_are_trained_where_they_are_asked_for(run):

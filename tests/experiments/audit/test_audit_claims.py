@@ -143,17 +143,29 @@ def test_committed_claims_are_those_of_the_face_models(tmp_path):
     assert {path.name for path in made.iterdir()} == {p.name for p in (RESULTS / "audit").iterdir()}
 
 
+NEWER = {
+    "aldrian-slower", "coma-vertices", "complexity-others", "five-layers", "mediapipe-poses",
+    "p-value-casia", "pose-51", "test-set-size",
+}  # fmt: skip
+REWORDED, OTHER_INPUTS = {"perspective-views"}, {"trivial-case"}
+
+
 @pytest.mark.parametrize("model", ["openhead", "ict"])
 def test_committed_verdicts_are_on_the_claims_as_they_are_now(model):
     table = pd.read_csv(RESULTS / model / "audit" / "claims.csv", keep_default_na=False)
     claims = load_claims()
-    # Claims may have come since.
-    assert {*table["id"]} <= claims.keys()
+    # Those of reviewers may have come since; the paper's are all there, but for those that the
+    # committed audits are still to be made with.
+    of_paper = {own.id for own in claims.values() if own.where != "a reviewer's question"}
+    assert of_paper - NEWER <= {*table["id"]} <= claims.keys()
     for row in table.itertuples():
-        assert row.where == claims[row.id].where
-        # Its module may have another name since, and other inputs.
-        now = described(CHECKS[row.id])
-        assert row.check.split(".")[1].split("(")[0] == now.split(".")[1].split("(")[0]
+        own = claims[row.id]
+        assert row.where == own.where and (row.claim == own.claim or row.id in REWORDED)
+        # Its module may have another name since.
+        checks = [check.split(".")[1] for check in (row.check, described(CHECKS[row.id]))]
+        if row.id in OTHER_INPUTS:
+            checks = [check.partition("(")[0] for check in checks]
+        assert checks[0] == checks[1]
 
 
 def test_verdicts_by_other_factors_stand_beside_those_that_depend_on_one():
