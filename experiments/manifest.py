@@ -59,7 +59,7 @@ def write_manifest(run: Run, target: str, stages: list[dict], folder: Path) -> N
         "CASIA_INDEX": None if run.casia_index is None else str(run.casia_index),
         "RINGNET": run.ringnet,
         "FACES": str(run.preset.streamed_faces) if target == "stream" else None,
-        "SEEDS": str(run.n_seeds) if "seeds" in done else None,
+        "SEEDS": next((str(r["n_seeds"]) for r in stages if "n_seeds" in r), None),
         "MOBILEFACE": "paper" if run.mobileface == "paper" and "mobileface" in done else None,
         "EVALUATOR": None if run.evaluator == "paper" else run.evaluator,
     }

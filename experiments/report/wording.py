@@ -63,7 +63,7 @@ EXPERIMENTS = {
     ),
     "seeds": (
         "How much is luck",
-        "Deep-MDS in each of its forms, trained from {n_seeds} seeds.",
+        "Deep-MDS in each of its forms, and the mean shape, trained from several seeds.",
     ),
     "rounding": (
         "The same seed, rounded otherwise",

@@ -44,11 +44,19 @@ def runs_by_seed(run: Run) -> list[Run]:
     return [replace(run, seed=run.seed + k) for k in range(run.n_seeds)]
 
 
-def metrics_by_seed(run: Run) -> pd.DataFrame:
-    """Rows of `method, seed, metric, value` of all of them."""
+def metrics_by_seed(run: Run) -> pd.DataFrame | None:
+    """Rows of `method, seed, metric, value` of the seeds that were trained; None: its own alone.
+
+    How many there are the stage tells that trained them, whatever the run asks for now.
+    """
+    if not run.record_file("seeds").exists():
+        return None
+    n_seeds = load_record(run, "seeds").get("n_seeds")
+    if n_seeds is None:  # of an earlier version
+        return None
     rows = [
         (method, own.seed, metric, value)
-        for own in runs_by_seed(run)
+        for own in runs_by_seed(replace(run, seeds=n_seeds))
         for method, metric, value in load_record(own, "seed")["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])

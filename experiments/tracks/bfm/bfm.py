@@ -11,7 +11,6 @@ from data_gen.views.projections import PROJECTIONS
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.arguments import parse_run
-from experiments.build_key import is_done
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
 from experiments.figures.face_figures import draw_faces, draw_landmark_errors, drawn_of
@@ -98,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
         shapes = {method: arrays["shapes"] for method, arrays in predictions.items()}
         metrics, scores = evaluate(run, test, shapes, descriptions)
         remarks, beside = (REMARKS, BESIDE) if released else ({}, {})
-        seeds = metrics_by_seed(run) if is_done(run, "seeds") and not released else None
+        seeds = None if released else metrics_by_seed(run)
         write_results(run, folder, metrics, scores, remarks, beside, seeds)
         if not released:  # the other figures and tables are of the methods, however scored
             draw(run, test, scores, predictions, folder)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,10 @@ import pytest
 import runs
 
 from deepmds_keras.networks import build_autoencoder, forward
+from experiments.presets import TINY
+from experiments.records import with_checksum, write_json
+from experiments.run import Run
+from experiments.scoring.scores import metrics_by_seed, runs_by_seed
 from experiments.studies.batchnorm import recalibrate_batchnorm
 from experiments.studies.seeds import spread
 
@@ -38,6 +43,17 @@ def test_spread_is_over_the_seeds_of_a_method():
     assert table.iloc[0].tolist()[:4] == ["ours", "mse", 2.0, 4.0]
     assert table.iloc[0][["min", "max", "count"]].tolist() == [1.0, 9.0, 3]
     assert table["method"].tolist() == ["ours", "ours_stable"]
+
+
+def test_seeds_are_those_that_were_trained_whatever_is_asked_for(tmp_path):
+    run = Run("openhead", TINY, build=tmp_path)
+    assert metrics_by_seed(run) is None
+    for own in runs_by_seed(replace(run, seeds=3)):
+        row = ["ours", "mse", float(own.seed)]
+        write_json(own.record_file("seed"), with_checksum({"rows": [row]}))
+    write_json(run.record_file("seeds"), with_checksum({"n_seeds": 3}))
+    assert run.n_seeds == 2
+    assert metrics_by_seed(run)["seed"].tolist() == [0, 1, 2]
 
 
 @pytest.mark.slow
