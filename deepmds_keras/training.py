@@ -237,7 +237,7 @@ def train_by_epoch(
         for epoch in range(len(history["train"])):
             _report(progress, history, epoch)
     for epoch in range(len(history["train"]), label["epochs"]):
-        fitted = model.fit(batches(epoch), shuffle=False, verbose=0)
+        fitted = model.fit(untuned(batches(epoch)), shuffle=False, verbose=0)
         history["train"].append(float(fitted.history["loss"][0]))
         history["inference"].append(inference())
         if checkpoint is not None:
@@ -283,6 +283,17 @@ def _check_run(checkpoint: str | Path, found: dict, needed: dict) -> None:
             f"{checkpoint} is of another run; delete it to train anew. "
             f"Received {found}, needed {needed}."
         )
+
+
+def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
+    """The same mini-batches, without the thread that tunes how they are read.
+
+    It sleeps twice as long each time, and `fit` does not return before it wakes: an epoch would
+    take up to twice its time.
+    """
+    options = tf.data.Options()
+    options.autotune.enabled = False
+    return data.with_options(options)
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:

@@ -15,6 +15,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.lifting.faces import Faces
 from deepmds_keras.lifting.layer import build_lifting_net, lifting_loss
 from deepmds_keras.lifting.network import lift
+from deepmds_keras.training import untuned
 from deepmds_keras.weights import read_arrays, write_arrays
 
 STEPS_PER_BLOCK = 100  # after which the network is checked and a checkpoint is written
@@ -88,7 +89,7 @@ def train_lifting_net(
     for block in range(len(history["train"]), len(recipe.blocks)):
         steps = recipe.blocks[block]
         faces = faces_of_block(block, steps * recipe.batch_size)
-        fitted = model.fit(_batches(faces, steps), shuffle=False, verbose=0)
+        fitted = model.fit(untuned(_batches(faces, steps)), shuffle=False, verbose=0)
         error = _error(_weights(model), iterations, held_out)
         history["train"].append(float(fitted.history["loss"][0]))
         history["held_out"].append(error)

@@ -22,6 +22,7 @@ from deepmds_keras.training import (
     steps_per_call,
     train_autoencoder,
     train_dissimilarity_net,
+    untuned,
 )
 from experiments.bench import released_code as released
 from experiments.bench.measurements import RELEASED, Implementation
@@ -85,15 +86,19 @@ def autoencoder_trainers(views: np.ndarray, frontal: np.ndarray, steps: int) -> 
         rows = faces.reshape(steps, size)
         return tf.data.Dataset.from_tensor_slices((views[rows], frontal[rows]))
 
+    def ours():
+        return untuned(sliced())
+
     return [
         Trainer(RELEASED, "Python generator", one_by_one, {"steps_per_epoch": steps}),
         Trainer("numpy", "arrays given to fit", lambda: views[faces],
                 {"y": frontal[faces], "batch_size": size}),
         Trainer("tf.data", "one step a call", sliced, {}),
         Trainer("+ prefetch", "one step a call", lambda: sliced().prefetch(_AHEAD), {}),
-        Trainer(OURS, "tf.data, many steps a call", sliced, {}, many_steps=True),
-        Trainer("ours + prefetch", "", lambda: sliced().prefetch(_AHEAD), {}, many_steps=True),
-        Trainer("ours + jit_compile", "", sliced, {}, many_steps=True, jit=True),
+        Trainer("+ steps_per_execution", "many steps a call", sliced, {}, many_steps=True),
+        Trainer(OURS, "tf.data untuned, many steps a call", ours, {}, many_steps=True),
+        Trainer("ours + prefetch", "", lambda: ours().prefetch(_AHEAD), {}, many_steps=True),
+        Trainer("ours + jit_compile", "", ours, {}, many_steps=True, jit=True),
     ]  # fmt: skip
 
 
@@ -120,10 +125,13 @@ def dissimilarity_trainers(frontal: np.ndarray, shapes: np.ndarray, steps: int) 
     flat = {"y": distances.reshape(-1, 1), "batch_size": len(first)}
 
     def precomputed():
-        return tf.data.Dataset.from_tensor_slices((features, distances)).prefetch(_AHEAD)
+        return untuned(tf.data.Dataset.from_tensor_slices((features, distances)).prefetch(_AHEAD))
 
     def ahead(**options):
         return mapped(**options).prefetch(_AHEAD)
+
+    def ours(**options):
+        return untuned(ahead(**options))
 
     many = {"many_steps": True}
     return [
@@ -134,10 +142,11 @@ def dissimilarity_trainers(frontal: np.ndarray, shapes: np.ndarray, steps: int) 
         Trainer("tf.data", "features in the graph, one step a call", mapped, {}),
         Trainer("+ prefetch", "one step a call", ahead, {}),
         Trainer("+ steps_per_execution", "many steps a call", ahead, {}, **many),
-        Trainer(OURS, "tf.data, prefetch, many steps a call, jit_compile", ahead, {},
+        Trainer("+ jit_compile", "", ahead, {}, **many, jit=True),
+        Trainer(OURS, "tf.data untuned, prefetch, many steps a call, jit_compile", ours, {},
                 **many, jit=True),
-        Trainer("ours - prefetch", "", mapped, {}, **many, jit=True),
-        Trainer("ours, parallel map", "", lambda: ahead(num_parallel_calls=tf.data.AUTOTUNE), {},
+        Trainer("ours - prefetch", "", lambda: untuned(mapped()), {}, **many, jit=True),
+        Trainer("ours, parallel map", "", lambda: ours(num_parallel_calls=2), {},
                 **many, jit=True),
         Trainer("ours, features before", "features of all faces computed before, not counted",
                 precomputed, {}, **many, jit=True),

@@ -1,9 +1,10 @@
 """Training: seeds decide everything, a stopped run ends as one that was not, faces come in turn."""
 
+import keras
 import numpy as np
 import pytest
 
-from deepmds_keras import InputError, normalise
+from deepmds_keras import InputError, LandmarkLifter, normalise
 from deepmds_keras.networks import forward
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import (
@@ -117,6 +118,25 @@ def test_every_face_is_seen_equally_often():
 
 def test_no_call_of_the_graph_is_a_partial_one():
     assert [steps_per_call(steps) for steps in (1250, 1000, 97, 53, 7)] == [50, 50, 1, 1, 7]
+
+
+@pytest.mark.parametrize(
+    "train",
+    [autoencoder, lambda faces: LandmarkLifter(12, steps=1, batch_size=8).fit(*faces)],
+    ids=["networks", "lifting"],
+)
+def test_no_epoch_ends_only_when_a_tuner_wakes(faces, monkeypatch, train):
+    """The thread that tunes the reading of data sleeps ever longer, and `fit` waits for it."""
+    given = []
+
+    def fit(model, data, **options):
+        given.append(data)
+        raise StopTraining
+
+    monkeypatch.setattr(keras.Model, "fit", fit)
+    with pytest.raises(StopTraining):
+        train(faces)
+    assert given[0].options().autotune.enabled is False
 
 
 def test_unknown_schedule_is_named(faces):
