@@ -184,10 +184,9 @@ class DeepMDS(BaseEstimator):
     ) -> np.ndarray:
         """3D landmarks of each view.
 
-        Distances leave rotation, translation and mirror image open. The embedding is turned so
-        that it lies over the frontal view of the autoencoder, and of the two mirror images that
-        then remain, one behind the other, the one whose `front_landmark_` (the tip of the nose)
-        is in front is taken.
+        Distances leave rotation, translation and mirror image open. The embedding is turned so that
+        it lies over the frontal view of the autoencoder. Two mirror images then remain, one behind
+        the other. The one whose `front_landmark_` (the tip of the nose) is in front is taken.
 
         Args:
             views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale; for the origin

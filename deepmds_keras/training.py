@@ -212,8 +212,8 @@ def train_by_epoch(
 ) -> dict[str, list[float]]:
     """Fit a compiled model for `label["epochs"]` epochs, going on from a checkpoint if there.
 
-    What an epoch sees depends on its number alone and the checkpoint holds the optimiser's state,
-    so that a run that was stopped ends with the same weights as one that was not.
+    What an epoch sees depends on its number alone, and the checkpoint holds the optimiser's state.
+    So a run that was stopped ends with the same weights as one that was not.
 
     Args:
         model: Compiled model.

@@ -1,13 +1,13 @@
 """Cuts the head out of MakeHuman's body: triangles, parts, regions, landmarks, pupils.
 
 `kept_faces.csv` lists the faces that stay. It was made once by rendering every face of body, eyes
-and teeth above base y = 590 mm (without the shoulders: |x| > 44 mm below y = 622 mm) in a colour
-of its own, from many directions and with six expressions. A face stays if it covered three pixels
-or more, its mirror image did or it touches one that did; so do all faces above y = 752 mm, body
-faces behind z = 20 mm and all teeth, or the crown would have holes. The upper mouth vestibule
-(inside the mouth, above y = 680 mm and in front of z = 110 mm on the average adult) goes, because
-it pokes through the base of the nose at 1.5 s.d. The list is data, not code, so that the build
-gives the same vertices on every graphics driver.
+and teeth above base y = 590 mm (without the shoulders: |x| > 44 mm below y = 622 mm) in a colour of
+its own, from many directions and with six expressions. A face stays if it covered three pixels or
+more, its mirror image did or it touches one that did; so do all faces above y = 752 mm, body faces
+behind z = 20 mm and all teeth, or the crown would have holes. The upper mouth vestibule goes,
+because it pokes through the base of the nose at 1.5 s.d.: inside the mouth, above y = 680 mm and in
+front of z = 110 mm on the average adult. The list is data, not code, so that the build gives the
+same vertices on every graphics driver.
 """
 
 from __future__ import annotations

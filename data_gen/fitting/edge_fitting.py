@@ -72,11 +72,11 @@ class EdgeFitter:
     """Fits landmarks and occluding edges in the spirit of Bas et al. 2016, arXiv:1602.01125.
 
     As theirs: a scaled orthographic camera; 40 identity coefficients within three standard
-    deviations, and no expression; a start from landmarks alone; then rounds, in each of which the
-    outline that the model now has is matched with the nearest Canny edges, and pose and identity
-    are found from edges, landmarks and prior, weighted 0.45, 0.15 and 0.40, each over its count.
-    Their pixels are taken to be those of CelebA's aligned images, and edges are looked for at about
-    that size, so that larger images of a face give much the same.
+    deviations, and no expression; a start from landmarks alone; then rounds. Each matches the
+    outline that the model now has with the nearest Canny edges. Then it finds pose and identity
+    from edges, landmarks and prior, weighted 0.45, 0.15 and 0.40, each over its count. Their pixels
+    are taken to be those of CelebA's aligned images. Edges are looked for at about that size, so
+    that larger images of a face give much the same.
 
     Unlike theirs: the outline is the face's alone, as hair covers the head's, and only where it is
     seen against something well behind it. Edges that run another way or lie far from all landmarks

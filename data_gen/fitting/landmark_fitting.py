@@ -46,8 +46,8 @@ class LandmarkFitter:
 
     The camera is scaled orthographic (weak perspective), as in the landmark fitter that comes with
     FLAME (github.com/TimoBolkart/TF_FLAME) and in Bas et al. 2016, arXiv:1602.01125. The cost is
-    the squared distance in the image in units of the landmarks' noise, plus the squares of the
-    identity coefficients and of the expression weights in units of their standard deviations: the
+    the squared distance in the image, in units of the landmarks' noise, plus the squares of the
+    identity coefficients and expression weights, in units of their standard deviations. That is the
     prior of Blanz and Vetter 1999, doi:10.1145/311535.311556. Pose, identity and expression are
     found together, with the analytic Jacobian. A fit takes about 2 ms where BLAS runs in one thread
     (`threadpoolctl`); on a busy machine its threads wait for each other many times as long.

@@ -43,10 +43,10 @@ def load_bfm2017(path: str | Path, name: str = "bfm2017") -> MorphableModel:
     `pcaVariance` holds variances. The neutral face is the mean shape; an expression adds the
     expression mean too. Expression weights are in standard deviations.
 
-    No list of the paper's 72 landmarks exists for these meshes: `"bfm72"` is approximate, carried
-    over from the open head (`landmark_transfer`) by the landmarks named in the file itself or,
-    without those, by the iBUG vertices that eos lists for the 2017 model. Landmarks are left out
-    where neither is there.
+    No list of the paper's 72 landmarks exists for these meshes. `"bfm72"` is approximate, carried
+    over from the open head (`landmark_transfer`). That goes by the landmarks named in the file
+    itself or, without those, by the iBUG vertices that eos lists for the 2017 model. Landmarks are
+    left out where neither is there.
 
     Args:
         path: The `.h5` file or the folder that holds it.

@@ -164,8 +164,8 @@ def skin(
 ) -> np.ndarray:
     """Faces in any pose, in FLAME's order of evaluation.
 
-    The shape's offsets are added to the template, the joints of the result are found, offsets for
-    the pose (but not the root's) are added, each joint turns what follows it (linear blend
+    The shape's offsets are added to the template, and the joints of the result are found. Then come
+    offsets for the pose (but not the root's). Each joint turns what follows it (linear blend
     skinning), and the translation moves it all.
 
     Args:

@@ -57,9 +57,9 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
     from {-45, 0, 45} too, and the camera goes round the turned face.
 
     `"released"` (the authors' generator): 40 % of the faces are frontal, 30 % turned by a yaw from
-    {-45, 0, 45} and 30 % go through MATLAB's `viewmtx` from a camera that looks along z, so that
-    its azimuth acts as a roll in [-45, 45] and its elevation as a pitch in [0, 30], and are never
-    divided by the fourth homogeneous coordinate: orthographic views under the name perspective.
+    {-45, 0, 45} and 30 % go through MATLAB's `viewmtx`. Its camera looks along z, so that its
+    azimuth acts as a roll in [-45, 45] and its elevation as a pitch in [0, 30]. Nothing is divided
+    by the fourth homogeneous coordinate: these are orthographic views under the name perspective.
 
     Args:
         n: Number of faces.
@@ -154,7 +154,7 @@ def project(points: np.ndarray, cameras: Cameras) -> np.ndarray:
     """Views of the faces: `(n, L, 3)` → `(n, L, 2)`, millimetres in the plane of the face, y up.
 
     The perspective camera looks at the middle of the landmarks from where their bounding sphere
-    fills the field of view, and scales the plane through that middle to its true size; with the
+    fills the field of view. It scales the plane through that middle to its true size. With the
     field of view going to 0 the view tends to the orthographic one.
 
     Args:

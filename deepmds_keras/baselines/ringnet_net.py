@@ -27,14 +27,14 @@ def build_ringnet(
 ) -> keras.Model:
     """ResNet-50 on an image, and the camera, pose and coefficients of the face by iteration.
 
-    After Sanyal et al. 2019, arXiv:1905.06817: the 2,048 features of ResNet-50 and the parameters
-    as estimated so far go through two layers of 512 ReLU units with dropout and a linear one, whose
+    After Sanyal et al. 2019, arXiv:1905.06817. The 2,048 features of ResNet-50 and the parameters
+    as estimated so far go through two layers of 512 ReLU units with dropout and a linear one. Its
     output is added to the estimate. The layers are the same in all iterations, of which there are
     three, as in Kanazawa et al. 2018 (HMR, arXiv:1712.06584), whose regressor it is.
 
     Two things are ours. The moving averages of the batch normalisation forget ten times as fast as
-    Keras's by default, or they would lag behind the weights in a training of a few thousand steps.
-    And dropout takes a fifth of the units; the sources at hand do not say how many theirs does.
+    Keras's by default. In a training of a few thousand steps they would lag behind the weights. And
+    dropout takes a fifth of the units; the sources at hand do not say how many theirs does.
 
     Args:
         n_identity: Identity coefficients.

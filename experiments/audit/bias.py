@@ -44,11 +44,11 @@ def unbiased(bias: Mapping[str, Mapping[str, float]], n_faces: int) -> Finding:
     evidence = (
         f"{_slopes(bias, ['ours', 'ours_stable', 'linear', *others], n_faces)} The errors of "
         f"{title('ours')} point to the mean shape with a mean cosine of {ours['cosine']:.2f}, and "
-        f"its offsets correlate with the true ones by {ours['correlation']:.2f}. Read as in "
-        f"statistics, of errors that do not average out over faces, "
-        f"{_percent(ours['systematic_share'])} of its squared error is a bias, "
-        f"{enumeration(systematic)}. It uses no face model: that its networks are what draws "
-        f"shapes to the mean is inferred, not shown."
+        f"its offsets correlate with the true ones by {ours['correlation']:.2f}. In statistics "
+        f"errors that do not average out over faces are a bias: "
+        f"{_percent(ours['systematic_share'])} of its squared error, {enumeration(systematic)}. "
+        f"It uses no face model: that its networks are what draws shapes to the mean is inferred, "
+        f"not shown."
     )
     if abs(lost["ours"]) <= TOLERANCE:
         return holds(evidence)
@@ -131,8 +131,8 @@ def _slopes(bias: Mapping, methods: list[str], n_faces: int) -> str:
         f"{plus_minus(bias[m]['slope'], bias[m]['slope_se'])} for {title(m)}" for m in methods
     ]
     return (
-        f"Over {n_faces:,} test faces, the part of a face's offset from the mean training shape "
-        f"that is found again (1 is unbiased, 0 always the mean shape) is {enumeration(slopes)}."
+        f"A part of a face's offset from the mean training shape is found again: 1 is unbiased, 0 "
+        f"always the mean shape. Over {n_faces:,} test faces it is {enumeration(slopes)}."
     )
 
 

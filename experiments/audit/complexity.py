@@ -76,9 +76,9 @@ def cubic_time(
     """Does the time of a prediction grow no faster than the claimed power?"""
     evidence = (
         f"From {landmarks[0]} to {landmarks[-1]} landmarks the time of the dissimilarity net and "
-        f"the embedding of a face grows as the number to the power {whole_slope:.2f}; that of the "
-        f"net alone as {slopes[NET]:.2f}, of the embedding as {slopes[EMBEDDING]:.2f}, of its "
-        f"classical start as {slopes[START]:.2f} and of one SMACOF iteration as "
+        f"the embedding of a face grows as the number to the power {whole_slope:.2f}. Alone the "
+        f"net has the power {slopes[NET]:.2f}, the embedding {slopes[EMBEDDING]:.2f}, its "
+        f"classical start {slopes[START]:.2f} and one SMACOF iteration "
         f"{slopes[ITERATION]:.2f}. The iterations needed are about {iterations[0]:.0f} at first "
         f"and {iterations[-1]:.0f} at last."
     )
@@ -93,9 +93,9 @@ def others_as_printed(
     """Have the compared methods the printed complexities?"""
     own = growth_of_others
     evidence = (
-        f"From {landmarks[0]} to {landmarks[-1]} landmarks the parameters of Zhao's net, each of "
-        f"which a prediction uses once, grow as the number to the power {own['zhao']:.2f} (printed "
-        f"{zhao:g}): its layers are as wide as the view. The time of Aldrian's fit grows as "
+        f"From {landmarks[0]} to {landmarks[-1]} landmarks the parameters of Zhao's net grow as "
+        f"the number to the power {own['zhao']:.2f} (printed {zhao:g}): its layers are as wide as "
+        f"the view, and a prediction uses each parameter once. The time of Aldrian's fit grows as "
         f"{own['aldrian']:.2f} (printed {aldrian:g}). The networks of MobileFace and RingNet see "
         "an image, whose size the number does not change."
     )

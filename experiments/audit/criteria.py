@@ -162,10 +162,10 @@ def mse_formula(mse_readings: Mapping, printed_mse: float) -> Finding:
     evidence = (
         f"On the predictions of {title('ours')} the printed formula gives "
         f"{number['sum_of_coordinates']}, or {number['sum_of_distances']} with the lengths of "
-        f"vectors; with a mean over landmarks for the sum {number['mean_of_coordinates']} or "
-        f"{number['mean_of_distances']}. The mean of squares over all coordinates gives "
-        f"{number['mean_of_squares']} and its root {number['root_mean_square']}; the paper prints "
-        f"{scientific(printed_mse, 3)}."
+        f"vectors. With a mean over landmarks for the sum it gives "
+        f"{number['mean_of_coordinates']} or {number['mean_of_distances']}. The mean of "
+        f"squares over all coordinates gives {number['mean_of_squares']} and its root "
+        f"{number['root_mean_square']}; the paper prints {scientific(printed_mse, 3)}."
     )
     near = {
         name: max(value / printed_mse, printed_mse / value) <= ANOTHER_SIZE
@@ -190,11 +190,11 @@ def depth_corr_meaning(
     )
     evidence = (
         f"What is kept of the maximum of {scientific(depth_corr['truth'])}: "
-        + enumeration([f"{_percent(shares[key])} by {name}" for key, name in _ANSWERS.items()])
+        + "; ".join(f"{_percent(shares[key])} by {name}" for key, name in _ANSWERS.items())
         + f". With the origin at the mean of the landmarks {_ANSWERS['flat']} keeps "
-        f"{_percent(centred['flat'])} and a random cloud {_percent(centred['cloud'])}; of the "
-        f"correlation across faces, which the paper cites, {_percent(across['flat'])} and "
-        f"{_percent(across['cloud'])}. What the methods of the table lack of the maximum does "
+        f"{_percent(centred['flat'])} and a random cloud {_percent(centred['cloud'])}. Of the "
+        f"correlation across faces, which the paper cites, they keep {_percent(across['flat'])} "
+        f"and {_percent(across['cloud'])}. What the methods of the table lack of the maximum does "
         f"follow the error of their depth (rank correlation {scientific(order, 2)}): their order "
         "says something, the number hardly anything."
     )
@@ -243,8 +243,8 @@ def casia_depth_corr(on_casia: Mapping | None, printed_on_casia: Mapping) -> Fin
         evidence += (
             f". As {reading} faces with noise of the printed MSEs score "
             f"{_range(by_model, printed_on_casia)} and a random cloud "
-            f"{scientific(by_model['cloud'], 3)}, or {_range(by_mean, printed_on_casia)} and "
-            f"{scientific(by_mean['cloud'], 3)} with the origin at the mean of the landmarks"
+            f"{scientific(by_model['cloud'], 3)}; with the origin at the mean of the landmarks "
+            f"{_range(by_mean, printed_on_casia)} and {scientific(by_mean['cloud'], 3)}"
         )
     evidence += ". Errors of another kind than noise may score otherwise."
     for reading, scores in readings.items():

@@ -82,9 +82,8 @@ def exact_distances(from_exact: Mapping[str, float], n_faces: int) -> Finding:
     if from_exact["mirrored"] > 0:
         left_open.append("mirror image")
         evidence += (
-            f" {100 * from_exact['mirrored']:.3g} % of the faces come out of non-metric MDS as in "
-            "a mirror; without a reflection to align them, its MSE is "
-            f"{scientific(from_exact['unreflected'], 3)}."
+            f" Non-metric MDS mirrors {100 * from_exact['mirrored']:.3g} % of the faces; without a "
+            f"reflection to align them, its MSE is {scientific(from_exact['unreflected'], 3)}."
         )
     return holds_if(
         f"but for {enumeration(left_open)}, which distances do not tell, and for the scale, which "
@@ -103,15 +102,15 @@ def rank_above_two(
     effective = [f"{number:.2f}" for number in effective_numbers.values()]
     ranks = [str(rank) for rank in matrix_ranks.values()]
     evidence = (
-        f"Of the eigenvalues of the doubly centred squared dissimilarities of {n_faces} test "
-        f"faces, the third has a share of {_percent(third)} in the sum of absolute values and the "
-        f"fourth one of {_percent(abs(fourth))}; with true distances the third has "
-        f"{_percent(true)}, with distances in the frontal view {_percent(flat)} (effective "
-        f"numbers of true, learnt and frontal: {enumeration(effective)}). Classical scaling has an "
+        f"The squared dissimilarities of {n_faces} test faces, doubly centred, have eigenvalues. "
+        f"In the sum of their absolute values the third has a share of {_percent(third)}, the "
+        f"fourth one of {_percent(abs(fourth))}. With true distances the third has "
+        f"{_percent(true)}, with distances in the frontal view {_percent(flat)}. Effective numbers "
+        f"of true, learnt and frontal ones are {enumeration(effective)}. Classical scaling has an "
         f"MSE of {scientific(lifted['two'], 3)} with two components and of "
         f"{scientific(lifted['three'], 3)} with three. A rank alone lifts nothing: the matrices "
-        f"themselves have ranks {enumeration(ranks)}, and square roots of the frontal view's "
-        f"distances a third eigenvalue of {_percent(lifted['roots_third'])}, but with it an MSE of "
+        f"themselves have ranks {enumeration(ranks)}. Square roots of the frontal view's distances "
+        f"have a third eigenvalue of {_percent(lifted['roots_third'])}, but with it an MSE of "
         f"{scientific(lifted['roots'], 3)}."
     )
     stands_out = third > _CLEARLY * abs(fourth) and third > _CLEARLY * flat
@@ -125,13 +124,13 @@ def distance_rank(
     """Have the distances of points of D dimensions rank D - 1, in any matrix made of them?"""
     listed = {key: enumeration([str(row[key]) for row in ranks]) for key in ranks[0]}
     evidence = (
-        f"For points of {listed['dimensions']} dimensions, the last of them faces, the doubly "
-        f"centred squared distances have ranks {listed['centred']}, the squared distances "
-        f"{listed['squared']} and the distances {listed['distances']}. Classical scaling with D "
+        f"Points had {listed['dimensions']} dimensions, the last of them faces. Their squared "
+        f"distances, doubly centred, have ranks {listed['centred']}; the squared distances "
+        f"{listed['squared']}; the distances {listed['distances']}. Classical scaling with D "
         f"components gives the points back but for {scientific(residual, 1)} of their variance. "
-        f"Readings in favour of the paper: the rank is {flat_rank} of 3D points in a plane, and "
-        f"{few_points_rank} of {_FEW_POINTS} points of {_MANY_DIMENSIONS} dimensions, which is "
-        "that of n points, n − 1 at most."
+        f"Two readings favour the paper. 3D points in a plane have the rank {flat_rank}. "
+        f"{_FEW_POINTS} points of {_MANY_DIMENSIONS} dimensions have {few_points_rank}, since n "
+        "points have n − 1 at most."
     )
     as_claimed = any(
         all(row[matrix] == row["dimensions"] - 1 for row in ranks)
@@ -150,10 +149,10 @@ def shape_classes(classes: Mapping[str, Mapping[str, float]]) -> Finding:
     ]
     evidence = (
         f"From true distances MDS gives back faces, {enumeration(others)}, to "
-        f"{scientific(residual, 1)} of their variance at worst. The net trained on faces and given "
-        f"true frontal views leaves {enumeration(learnt)} of the variance; in brackets what an "
-        "answer without depth leaves. A view tells the depth of faces and half spheres only. Nets "
-        "trained on several classes were not tried."
+        f"{scientific(residual, 1)} of their variance at worst. The net, trained on faces and "
+        f"given true frontal views, leaves a part of the variance: {enumeration(learnt)}. In "
+        "brackets is what an answer without depth leaves. A view tells the depth of faces and half "
+        "spheres only. Nets trained on several classes were not tried."
     )
     if residual > _FLOAT64:
         return holds(evidence)

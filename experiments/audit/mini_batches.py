@@ -120,11 +120,10 @@ def known_to(
     if by_seed is None:
         return unknown("`make seeds`", evidence)
     spreads = {method: np.std(values, ddof=1) for method, values in by_seed.items()}
-    evidence += " Trained anew from other seeds the MSE is " + enumeration(
+    evidence += f" From {len(by_seed['ours'])} seeds the MSE is " + enumeration(
         [
-            f"{plus_minus(np.mean(values), spreads[method], _UNIT)} ({title(method)}, "
-            f"{len(values)} seeds, {factor(max(values) / min(values))} times as large at worst as "
-            "at best)"
+            f"{plus_minus(np.mean(values), spreads[method], _UNIT)} ({title(method)}, at worst "
+            f"{factor(max(values) / min(values))} times as large as at best)"
             for method, values in by_seed.items()
         ]
     )
@@ -154,8 +153,8 @@ def five_layers(ablation: Mapping | None) -> Finding:
     evidence = (
         f"MSE at a decayed rate, mean ± s.d. over {len(five)} seeds, × {power(_UNIT)}: "
         f"{plus_minus(five.mean(), five.std(ddof=1), _UNIT)} for the paper's five layers with a "
-        f"short connection; without one, as wide as less than 3,000 trainable parameters let them "
-        f"be, {said}; p of a paired t-test against the paper's."
+        f"short connection. Nets without one are as wide as less than 3,000 trainable parameters "
+        f"let them be: {said}. p is of a paired t-test against the paper's."
     )
     worse = [v for v, own in errors.items() if five.mean() < own.mean() and p_values[v] < _LEVEL]
     better = [v for v, own in errors.items() if own.mean() < five.mean() and p_values[v] < _LEVEL]
@@ -184,7 +183,7 @@ def _compared(ablation: Mapping, a: str, b: str, first: str, second: str) -> Fin
     n = len(ablation[a]["mse"])
     evidence = (
         f"{first} against {second}, mean ± s.d. over {n} seeds, × {power(_UNIT)}, p of a paired "
-        f"t-test: {'. '.join(s[0].upper() + s[1:] for s in sentences)}."
+        f"t-test. {'. '.join(s[0].upper() + s[1:] for s in sentences)}."
     )
     where = [
         f"in the {_CRITERIA[metric]} {_SCHEDULES[suffix]}"

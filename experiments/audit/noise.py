@@ -62,8 +62,8 @@ def withstands(
     ]
     worse = [percent for percent in percents if ours[percent] > mean_shape[percent]]
     evidence = (
-        f"On {n_faces} test faces, Gaussian errors of {last:g} % of the interocular distance in "
-        f"each coordinate of a landmark raise the MSE of {title('ours')} "
+        f"Each coordinate of a landmark of {n_faces} test faces has a Gaussian error of {last:g} % "
+        f"of the interocular distance. That raises the MSE of {title('ours')} "
         f"{factor(ours[last] / ours[0])} times, from {scientific(ours[0], 3)} to "
         f"{scientific(ours[last], 3)}; that of {enumeration(others)}. The mean shape has "
         f"{scientific(mean_shape[last], 3)} whatever the view; {title('ours')} is "

@@ -97,12 +97,12 @@ def occlusion(
     counts = [f"{n:.0f} in views that are {minus(kind)}" for kind, n in hidden_by_kind.items()]
     without = [scientific(errors[WITHOUT], 3) for errors in occluded.values()]
     evidence = (
-        f"Of {n_landmarks} landmarks the head hides on average {enumeration(counts)}, but in the "
+        f"Of {n_landmarks} landmarks the head hides on average {enumeration(counts)}. But in the "
         f'released generator and in all views here none is ever missing: "occlusion" only means '
         f"that the face is turned, on which see the claims about poses. On {n_posed} posed faces "
-        f"the MSE of {title('ours')} is {scientific(ours, 3)} with all landmarks, "
+        f"the MSE of {title('ours')} is {scientific(ours, 3)} with all landmarks. It is "
         f"{times['mean']} times as high where the hidden ones are put at their mean places in the "
-        f"training views (r.m.s. {off_mm['mean']:.0f} mm off) and {times['regression']} times "
+        f"training views (r.m.s. {off_mm['mean']:.0f} mm off), and {times['regression']} times "
         f"where a regression on the others places them ({off_mm['regression']:.1f} mm off). "
         f"Without the autoencoder these three are {enumeration(without)}."
     )
@@ -122,11 +122,11 @@ def missing_landmarks(thinned: dict, n_thinned: int, alike: float = ALIKE) -> Fi
     }
     rough = [f"{factor(ratio)} times with {percent} %" for percent, ratio in times["mean"].items()]
     evidence = (
-        f"On {n_thinned} faces the MSE of {title('ours')} is {enumeration(rough)} of the landmarks "
-        f"missing at random and put at their mean places in the training views, and at most "
-        f"{max(times['regression'].values()):.2f} times with up to "
-        f"{max(times['regression'])} % where a regression on the others places them. The method "
-        f"has no way of its own to leave a landmark out."
+        f"Landmarks of {n_thinned} faces are missing at random. Put at their mean places in the "
+        f"training views, they raise the MSE of {title('ours')} {enumeration(rough)} missing. "
+        f"Placed by a regression on the others, they raise it at most "
+        f"{max(times['regression'].values()):.2f} times with up to {max(times['regression'])} %. "
+        f"The method has no way of its own to leave a landmark out."
     )
     most = max(n for n, _ in thinned["mean"])
     if withstood["mean"] == most:

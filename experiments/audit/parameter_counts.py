@@ -119,9 +119,9 @@ def zhao(zhao_by_landmarks: Mapping, printed: Mapping) -> Finding:
     """Zhao's network has 114,840 trainable parameters."""
     of_bfm, of_flame = (zhao_by_landmarks[str(n)] for n in _N_LANDMARKS.values())
     evidence = (
-        f"Zhao's network has {of_bfm:,} trainable parameters at {_N_LANDMARKS['bfm72']} landmarks, "
-        f"and {of_flame:,} at the {_N_LANDMARKS['ibug51']} of the paper's experiments with FLAME; "
-        f"the paper prints {printed['zhao']:,.0f}."
+        f"Zhao's network has {of_bfm:,} trainable parameters at {_N_LANDMARKS['bfm72']} landmarks. "
+        f"At the {_N_LANDMARKS['ibug51']} of the paper's experiments with FLAME it has "
+        f"{of_flame:,}; the paper prints {printed['zhao']:,.0f}."
     )
     return holds(evidence) if of_bfm == printed["zhao"] else does_not_hold(evidence)
 
@@ -177,8 +177,8 @@ def fewest(
     untrained = [title(method) for method in compared if method not in trained]
     if untrained:
         return holds_if(
-            f"among the methods that are trained; {enumeration(untrained)} is not, as the paper's "
-            "table says, but is given a face model",
+            f"among the methods that are trained; {enumeration(untrained)} is not, but is given a "
+            "face model",
             evidence,
         )
     return holds(evidence)

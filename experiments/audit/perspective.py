@@ -83,10 +83,10 @@ def perspective_views(
     released = max(own["max"] for own in released_undivided.values())
     evidence = (
         f"The released generator takes the first two rows of MATLAB's viewmtx and never divides by "
-        f"the fourth. That matrix, rebuilt here from its documentation, gives {faces_seen} faces "
-        f"views with fields of view of {smallest}° to {max(text, key=float)}° that are the "
-        f"orthographic ones to {scientific(released, 2)} of the face's size, but for shift, turn "
-        f"and scale of the whole; divided, they would differ by "
+        f"the fourth. That matrix was rebuilt here from its documentation, for {faces_seen} faces "
+        f"and fields of view of {smallest}° to {max(text, key=float)}°. But for shift, turn and "
+        f"scale of the whole, its views are the orthographic ones to {scientific(released, 2)} of "
+        f"the face's size. Divided, they would differ by "
         f"{_percent(released_divided[smallest]['rms'])} (r.m.s.) at {smallest}°. Views as the text "
         f"describes them, which this project makes by default, differ by "
         f"{_percent(text[smallest]['rms'])}, at most {_percent(text[smallest]['max'])}, where a "
@@ -107,8 +107,8 @@ def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.
     """The matrix of MATLAB's function of that name, `(4, 4)`, from its public documentation.
 
     The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
-    a field of view the unit cube fills that angle: the target lies where the sphere around the cube
-    is nearest to the viewer, and the fourth row holds 1 less the depth beyond it in units of the
+    a field of view the unit cube fills that angle. The target lies where the sphere around the cube
+    is nearest to the viewer. The fourth row holds 1 less the depth beyond it, in units of the
     viewer's distance. The help names the origin as the target; its worked examples, which this
     function reproduces, have the one described here.
 

@@ -91,11 +91,11 @@ def projection_independent(
         f"The MSE of {title('ours')} is lowest in test views that are {minus(smallest)} "
         f"({scientific(ours[smallest], 3)}) and {factor(ratios['ours'])} times as high in those "
         f"that are {minus(largest)}; for {title('ours_stable')} that ratio is "
-        f"{factor(ratios['ours_stable'])}. In sweeps beyond them, of {faces_swept} faces, that of "
-        f"{title(shown)} stays within {alike:g} times the frontal one for {_ranges(limits)}, and "
-        f"reaches {scientific(max(swept[shown][farthest]), 3)} in that of "
-        f"{farthest.replace('_', ' ')}. The mean shape, which looks at no view and so depends on "
-        f"none, has {scientific(float(np.mean([*mean_shape.values()])), 3)}: less than "
+        f"{factor(ratios['ours_stable'])}. {faces_swept} faces were swept beyond these views. The "
+        f"MSE of {title(shown)} stays within {alike:g} times the frontal one for "
+        f"{_ranges(limits)}. It reaches {scientific(max(swept[shown][farthest]), 3)} in the sweep "
+        f"of {farthest.replace('_', ' ')}. The mean shape looks at no view and so depends on none. "
+        f"It has {scientific(float(np.mean([*mean_shape.values()])), 3)}: less than "
         f"{title('ours')} in {better} of {len(ours)} kinds of test views."
     )
     if not same:
@@ -116,12 +116,12 @@ def lifting_independent(
     }
     better = sum(errors[kind] < own["mse"] for kind, own in by_kind["mean_shape"].items())
     evidence = (
-        f"The MSE of {title('lifting')}, which is trained on the same views and has fewer "
-        f"parameters than {title('ours')}, is lowest in test views that are {minus(smallest)} "
+        f"{title('lifting')} is trained on the same views as {title('ours')} and has fewer "
+        f"parameters. Its MSE is lowest in test views that are {minus(smallest)} "
         f"({scientific(errors[smallest], 3)}) and {factor(ratio)} times as high in those that are "
-        f"{minus(largest)}: less than the mean shape's in {better} of {len(errors)} kinds. In "
-        f"sweeps beyond them, of {faces_swept} faces, it stays within {alike:g} times the frontal "
-        f"one for {_ranges(limits)}."
+        f"{minus(largest)}: less than the mean shape's in {better} of {len(errors)} kinds. "
+        f"{faces_swept} faces were swept beyond these views. There it stays within {alike:g} times "
+        f"the frontal one for {_ranges(limits)}."
     )
     if ratio > alike:
         return does_not_hold(evidence)
@@ -151,11 +151,11 @@ def frontal_view(frontal_views: dict, frontal_swept: dict) -> Finding:
     }
     view, ours, stable, constant = spans("aligned")
     evidence = (
-        f"By kind of posed test view, the r.m.s. distance to the true frontal view (what the "
-        f"paper's code trains for, under the name of profile view), with shift, turn and scale of "
-        f"the whole left out, is {view} for the view itself, {ours} for the autoencoder of "
-        f"{title('ours')}, {stable} for that of {title('ours_stable')} and {constant} for the mean "
-        f"frontal view as the one answer to all. As they come, these are "
+        f"The paper's code trains for the frontal view, under the name of profile view. The r.m.s. "
+        f"distance to the true one is given by kind of posed test view, without shift, turn and "
+        f"scale of the whole. It is {view} for the view itself, {ours} for the autoencoder of "
+        f"{title('ours')} and {stable} for that of {title('ours_stable')}. The mean frontal view, "
+        f"as the one answer to all, has {constant}. As they come, these are "
         f"{enumeration(spans('raw'))}. Seen from elsewhere, {title(shown)} beats that one answer "
         f"for {_ranges(limits)}."
     )
@@ -178,11 +178,11 @@ def autoencoder_needed(
     ratios = {kind: mean[WITHOUT][kind] / mse for kind, mse in mean["ours"].items()}
     evidence = (
         f"On {faces_swept} faces turned as far as in training, the MSE is "
-        f"{scientific(mean['ours']['turned'], 3)} with the autoencoder and "
-        f"{scientific(mean[WITHOUT]['turned'], 3)}, {factor(ratios['turned'])} times that, where "
-        f"the trained dissimilarity net is given the views themselves; the mean shape has "
-        f"{scientific(mean['mean_shape']['turned'], 3)}. Without the autoencoder it is "
-        f"{factor(ratios['frontal'])} times as high on frontal views and "
+        f"{scientific(mean['ours']['turned'], 3)} with the autoencoder; the mean shape has "
+        f"{scientific(mean['mean_shape']['turned'], 3)}. It is "
+        f"{scientific(mean[WITHOUT]['turned'], 3)}, {factor(ratios['turned'])} times that with the "
+        f"autoencoder, where the trained dissimilarity net is given the views themselves. Without "
+        f"the autoencoder it is {factor(ratios['frontal'])} times as high on frontal views and "
         f"{factor(ratios['perspective'])} times on frontal perspective ones."
     )
     if trained_without is not None:

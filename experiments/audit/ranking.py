@@ -81,7 +81,7 @@ def beats_constant(
         f"On the same faces Deep-MDS has {plus_minus(ours, unit=_BFM)} × {power(_BFM)}; "
         "the constant solutions: "
         + "; ".join(f"{name} {plus_minus(mse, unit=_BFM)}" for name, mse in constants.items())
-        + f". The paper, which does not say which it takes, prints {printed_trivial / _BFM:.3g}. "
+        + f". The paper prints {printed_trivial / _BFM:.3g} and does not say of which. "
         + f"Methods that err less than the mean shape on all faces: {_who(bfm, bfm['mean_shape'])}."
     )
     if by_seed is not None:

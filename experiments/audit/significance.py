@@ -148,9 +148,9 @@ def p_value(p_values: Mapping, printed_p: float, criteria: Mapping, n_subsets: f
     together = scientific(criteria["normal"], 2)
     return does_not_hold(
         f"{evidence}; {scientific(printed_p, 2)} takes {takes}. MSEs and depth correlations "
-        f"together would be {2 * given} values, but in the paper's table they differ in opposite "
-        f"directions for {criteria['opposite']} of {criteria['pairs']} pairs of methods, which "
-        f"gives {together} unless the sign of one criterion is turned round."
+        f"together would be {2 * given} values. But in the paper's table they differ in opposite "
+        f"directions for {criteria['opposite']} of {criteria['pairs']} pairs of methods. That "
+        f"gives {together}, unless the sign of one criterion is turned round."
     )
 
 
@@ -169,11 +169,11 @@ def samplings(
     more = {n: share for n, share in false_positives.items() if n.isdigit()}
     del more[str(sampled["samplings"])]
     evidence = (
-        f"Two methods that differ by chance alone come out as significantly different at "
-        f"{_percent(level)} in {_percent(rate)} of the cases, if {sampled['samplings']} samplings "
-        f"of {sampled['faces']:,} of {n_faces:,} faces are compared; in "
+        f"{sampled['samplings']} samplings of {sampled['faces']:,} of {n_faces:,} faces are "
+        f"compared. Two methods that differ by chance alone come out as significantly different at "
+        f"{_percent(level)} in {_percent(rate)} of the cases; in "
         + enumeration([f"{_percent(share)} with {n} samplings" for n, share in more.items()])
-        + ", since samplings of one test set share its luck. The same test over the faces "
+        + ". Samplings of one test set share its luck. The same test over the faces "
         f"themselves errs in {_percent(false_positives['faces'])}."
     )
     if rate <= TOO_OFTEN * level:

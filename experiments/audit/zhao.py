@@ -98,8 +98,8 @@ def bfm_score(
     evidence = (
         f"In consistent units Zhao's net has an MSE of {_mse(frontal['mse'])} and a depth "
         f"correlation of {scientific(frontal['depth_corr'], 5)} on frontal views, as the authors "
-        f"train and test it; {_mse(posed)} trained and tested on the views of all methods; and "
-        f"{_mse(authors)} trained on frontal and tested on those. The others have "
+        f"train and test it. Trained and tested on the views of all methods it has {_mse(posed)}; "
+        f"trained on frontal views and tested on those {_mse(authors)}. The others have "
         + enumeration([f"{_mse(error)} ({title(method)})" for method, error in others.items()])
         + f". The paper prints {_mse(printed['mse'])} and {printed['depth_corr']:g}"
     )
@@ -115,7 +115,7 @@ def bfm_score(
             return does_not_hold(f"{evidence}.")
         return holds_if(condition, f"{evidence}.") if condition else holds(f"{evidence}.")
     evidence += (
-        f"; the released evaluator, which rescales this method's depth alone to [0, 1], gives "
+        f". The released evaluator rescales this method's depth alone to [0, 1]. It gives "
         f"{_mse(released['zhao_frontal']['mse'])} to the net on frontal views, "
         f"{_mse(perfect['mse'])} and {scientific(perfect['depth_corr'])} to a depth without error. "
         f"A face without depth has {_mse(flat['mse'])} in consistent units."
@@ -132,14 +132,13 @@ def orthographic_only(views: Mapping, alike: float = ALIKE) -> Finding:
     """Zhao's method recovers shapes from orthographic views only."""
     own, authors = views["zhao"], views["zhao_authors"]
     evidence = (
-        f"Trained on the views of all methods, Zhao's net has an MSE of {_mse(own['perspective'])} "
-        f"on perspective views, {_mse(own['same_poses'])} on the same faces and poses seen "
-        f"orthographically (×{factor(own['perspective'] / own['same_poses'])}) and "
-        f"{_mse(own['orthographic'])} on the orthographic test views. Trained on frontal "
-        f"orthographic views only, as the released code does, it has {_mse(authors['frontal'])} on "
-        f"such views, {_mse(authors['perspective'])} on the perspective ones, "
-        f"{_mse(authors['same_poses'])} on the same poses seen orthographically and "
-        f"{_mse(authors['orthographic'])} on the orthographic test views."
+        f"Zhao's net was tested on perspective views, on the same faces and poses seen "
+        f"orthographically, and on the orthographic test views. Trained on the views of all "
+        f"methods its MSE is {_mse(own['perspective'])}, {_mse(own['same_poses'])} "
+        f"(×{factor(own['perspective'] / own['same_poses'])}) and {_mse(own['orthographic'])}. "
+        f"Trained on frontal orthographic views only, as the released code does, it is "
+        f"{_mse(authors['perspective'])}, {_mse(authors['same_poses'])} and "
+        f"{_mse(authors['orthographic'])}; on such views {_mse(authors['frontal'])}."
     )
     if own["perspective"] > alike * max(own["same_poses"], own["orthographic"]):
         return holds(evidence)
@@ -159,9 +158,9 @@ def celeba_score(celeba: Mapping | None, alike: float = ALIKE) -> Finding:
         return unknown("`make reproduce-celeba`")
     printed, perfect, own = celeba["printed"], celeba["perfect"], celeba["consistent"]
     evidence = (
-        f"In consistent units Zhao's net has an MSE of {_mse(own['mse'])} and a depth "
-        f"correlation of {scientific(own['depth_corr'], 5)} in this project's run of that "
-        f"experiment; the paper prints {_mse(printed['mse'])} and {printed['depth_corr']:g}. The "
+        f"In this project's run of that experiment Zhao's net has, in consistent units, an MSE of "
+        f"{_mse(own['mse'])} and a depth correlation of {scientific(own['depth_corr'], 5)}. The "
+        f"paper prints {_mse(printed['mse'])} and {printed['depth_corr']:g}. The "
         f"released evaluator gives {_mse(perfect['mse'])} and {scientific(perfect['depth_corr'])} "
         f"to a depth without error on {celeba['faces']}, "
         f"{factor(perfect['mse'] / printed['mse'])} times the printed MSE."

@@ -1,10 +1,10 @@
 """The way of the authors' released code: one face at a time, one pair at a time.
 
-Their MATLAB generator makes all vertices of each face and picks the landmarks; their Python scripts
-join the features of a face in two nested loops over all L² ordered pairs and call Keras' `predict`
-for each face, whose mini-batches are of 32 pairs. Textures, renders and files, which those scripts
-make too, are left out. For MATLAB's `mdscale` stands scikit-learn's `MDS` with four random starts,
-which was its default up to version 1.8.
+Their MATLAB generator makes all vertices of each face and picks the landmarks. Their Python scripts
+join the features of a face in two nested loops over all L² ordered pairs. They call Keras'
+`predict` for each face, whose mini-batches are of 32 pairs. Textures, renders and files, which
+those scripts make too, are left out. For MATLAB's `mdscale` stands scikit-learn's `MDS` with four
+random starts, which was its default up to version 1.8.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[flo
     """The autoencoder's error by batch statistics and by moving ones, seed by seed.
 
     If the moving statistics of batch normalisation trail the weights, the network errs more at
-    inference than in training, on the same faces, and no longer does once the statistics are
+    inference than in training, on the same faces. It no longer does once the statistics are
     estimated anew for the weights as they are.
 
     Args:

@@ -47,8 +47,8 @@ def qualitative(
     """Input view, frontal view, truth and every method's shape from the front and the side.
 
     Every shape is drawn to one scale; the input views are fitted to the same box. The truth is
-    repeated in grey beneath each prediction, and beneath the frontal view after the shift and the
-    scaling that fit it best, since a frontal view may be normalised by itself. The lowest error
+    repeated in grey beneath each prediction. Beneath the frontal view it is so after the shift and
+    the scaling that fit it best, since a frontal view may be normalised by itself. The lowest error
     of a row is bold. N/A stands for a face that a method did not find.
 
     Args:

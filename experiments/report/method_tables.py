@@ -50,8 +50,8 @@ def criteria_table(experiment: Experiment) -> Table:
         for n, size in subsets.drop_duplicates().itertuples(index=False)
     )
     caption = (
-        f"The paper's criteria: mean ± s.d. here{over}; as the paper prints them; and how much "
-        "more ours is, with how many times the paper's."
+        f"The paper's criteria: mean ± s.d. here{over}. Beside it is what the paper prints, and "
+        "how much more ours is, with how many times the paper's."
     )
     if "n_seeds" in experiment.table():
         caption += (

@@ -80,12 +80,11 @@ def _against_the_others(experiment: Experiment, mse: pd.DataFrame) -> str:
     count = f"{len(better) or 'None'} of the {len(others)} other methods"
     sentence = f"{count} on the same faces {have} a smaller error"
     if better:
-        sentence += (
-            f" ({enumeration([f'{title(m)} {factor(ratios[m])}' for m in better])} times it)"
-        )
+        listing = enumeration([f"{title(m)} {factor(ratios[m])}" for m in better])
+        sentence += f": {listing} times it"
     if _CONSTANT in others and _CONSTANT not in better:
-        sentence += f"; one constant shape has {factor(ratios[_CONSTANT])} times it"
-    return f"{sentence}{_of_the_truth(ratios, methods_of(mse))}."
+        sentence += f". One constant shape has {factor(ratios[_CONSTANT])} times it"
+    return f"{sentence}.{_of_the_truth(ratios, methods_of(mse))}"
 
 
 def _of_the_truth(ratios: pd.Series, methods: list[str]) -> str:
@@ -95,11 +94,11 @@ def _of_the_truth(ratios: pd.Series, methods: list[str]) -> str:
         return ""
     row = ratios[truths].idxmax()
     within = [method for method in methods if ratios[method] <= ratios[row]]
-    sentence = (
-        f'; the row "{title(row)}", which is no method but how far apart two truths are, has '
-        f"{factor(ratios[row])} times it"
+    return (
+        f' The row "{title(row)}" is no method: it is how far apart two truths are. It has '
+        f"{factor(ratios[row])} times the error of {title(_OURS)}; "
+        f"{enumeration([*map(title, within)]) or 'no method'} no more."
     )
-    return f"{sentence}, and {enumeration([*map(title, within)]) or 'no method'} no more"
 
 
 def _of_released_evaluator(
@@ -112,7 +111,7 @@ def _of_released_evaluator(
     net, perfect = mse.loc[nets[0]], mse.loc[_PERFECT]
     first = (
         "Scored as the authors' script scores Zhao's net, the true depth itself has an MSE of "
-        f"{error(perfect, unit)}, {factor(perfect['mean'] / net['paper_mean'])} times the "
+        f"{error(perfect, unit)}. That is {factor(perfect['mean'] / net['paper_mean'])} times the "
         f"{printed(net, unit)} that the paper prints for that net."
     )
     second = f'The net (row "{title(nets[0])}") has {error(net, unit)}'
@@ -131,17 +130,17 @@ def _of_seeds(experiment: Experiment) -> str:
         mse = table.loc[(method, "mse")]
         low, high = (plus_minus(mse[end], unit=unit) for end in ("min", "max"))
         ratio = factor(mse["max"] / mse["min"])
-        span = f"{low} to {high} × {power(unit)}"
-        ranges.append(f"{ratio} times the smallest for {title(method)} ({span})")
+        ranges.append(f"{low} to {high} × {power(unit)} ({ratio} times) for {title(method)}")
         moving, anew = (
             table.loc[(method, f"autoencoder_mse_{statistics}"), "median"]
             for statistics in ("inference", "reestimated")
         )
         lags.append(f"{factor(moving / anew)} for {title(method)}")
     return (
-        f"Over {int(table['count'].max())} seeds the largest MSE is {enumeration(ranges)}. The "
-        "autoencoder's median error with the moving statistics of batch normalisation, over that "
-        f"with statistics estimated anew for the same weights, is {enumeration(lags)}."
+        f"Over {int(table['count'].max())} seeds the MSE is {enumeration(ranges)}. The "
+        "autoencoder's median error is larger with the moving statistics of batch normalisation "
+        "than with statistics estimated anew for the same weights. The ratio is "
+        f"{enumeration(lags)}."
     )
 
 

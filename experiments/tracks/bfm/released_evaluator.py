@@ -19,9 +19,9 @@ REMARKS = dict.fromkeys((*ZHAO, TRUE_DEPTH), _NOTE)
 def as_released(predictions: dict[str, dict], truth: np.ndarray) -> dict[str, dict]:
     """Shapes that the released evaluator compares with the ground truth for each prediction.
 
-    The script that evaluates Zhao's net reads depth alone, rescales it to [0, 1] by itself, joins
-    it to the true x and y, whose own depth spans less than half of that, and takes the depth from
-    the file before. It then averages one face only, which is not done here.
+    The script that evaluates Zhao's net reads depth alone, and from the file before. It rescales it
+    to [0, 1] by itself and joins it to the true x and y, whose own depth spans less than half of
+    that. It then averages one face only, which is not done here.
 
     Args:
         predictions: Method to arrays with `shapes`, `(n, L, 3)`.

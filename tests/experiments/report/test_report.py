@@ -178,20 +178,20 @@ def test_a_summary_follows_the_numbers(written, results):
     text = (written / "report.md").read_text()
     assert (
         "Deep-MDS has an MSE of (2.0 ± 0.7) × 10⁻⁴, 1.43 times the (1.4 ± 0.005) × 10⁻⁴ that the "
-        "paper prints. 2 of the 3 other methods on the same faces have a smaller error (Linear "
-        "0.062 and Mean shape 0.25 times it)."
+        "paper prints. 2 of the 3 other methods on the same faces have a smaller error: Linear "
+        "0.062 and Mean shape 0.25 times it."
     ) in text
-    assert 'the row "True landmarks", which is no method' in text
-    assert "has 0.30 times it, and Mean shape and Linear no more." in text
-    assert "the true depth itself has an MSE of (22 ± 8) × 10⁻⁴, 1.0000 times" in text
-    assert "largest MSE is 2.00 times the smallest for Deep-MDS (1 to 2 × 10⁻⁴); and" in text
+    assert 'The row "True landmarks" is no method' in text
+    assert "has 0.30 times the error of Deep-MDS; Mean shape and Linear no more." in text
+    assert "the true depth itself has an MSE of (22 ± 8) × 10⁻⁴. That is 1.0000 times" in text
+    assert "MSE is 1 to 2 × 10⁻⁴ (2.00 times) for Deep-MDS" in text
     run = Run("openhead", SMOKE, results=results)
     best = MSE | {"ours": 0.1, "mean_shape": 0.2}
     write_experiment(run, "bfm", best, [stage("faces", 1)], {})
     main(["--preset", "smoke", "--results", str(results)])
     text = (folder_of(results, "report") / "report.md").read_text()
     assert (
-        "None of the 3 other methods on the same faces have a smaller error; one constant" in text
+        "None of the 3 other methods on the same faces have a smaller error. One constant" in text
     )
     assert "has 2.00 times it." in text
 
@@ -205,7 +205,7 @@ def test_a_fit_that_is_the_truth_elsewhere_is_no_method(results):
     text = (folder_of(results, "report") / "report.md").read_text()
     section = text.partition("## CelebA, against the true landmarks")[2].partition("\n## ")[0]
     assert "2 of the 3 other methods" in section
-    assert 'the row "Model fit", which is no method' in section
+    assert 'The row "Model fit" is no method' in section
 
 
 def test_what_was_not_run_has_a_reason(written):
