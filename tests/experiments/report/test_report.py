@@ -97,7 +97,7 @@ def made(tmp_path_factory):
     run = Run("openhead", SMOKE, results=results)
     of_bfm = [stage("faces", 1), stage("networks", 2), stage("predictions", 3)]
     notes = {
-        "mobileface": "left out (MOBILEFACE=no)",
+        "mobileface": "left out (MOBILEFACE=no), or still to come",
         "authors_weights": "<script>window.ran=1</script> | not given",
     }
     write_experiment(run, "bfm", MSE, of_bfm, notes)
