@@ -335,3 +335,14 @@ def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
         "sys.exit(bool({'tensorflow', 'keras'} & {*sys.modules}))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_compiled_training_is_the_same_but_for_rounding(tiny, monkeypatch):
+    plain, compiled = (LandmarkLifter(L, "tiny", steps=5, batch_size=16) for _ in range(2))
+    plain.fit(sample_faces)
+    monkeypatch.setattr(training, "_COMPILED_FROM", 5)
+    compiled.fit(sample_faces)
+    assert any((plain.weights_[name] != compiled.weights_[name]).any() for name in plain.weights_)
+    for name, weights in plain.weights_.items():
+        np.testing.assert_allclose(compiled.weights_[name], weights, rtol=1e-3, atol=1e-4)
