@@ -14,9 +14,7 @@ from filelock import FileLock
 from places import MEDIAPIPE
 from threadpoolctl import threadpool_limits
 
-# As `make` has it, before TensorFlow is loaded: sums in one order on every processor.
-os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_max_isa=AVX2")
+os.environ |= runs.SUMS | os.environ  # before TensorFlow is loaded
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 

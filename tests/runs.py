@@ -25,12 +25,10 @@ from pathlib import Path
 from places import ROOT
 
 PRESET = "tiny"
-# `make` sets the same; a stage that runs alone is as deterministic as its threads.
-ENVIRONMENT = os.environ | {
-    "TF_CPP_MIN_LOG_LEVEL": "3",
-    "TF_ENABLE_ONEDNN_OPTS": "0",
-    "XLA_FLAGS": "--xla_cpu_max_isa=AVX2",
-}
+# As `make` has them: sums in one order on every processor.
+SUMS = {"TF_ENABLE_ONEDNN_OPTS": "0", "XLA_FLAGS": "--xla_cpu_max_isa=AVX2"}
+# A stage that runs alone is as deterministic as its threads.
+ENVIRONMENT = os.environ | SUMS | {"TF_CPP_MIN_LOG_LEVEL": "3"}
 _RENDERING = {"images", "scans", "rings", "photos", "celeba", "portraits"}
 _LIBRARIES = (
     "tensorflow", "keras", "h5py", "pandas", "joblib", "sklearn.manifold", "sklearn.linear_model",

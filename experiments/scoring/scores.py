@@ -51,12 +51,10 @@ def metrics_by_seed(run: Run) -> pd.DataFrame | None:
     """
     if not run.record_file("seeds").exists():
         return None
-    n_seeds = load_record(run, "seeds").get("n_seeds")
-    if n_seeds is None:  # of an earlier version
-        return None
+    trained = replace(run, seeds=load_record(run, "seeds")["n_seeds"])
     rows = [
         (method, own.seed, metric, value)
-        for own in runs_by_seed(replace(run, seeds=n_seeds))
+        for own in runs_by_seed(trained)
         for method, metric, value in load_record(own, "seed")["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
