@@ -17,6 +17,7 @@ from experiments.scoring.numbers import as_quoted, between, plus_minus
 from experiments.scoring.typesetting import head_of, n_landmarks
 
 _MSE_UNIT = 1e-4
+_SYMBOLS, _LETTER = 1.05, 0.045  # inches of a panel of symbols, and of a letter beside it
 
 
 @styled
@@ -37,13 +38,18 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
     if not over_seeds:
         table = table.assign(median=np.nan, lowest=np.nan, highest=np.nan)
     methods = list(dict.fromkeys(table["method"]))
-    figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
-    panels = figure.subplots(
-        1, 4, sharey=True, gridspec_kw={"width_ratios": (0.95, 1.25, 0.95, 1.25)}
+    mse, depth_corr = (
+        table[table["metric"] == metric].set_index("method") for metric in ("mse", "depth_corr")
     )
+    columns = [
+        _columns(rows.reindex(methods), unit_of(experiment, metric))
+        for rows, metric in ((mse, "mse"), (depth_corr, "depth_corr"))
+    ]
+    letters = [sum(max(map(len, column)) + 2 for column in own) for own in columns]
+    figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
+    widths = [width for n in letters for width in (_SYMBOLS, _LETTER * n)]
+    panels = figure.subplots(1, 4, sharey=True, gridspec_kw={"width_ratios": widths})
     figure.get_layout_engine().set(w_pad=0.03, wspace=0)
-    mse = table[table["metric"] == "mse"].set_index("method")
-    depth_corr = table[table["metric"] == "depth_corr"].set_index("method")
     lost = most - depth_corr["paper_mean"]
     # The paper prints values above the greatest one for the FLAME landmarks: in the text only.
     missing = depth_corr.assign(
@@ -57,12 +63,8 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
     ):
         _markers(axes, rows.reindex(methods))
         axes.set_xlabel(f"{name}\n← better")
-    for axes, rows, metric in (
-        (panels[1], mse, METRICS["mse"]),
-        (panels[3], depth_corr, METRICS["depth_corr"]),
-    ):
-        unit = unit_of(experiment, metric.id)
-        _numbers(axes, rows.reindex(methods), unit, head_of(metric, experiment))
+    for axes, texts, metric in zip(panels[1::2], columns, ("mse", "depth_corr"), strict=True):
+        _numbers(axes, *texts, head_of(METRICS[metric], experiment))
     panels[0].set_yticks(range(len(methods)), [title(method) for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     dot = {"color": INK, "marker": "o", "ms": 5}
@@ -95,20 +97,26 @@ def _markers(axes: Axes, rows: pd.DataFrame) -> None:
     axes.margins(x=0.1)
 
 
-def _numbers(axes: Axes, rows: pd.DataFrame, unit: float, name: str) -> None:
-    """The same numbers as text, in the same rows."""
-    axes.set_axis_off()
-    _stripes(axes, len(rows))
-    axes.set(xlim=(0, 1), title=f"{name}\n")
+def _columns(rows: pd.DataFrame, unit: float) -> tuple[list[str], list[str]]:
+    """The numbers of this work and of the paper, as text."""
     ours = [
         plus_minus(row.mean, row.std, unit) if np.isnan(row.median)
         else between(row.median, row.lowest, row.highest, unit)
         for row in rows.itertuples()
     ]  # fmt: skip
     paper = zip(rows["paper_mean"], rows["paper_std"], strict=True)
+    return ours, [as_quoted(*of, unit) for of in paper]
+
+
+def _numbers(axes: Axes, ours: list[str], published: list[str], name: str) -> None:
+    """The same numbers as text, in the same rows."""
+    axes.set_axis_off()
+    _stripes(axes, len(ours))
+    axes.set(xlim=(0, 1), title=f"{name}\n")
+    width, beside = (max(map(len, texts)) + 2 for texts in (ours, published))
     for x, head, texts in (
-        (0.56, "this work", ours),
-        (0.98, "published", [as_quoted(*of, unit) for of in paper]),
+        (width / (width + beside), "this work", ours),
+        (0.99, "published", published),
     ):
         axes.text(x, -0.6, head, ha="right", va="bottom", size=6.5, color=INK)
         for y, text in enumerate(texts):
@@ -159,7 +167,8 @@ def seed_spread(table: pd.DataFrame) -> Figure:
     axes.set(yscale="log", ylabel="Test MSE (squared normalised units)")
     axes.set_xlim(-0.4, len(methods) - 0.2)
     axes.set_xticks(
-        range(len(methods)), [f"{title(m)}\n({runs[m].count()} seeds)" for m in methods]
+        range(len(methods)),
+        [f"{title(m)}\n({runs[m].count()} seeds)".replace(", ", ",\n") for m in methods],
     )
     axes.grid(axis="y", which="both")
     return figure
