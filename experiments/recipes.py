@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,9 +62,17 @@ def _trained_by(run: Run, stage: str) -> Iterator[None]:
         ) from None
 
 
-def _any_way_up(model):
-    """The model, which refuses no view: the audit leans heads by 90 degrees."""
-    model.predict = partial(model.predict, check_orientation=False)
+def any_way_up(model):
+    """The model, which refuses no view: the audit leans heads by 90 degrees.
+
+    Its class is another one, so that a copy with other networks predicts by these.
+    """
+    kind = type(model)
+
+    def predict(self, views, **options):
+        return kind.predict(self, views, check_orientation=False, **options)
+
+    model.__class__ = type(kind.__name__, (kind,), {"predict": predict})
     return model
 
 
@@ -155,7 +162,7 @@ def load_deep_mds(run: Run, variant: str, schedule: str) -> DeepMDS:
     centred = run.track == "flame" and run.protocol != "released"
     model = deep_mds(run, variant, schedule).set_params(centre_views=centred)
     with _trained_by(run, "networks"):
-        return _any_way_up(model.restore(run.networks, load_faces(run, "train").shapes))
+        return any_way_up(model.restore(run.networks, load_faces(run, "train").shapes))
 
 
 def load_authors_weights(run: Run) -> DeepMDS:
@@ -164,7 +171,7 @@ def load_authors_weights(run: Run) -> DeepMDS:
 
     files = (Path(run.authors, name) for name in AUTHORS_FILES[run.track])
     model = DeepMDS.from_released(*files, n_landmarks=len(load_scheme(run.scheme)))
-    return _any_way_up(model.set_params(n_jobs=run.jobs, solver="sklearn"))
+    return any_way_up(model.set_params(n_jobs=run.jobs, solver="sklearn"))
 
 
 def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -> list[keras.Model]:
@@ -215,7 +222,7 @@ def load_lifting(run: Run) -> LandmarkLifter:
     from deepmds_keras.lifting.lifter import LandmarkLifter
 
     with _trained_by(run, "networks"):
-        return _any_way_up(LandmarkLifter.load(run.network_file("lifting")))
+        return any_way_up(LandmarkLifter.load(run.network_file("lifting")))
 
 
 # Zhao's net

@@ -1,11 +1,14 @@
 """Errors over poses and projections: measured on methods whose errors are known, and verdicts."""
 
+import copy
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from data_gen.models.openhead import load_openhead
+from data_gen.views.photo_views import sample_photo_views
 from data_gen.views.projections import Cameras, project
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
 from deepmds_keras.normalisation import normalise, unit
@@ -14,6 +17,7 @@ from deepmds_keras.proximities import proximities
 from experiments.audit import poses
 from experiments.audit.poses import SWEEPS, WITHOUT, kinds, reach, without_autoencoder
 from experiments.inputs import Faces
+from experiments.recipes import any_way_up
 from experiments.verdicts import DOES_NOT_HOLD, HOLDS, WITH_CONDITION
 
 N, L = 8, 10
@@ -144,6 +148,17 @@ def test_without_autoencoder_the_net_sees_the_views(inputs):
     features = proximities(*np.float32(views[:, [2, 7]]).swapaxes(0, 1), "paper")
     expected = forward(model.dissimilarity_net_, features)[:, 0]
     np.testing.assert_allclose(bare.dissimilarities(views)[:, 2, 7], expected, atol=1e-6)
+
+
+def test_a_stages_model_without_its_autoencoder_does_not_predict_with_it():
+    rng = np.random.default_rng(0)
+    views, _, _ = sample_photo_views(load_openhead(), "ibug51", 5, rng)
+    model = DeepMDS.pretrained("deepmds-ibug51")
+    own, bare = (without_autoencoder(m) for m in (model, any_way_up(copy.copy(model))))
+    expected = own.predict(views)
+    np.testing.assert_array_equal(bare.predict(views), expected)
+    assert not np.allclose(model.predict(views), expected)
+    assert np.isfinite(bare.predict(-views)).all()
 
 
 def test_trained_without_compares_posed_views_of_two_trainings(inputs):
