@@ -70,7 +70,7 @@ def any_way_up(model):
     kind = type(model)
 
     def predict(self, views, **options):
-        return kind.predict(self, views, check_orientation=False, **options)
+        return kind.predict(self, views, **{"check_orientation": False} | options)
 
     model.__class__ = type(kind.__name__, (kind,), {"predict": predict})
     return model

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -45,9 +47,9 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
         _columns(rows.reindex(methods), unit_of(experiment, metric))
         for rows, metric in ((mse, "mse"), (depth_corr, "depth_corr"))
     ]
-    letters = [sum(max(map(len, column)) + 2 for column in own) for own in columns]
+    letters = [[max(map(len, texts)) + 2 for texts in own] for own in columns]
     figure = Figure(figsize=(7.2, 1.0 + 0.26 * len(methods)), layout="constrained")
-    widths = [width for n in letters for width in (_SYMBOLS, _LETTER * n)]
+    widths = [width for own in letters for width in (_SYMBOLS, _LETTER * sum(own))]
     panels = figure.subplots(1, 4, sharey=True, gridspec_kw={"width_ratios": widths})
     figure.get_layout_engine().set(w_pad=0.03, wspace=0)
     lost = most - depth_corr["paper_mean"]
@@ -63,8 +65,9 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
     ):
         _markers(axes, rows.reindex(methods))
         axes.set_xlabel(f"{name}\n← better")
-    for axes, texts, metric in zip(panels[1::2], columns, ("mse", "depth_corr"), strict=True):
-        _numbers(axes, *texts, head_of(METRICS[metric], experiment))
+    for k, metric in enumerate(("mse", "depth_corr")):
+        middle = letters[k][0] / sum(letters[k])
+        _numbers(panels[2 * k + 1], *columns[k], middle, head_of(METRICS[metric], experiment))
     panels[0].set_yticks(range(len(methods)), [title(method) for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     dot = {"color": INK, "marker": "o", "ms": 5}
@@ -108,16 +111,12 @@ def _columns(rows: pd.DataFrame, unit: float) -> tuple[list[str], list[str]]:
     return ours, [as_quoted(*of, unit) for of in paper]
 
 
-def _numbers(axes: Axes, ours: list[str], published: list[str], name: str) -> None:
-    """The same numbers as text, in the same rows."""
+def _numbers(axes: Axes, ours: list[str], published: list[str], middle: float, name: str) -> None:
+    """The same numbers as text, in the same rows, ours up to the middle."""
     axes.set_axis_off()
     _stripes(axes, len(ours))
     axes.set(xlim=(0, 1), title=f"{name}\n")
-    width, beside = (max(map(len, texts)) + 2 for texts in (ours, published))
-    for x, head, texts in (
-        (width / (width + beside), "this work", ours),
-        (0.99, "published", published),
-    ):
+    for x, head, texts in ((middle, "this work", ours), (0.99, "published", published)):
         axes.text(x, -0.6, head, ha="right", va="bottom", size=6.5, color=INK)
         for y, text in enumerate(texts):
             axes.text(x, y, text, ha="right", va="center", size=5.8, color=INK)
@@ -168,7 +167,7 @@ def seed_spread(table: pd.DataFrame) -> Figure:
     axes.set_xlim(-0.4, len(methods) - 0.2)
     axes.set_xticks(
         range(len(methods)),
-        [f"{title(m)}\n({runs[m].count()} seeds)".replace(", ", ",\n") for m in methods],
+        [f"{textwrap.fill(title(m), 18)}\n({runs[m].count()} seeds)" for m in methods],
     )
     axes.grid(axis="y", which="both")
     return figure

@@ -159,6 +159,7 @@ def test_a_stages_model_without_its_autoencoder_does_not_predict_with_it():
     np.testing.assert_array_equal(bare.predict(views), expected)
     assert not np.allclose(model.predict(views), expected)
     assert np.isfinite(bare.predict(-views)).all()
+    np.testing.assert_array_equal(bare.predict(views, check_orientation=False), expected)
 
 
 def test_trained_without_compares_posed_views_of_two_trainings(inputs):
