@@ -350,8 +350,7 @@ def _told(source: Path, faces: list[Face], files: list[Path]) -> Iterator[str]:
     )
     yield f"{source}: {counted} → {', '.join(named)}"
     for face in seen[:_DRAWN_FACES]:
-        angles = (f"{name} {getattr(face.pose, name):+.0f}°" for name in ("yaw", "pitch", "roll"))
-        yield f"  {face.name}: {', '.join(angles)}"
+        yield f"  {face.name}: {face.angles}"
         yield from (f"    {note}" for note in face.notes)
     if len(seen) > _DRAWN_FACES:
         noted = sum(bool(face.notes) for face in seen[_DRAWN_FACES:])

@@ -110,6 +110,12 @@ class Face:
         return np.linalg.norm(self.seen_shape - self.landmarks, axis=1)
 
     @property
+    def angles(self) -> str:
+        """The head's pose in whole degrees: `yaw +20°, pitch +12°, roll -8°`."""
+        degrees = {name: round(getattr(self.pose, name)) for name in ("yaw", "pitch", "roll")}
+        return ", ".join(f"{name} {angle:+}°" for name, angle in degrees.items())
+
+    @property
     def is_gap(self) -> bool:
         """Whether it stands for a row without a face, or with one that cannot be used."""
         return math.isnan(self.shape[0, 0])

@@ -224,10 +224,9 @@ def _square(axes: Axes, points: np.ndarray) -> None:
 def _small_type(face: Face) -> list[tuple[str, str]]:
     """Lines of text, each with its colour."""
     unit = f"Unit: {face.unit} ({SCALE[face.unit]})."
-    angles = (f"{name} {getattr(face.pose, name):+.0f}°" for name in ("yaw", "pitch", "roll"))
     residual = f"{100 * face.pose.residual:.1f} %"
     pose = (
-        f"Head pose: {', '.join(angles).replace('-', '−')} (positive: turned to the subject's "
+        f"Head pose: {face.angles.replace('-', '−')} (positive: turned to the subject's "
         "left, looking up, leaning to the subject's right). In the photo, dots are landmarks as "
         "found, lines the shape. "
         f"Turned so, the shape lies {residual} of the face's size from the landmarks (RMS)."

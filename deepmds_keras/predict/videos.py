@@ -126,12 +126,12 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
     tracks = _by_track(faces)
     for seen in tracks[:most]:
         first, last = seen[0].moment, seen[-1].moment
-        yaws = [face.pose.yaw for face in seen]
+        yaws = [round(face.pose.yaw) for face in seen]
         noted = sum(bool(face.notes) for face in seen)
         yield (
             f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
-            f"frames{f', {noted} with notes' * (noted > 0)}; yaw {min(yaws):+.0f}° to "
-            f"{max(yaws):+.0f}°"
+            f"frames{f', {noted} with notes' * (noted > 0)}; yaw {min(yaws):+}° to "
+            f"{max(yaws):+}°"
         )
     if len(tracks) > most:
         yield f"  and {len(tracks) - most} more tracks; pictures are of the {most} longest"

@@ -30,6 +30,11 @@ def photo():
     return np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
 
 
+def test_an_angle_that_rounds_to_nothing_has_no_minus(face):
+    turned = replace(face, pose=replace(face.pose, yaw=-19.6, pitch=-0.4, roll=0.6))
+    assert turned.angles == "yaw -20°, pitch +0°, roll +1°"
+
+
 def panel(figure: Figure, title: str):
     return next(axes for axes in figure.axes if axes.get_title() == title)
 
