@@ -31,7 +31,7 @@ function shadedMesh(vertices, triangles) {
     const [cx, cy] = [xs[c], ys[c]], area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
     if (!area) return;
     // Of the right side of the surface the corners go round clockwise, y being down.
-    const inside = area > 0 ? 0.35 : 1;
+    const inside = area > 0; // seen at an open edge, as below the neck: one tone, in shade
     const left = Math.max(0, Math.ceil(Math.min(ax, bx, cx)));
     const right = Math.min(width - 1, Math.floor(Math.max(ax, bx, cx)));
     const top = Math.max(0, Math.ceil(Math.min(ay, by, cy)));
@@ -49,7 +49,7 @@ function shadedMesh(vertices, triangles) {
         const z = za + wb * zb + wc * zc;
         if (z <= depth[i]) continue;
         depth[i] = z;
-        pixels[i] = tones[(inside * (la + wb * lb + wc * lc)) | 0];
+        pixels[i] = tones[inside ? 120 : (la + wb * lb + wc * lc) | 0];
       }
     }
   }
