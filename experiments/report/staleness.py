@@ -81,18 +81,21 @@ def _changed_tables(experiment: Experiment, record: dict) -> list[str]:
 
 
 def _of_other_runs(experiments: list[Experiment]) -> list[str]:
-    """Experiments made from a stage, such as the networks, that was run anew since."""
+    """Experiments made from a stage, such as the networks, that was run anew since.
+
+    When does not matter where one clean commit ran it on the same inputs: it makes the same.
+    """
     made = defaultdict(list)
     for experiment in experiments:
         for record in experiment.manifest["stages"]:
             if "build" in record:  # those of earlier versions do not say
                 key = record["build"], record["stage"]
-                made[key].append((record["started"], experiment))
+                made[key].append((record["started"], _recipe(experiment, record), experiment))
     problems = {}
     for (_, stage), runs in made.items():
-        latest, newest = max(runs, key=lambda run: run[0])
-        for started, experiment in runs:
-            if started != latest:
+        latest, recipe, newest = max(runs, key=lambda run: run[0])
+        for started, own, experiment in runs:
+            if started != latest and (own is None or own != recipe):
                 # A line for an experiment is enough, however many of its stages are old.
                 problems.setdefault(
                     experiment.folder,
@@ -101,6 +104,12 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
                     f"{_again(experiment.folder, experiment)}",
                 )
     return [*problems.values()]
+
+
+def _recipe(experiment: Experiment, record: dict) -> tuple[str, dict] | None:
+    """What decides what a stage makes: the commit and the inputs; None if the code is not known."""
+    commit = experiment.manifest["commit"]
+    return None if commit is None or commit.endswith("+") else (commit, record.get("inputs", {}))
 
 
 def _again(folder: Path, experiment: Experiment | None = None) -> str:

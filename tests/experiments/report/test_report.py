@@ -148,6 +148,9 @@ def folder_of(results, name=""):
     return results / "smoke" / "openhead" / name
 
 
+OTHER_COMMIT = "0123456789ab"
+
+
 def change(folder, **values):
     manifest = read_manifest(folder)
     write_text(folder / "manifest.json", json.dumps(manifest | values))
@@ -328,14 +331,14 @@ def trained_anew(folder):
     stages = read_manifest(folder / "bfm")["stages"]
     stages[1]["started"] = "2026-02-02T03:02:00+00:00"
     for name in ("bfm", "parameters"):
-        change(folder / name, stages=stages)
+        change(folder / name, stages=stages, commit=OTHER_COMMIT)
 
 
 def predicted_anew(folder):
     stages = read_manifest(folder / "bfm")["stages"]
     stages[2]["started"] = "2026-02-02T03:02:00+00:00"
-    change(folder / "bfm-evaluator-released", stages=stages)
-    change(folder / "parameters", stages=stages)
+    for name in ("bfm-evaluator-released", "parameters"):
+        change(folder / name, stages=stages, commit=OTHER_COMMIT)
 
 
 @pytest.mark.parametrize(
@@ -390,12 +393,28 @@ def test_other_numbers_of_the_paper_make_all_results_stale(results, tmp_path):
     assert all("published.csv changed since" in problem for problem in problems)
 
 
+@pytest.mark.parametrize(
+    ("commit", "inputs", "n_stale"),
+    [(OTHER_COMMIT, {}, 0), (OTHER_COMMIT, {"MODEL": "1" * 64}, 1), (f"{OTHER_COMMIT}+", {}, 1)],
+)
+def test_one_commit_makes_the_same_of_the_same_inputs_whenever(results, commit, inputs, n_stale):
+    folder = folder_of(results)
+    for name in ("bfm", "bfm-evaluator-released", "parameters"):
+        change(folder / name, commit=commit)
+    stages = read_manifest(folder / "bfm-evaluator-released")["stages"]
+    stages[1] |= {"started": "2026-01-01T03:02:00+00:00", "inputs": inputs}
+    change(folder / "bfm-evaluator-released", stages=stages)
+    assert len(stale(folder)) == n_stale
+
+
 def test_photos_are_tested_with_the_networks_of_the_other_table(results):
     run = Run("openhead", SMOKE, track="celeba", results=results)
     same = [stage("photos", 30, "celeba"), stage("networks", 2), stage("predictions", 40, "celeba")]
     write_experiment(run, "celeba", MSE, same, {}, 1e-5, "reproduce-celeba")
     assert stale(folder_of(results)) == []
-    write_experiment(run, "celeba", MSE, [stage("networks", 59)], {}, 1e-5, "reproduce-celeba")
+    anew = [stage("networks", 59)]
+    change(write_experiment(run, "celeba", MSE, anew, {}, 1e-5, "reproduce-celeba"),
+           commit=OTHER_COMMIT)  # fmt: skip
     problems = stale(folder_of(results))
     assert len(problems) == 3  # the two tables on random faces, and their parameters
     assert all("celeba from that of 2026-01-02 03:59" in problem for problem in problems)
@@ -412,7 +431,8 @@ def test_real_photos_and_their_stand_in_are_no_runs_of_the_same_stage(results):
     assert stale(folder_of(results)) == []
     # The networks are one and the same.
     stages[-1] = stage("networks", 1)
-    write_experiment(given, "celeba", MSE, stages, {}, 1e-5, "reproduce-celeba")
+    change(write_experiment(given, "celeba", MSE, stages, {}, 1e-5, "reproduce-celeba"),
+           commit=OTHER_COMMIT)  # fmt: skip
     (problem,) = stale(folder_of(results))
     assert "celeba-real was made from stage networks of 2026-01-02 03:01" in problem
 
