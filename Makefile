@@ -80,10 +80,10 @@ $(READY): setup.cfg constraints.txt
 	@touch $@
 
 # What each is made of, and in which order, is in experiments/stages.py.
-reproduce-bfm: ## the paper's BFM table, ours beside it   (70 min; 15 with MOBILEFACE=no)
-reproduce-flame: ## the paper's CASIA-3D table, ours beside it   (45 min; 10 with RINGNET=no)
-reproduce-celeba: ## the paper's CelebA table, ours beside it   (10 min after reproduce-bfm)
-ablation: ## the method with a part changed, over five seeds   (25 min after reproduce-bfm)
+reproduce-bfm: ## the paper's BFM table, ours beside it   (28 min; 10 with MOBILEFACE=no)
+reproduce-flame: ## the paper's CASIA-3D table, ours beside it   (21 min; 10 with RINGNET=no)
+reproduce-celeba: ## the paper's CelebA table, ours beside it   (6 min after reproduce-bfm)
+ablation: ## the method with a part changed, over five seeds   (40 min after reproduce-bfm)
 audit: ## which claims of the paper hold: results/audit/   (3 min after ablation)
 bench: ## speed and memory beside the released way: results/bench/   (18 min)
 stream: ## the method on a million faces, in bounded memory   (20 min after reproduce-bfm)
