@@ -9,6 +9,7 @@ from experiments.report.experiment import Experiment
 from experiments.scoring.numbers import (
     NOTHING,
     as_quoted,
+    between,
     enumeration,
     factor,
     plus_minus,
@@ -27,10 +28,13 @@ def methods_of(rows: pd.DataFrame) -> list[str]:
 
 
 def measured(experiment: Experiment, metric: str = "mse") -> pd.DataFrame:
-    """Rows of a metric by method, of those that have a number of ours."""
+    """Rows of a metric by method, of those that have a number of ours.
+
+    Where a method was trained from several seeds, its `mean` is the median over them.
+    """
     table = experiment.table()
-    rows = table[(table["metric"] == metric) & table["mean"].notna()]
-    return rows.set_index("method")
+    rows = table[(table["metric"] == metric) & table["mean"].notna()].set_index("method")
+    return rows.assign(mean=rows["median"].fillna(rows["mean"])) if "n_seeds" in rows else rows
 
 
 def better_than_ours(mse: pd.DataFrame) -> tuple[list[str], list[str]]:
@@ -166,7 +170,10 @@ def _of_parameters(experiment: Experiment) -> str:
 
 
 def error(row: pd.Series, unit: float) -> str:
-    """An error of ours, mean and s.d. in a power of ten."""
+    """An error of ours in a power of ten: mean and s.d., or over seeds the median and the range."""
+    if row.get("n_seeds", 0) > 1:
+        over_seeds = between(row["median"], row["lowest"], row["highest"], unit)
+        return f"{_in_unit(over_seeds, unit)} over {row['n_seeds']:.0f} seeds"
     return _in_unit(plus_minus(row["mean"], row["std"], unit), unit)
 
 

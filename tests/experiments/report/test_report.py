@@ -26,6 +26,7 @@ from experiments.report.page import page as html_page
 from experiments.report.report import main
 from experiments.report.sections import colour_of, faces, report
 from experiments.report.staleness import stale
+from experiments.report.summaries import error, measured
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, difference, duration, factor, plus_minus
 from experiments.scoring.scores import Scores
@@ -294,6 +295,16 @@ def test_the_committed_report_is_that_of_the_committed_results():
 )
 def test_numbers_are_rounded_where_their_spread_begins(shown, expected):
     assert shown == expected
+
+
+def test_where_there_are_seeds_their_median_and_range_are_the_headline():
+    (bfm,) = (own for own in load_experiments(ROOT / "results" / "openhead") if own.name == "bfm")
+    table = bfm.table().query("metric == 'mse'").set_index("method")
+    ours, alone = measured(bfm).loc["ours"], measured(bfm).loc["linear"]
+    assert ours["mean"] == table.loc["ours", "median"] != table.loc["ours", "mean"]
+    assert alone["mean"] == table.loc["linear", "mean"]
+    assert re.fullmatch(r"\([\d.]+ \[[\d.]+, [\d.]+\]\) × 10⁻⁴ over 10 seeds", error(ours, 1e-4))
+    assert re.fullmatch(r"\([\d.]+ ± [\d.]+\) × 10⁻⁴", error(alone, 1e-4))
 
 
 # What it refuses.
