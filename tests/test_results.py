@@ -26,7 +26,6 @@ EARLIER = (
     "ict/lifting/transfer",
     "ict/parameters",
     "ict/seeds",
-    "openhead/bfm-posed",
     "openhead/lifting/hard",
     "openhead/lifting/transfer",
     "openhead/pretrained",
