@@ -454,6 +454,7 @@ def test_photos_with_51_landmarks_are_of_the_networks_of_the_expressive_faces(re
     for minute, problems in ((5, 0), (55, 1)):
         stages = [stage("networks", minute, "flame"), stage("celeba-flame", 56, "flame")]
         write_manifest(run, "reproduce-celeba", stages, folder)
+        change(folder, commit=OTHER_COMMIT)
         assert len(stale(folder_of(results))) == problems
 
 
