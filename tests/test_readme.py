@@ -64,6 +64,16 @@ def test_the_readme_and_the_results_have_one_main_table():
     assert table_of(head, "README.md") == table_of(head)
 
 
+def test_what_is_said_of_luck_is_what_was_measured():
+    table = pd.read_csv(ROOT / "results" / "openhead" / "bfm" / "table.csv")
+    mse = table[table["metric"] == "mse"].set_index("method")
+    median, low, high = (mse.loc["ours", key] / 1e-4 for key in ("median", "lowest", "highest"))
+    readme = " ".join(PAGES["README.md"].split())
+    assert f"a median of {median:.2f} × 10⁻⁴ ({low:.2f} to {high:.2f})" in readme
+    assert f"whatever the view, has {mse.loc['mean_shape', 'median'] / 1e-4:.2f}." in readme
+    assert f"Ridge regression has {mse.loc['linear', 'mean'] / 1e-4:.2f}." in readme
+
+
 def test_what_is_said_of_lifting_at_the_limit_is_what_was_measured():
     for model in ("openhead", "ict"):
         table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
