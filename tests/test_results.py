@@ -15,8 +15,6 @@ EARLIER = (
     "bench",
     "ict/ablation",
     "ict/audit",
-    "ict/celeba",
-    "ict/celeba-true-landmarks",
     "ict/flame",
     "ict/flame-true-landmarks",
     "ict/lifting/anatomy",
