@@ -82,6 +82,20 @@ def headline(model):
     return f"{median:.2f} ({low:.2f} to {high:.2f})", *(f"{mse / 1e-4:.2f}" for mse in others)
 
 
+def test_how_many_faces_are_said_to_be_scored_is_how_many_were():
+    used = {}
+    for model, (table, kind) in itertools.product(
+        ("openhead", "ict"), (("flame", "scans"), ("celeba", "photos"))
+    ):
+        made = json.loads((ROOT / "results" / model / table / "manifest.json").read_text())
+        (faces,) = (stage[kind] for stage in made["stages"] if stage["stage"] == kind)
+        used[model, kind] = f"{faces['used']:,}"
+    page = " ".join(PAGES["docs/results.md"].split())
+    scans, photos = ((used["openhead", kind], used["ict", kind]) for kind in ("scans", "photos"))
+    assert "Of the open head's {} and of ICT's {} are scored".format(*scans) in page
+    assert "dlib finds {} of the faces of the open head and {} of ICT's".format(*photos) in page
+
+
 def test_what_is_said_of_lifting_at_the_limit_is_what_was_measured():
     for model in ("openhead", "ict"):
         table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
