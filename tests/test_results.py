@@ -13,7 +13,6 @@ RESULTS = ROOT / "results"
 # results anew takes a run of what it changed, or an entry here.
 EARLIER = (
     "bench",
-    "ict/ablation",
     "ict/audit",
     "ict/flame",
     "ict/flame-true-landmarks",
