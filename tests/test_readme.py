@@ -82,6 +82,26 @@ def headline(model):
     return f"{median:.2f} ({low:.2f} to {high:.2f})", *(f"{mse / 1e-4:.2f}" for mse in others)
 
 
+def test_what_is_said_of_turned_perspective_views_is_what_was_measured():
+    mse = {}
+    for model, folder in itertools.product(("openhead", "ict"), ("bfm", "bfm-posed")):
+        table = pd.read_csv(ROOT / "results" / model / folder / "table.csv")
+        table = table[table["metric"] == "mse"].set_index("method")["mean"] / 1e-4
+        mse[model, folder] = table
+        assert table["lifting"] == table.min() and table["mean_shape"] < table["ours"]
+    page = " ".join(PAGES["docs/results.md"].split())
+    methods = ["ours", "ours_stable", "aldrian", "lifting"]
+    posed = [[f"{x:.2f}" for x in mse[m, "bfm-posed"][methods]] for m in ("openhead", "ict")]
+    said = "{} × 10⁻⁴ then, with the cosine schedule {}, Aldrian & Smith {} and lifting {}."
+    assert said.format(*posed[0]) in page
+    assert "On ICT faces these are {}, {}, {} and {}".format(*posed[1]) in page
+    zhao = [
+        f"{mse[model, folder]['zhao']:.2f}"
+        for folder, model in itertools.product(("bfm-posed", "bfm"), ("openhead", "ict"))
+    ]
+    assert "Zhao's net has {} and {} instead of {} and {}.".format(*zhao) in page
+
+
 def test_how_many_faces_are_said_to_be_scored_is_how_many_were():
     used = {}
     for model, (table, kind) in itertools.product(
