@@ -18,7 +18,6 @@ EARLIER = (
     "openhead/lifting/hard",
     "openhead/lifting/transfer",
     "openhead/pretrained",
-    "openhead/stream",
 )
 
 
