@@ -16,6 +16,17 @@ PAGES = {
 }
 
 
+def errors_of(folder):
+    """Rows of a table of results with mean squared errors, by method."""
+    table = pd.read_csv(ROOT / "results" / folder / "table.csv")
+    return table[table["metric"] == "mse"].set_index("method")
+
+
+def prose_of(page):
+    """A page on one line."""
+    return " ".join(PAGES[page].split())
+
+
 def table_of(head, page="docs/results.md"):
     """Cells of a page's table with that head, by the first of each row."""
     start = PAGES[page].index(f"\n| {head} |")
@@ -40,8 +51,7 @@ def table_of(head, page="docs/results.md"):
     ],
 )
 def test_numbers_are_those_of_the_results(head, unit, folder, column):
-    table = pd.read_csv(ROOT / "results" / folder / "table.csv")
-    mse = table[table["metric"] == "mse"].set_index("method")
+    mse = errors_of(folder)
     rows = table_of(head)
     shown = [
         method for method in METHODS.values() if method.title in rows and method.id in mse.index
@@ -65,31 +75,29 @@ def test_the_readme_and_the_results_have_one_main_table():
 
 
 def test_what_is_said_of_luck_is_what_was_measured():
-    readme = " ".join(PAGES["README.md"].split())
-    luck, mean_shape, linear = headline("openhead")
-    assert f"a median of {luck.replace(' (', ' × 10⁻⁴ (')}" in readme
+    readme = prose_of("README.md")
+    median, span, mean_shape, linear = headline("openhead")
+    assert f"a median of {median} × 10⁻⁴ ({span})" in readme
     assert f"whatever the view, has {mean_shape}. Ridge regression has {linear}." in readme
-    luck, mean_shape, linear = headline("ict")
-    assert f"On ICT faces these are {luck}, {mean_shape} and {linear}." in readme
+    median, span, mean_shape, linear = headline("ict")
+    assert f"On ICT faces these are {median} ({span}), {mean_shape} and {linear}." in readme
 
 
 def headline(model):
-    """Deep-MDS over the seeds, the mean shape and ridge regression, in 10⁻⁴."""
-    table = pd.read_csv(ROOT / "results" / model / "bfm" / "table.csv")
-    mse = table[table["metric"] == "mse"].set_index("method")
-    median, low, high = (mse.loc["ours", key] / 1e-4 for key in ("median", "lowest", "highest"))
+    """Deep-MDS over the seeds (median and range), the mean shape and ridge regression, in 10⁻⁴."""
+    mse = errors_of(f"{model}/bfm")
+    ours = mse.loc["ours", ["median", "lowest", "highest"]]
     others = mse.loc["mean_shape", "median"], mse.loc["linear", "mean"]
-    return f"{median:.2f} ({low:.2f} to {high:.2f})", *(f"{mse / 1e-4:.2f}" for mse in others)
+    median, low, high, *others = (f"{error / 1e-4:.2f}" for error in (*ours, *others))
+    return median, f"{low} to {high}", *others
 
 
 def test_what_is_said_of_turned_perspective_views_is_what_was_measured():
     mse = {}
     for model, folder in itertools.product(("openhead", "ict"), ("bfm", "bfm-posed")):
-        table = pd.read_csv(ROOT / "results" / model / folder / "table.csv")
-        table = table[table["metric"] == "mse"].set_index("method")["mean"] / 1e-4
-        mse[model, folder] = table
-        assert table["lifting"] == table.min() and table["mean_shape"] < table["ours"]
-    page = " ".join(PAGES["docs/results.md"].split())
+        mse[model, folder] = own = errors_of(f"{model}/{folder}")["mean"] / 1e-4
+        assert own["lifting"] == own.min() and own["mean_shape"] < own["ours"]
+    page = prose_of("docs/results.md")
     methods = ["ours", "ours_stable", "aldrian", "lifting"]
     posed = [[f"{x:.2f}" for x in mse[m, "bfm-posed"][methods]] for m in ("openhead", "ict")]
     said = "{} × 10⁻⁴ then, with the cosine schedule {}, Aldrian & Smith {} and lifting {}."
@@ -110,7 +118,7 @@ def test_how_many_faces_are_said_to_be_scored_is_how_many_were():
         made = json.loads((ROOT / "results" / model / table / "manifest.json").read_text())
         (faces,) = (stage[kind] for stage in made["stages"] if stage["stage"] == kind)
         used[model, kind] = f"{faces['used']:,}"
-    page = " ".join(PAGES["docs/results.md"].split())
+    page = prose_of("docs/results.md")
     scans, photos = ((used["openhead", kind], used["ict", kind]) for kind in ("scans", "photos"))
     assert "Of the open head's {} and of ICT's {} are scored".format(*scans) in page
     assert "dlib finds {} of the faces of the open head and {} of ICT's".format(*photos) in page
@@ -120,7 +128,7 @@ def test_what_is_said_of_lifting_at_the_limit_is_what_was_measured():
     for model in ("openhead", "ict"):
         table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
         row = table[table["metric"] == "times_limit"].set_index(["method", "condition"])["mean"]
-        assert f"{row['lifting', 'hard_1']:.2f} times" in " ".join(PAGES["README.md"].split())
+        assert f"{row['lifting', 'hard_1']:.2f} times" in prose_of("README.md")
 
 
 def test_what_is_said_of_the_shipped_weights_is_what_was_measured():
@@ -165,7 +173,7 @@ def test_what_is_said_of_a_million_faces_is_what_was_measured():
     assert (table["n_faces"] == 1_000_000).all()
     errors = table.xs("mse", level="metric") / 1e-4
     said = f"{errors.loc['ours', 'mean']:.3f} ± {errors.loc['ours', 'standard_error']:.1g}"
-    assert said in " ".join(PAGES["docs/results.md"].split())
+    assert said in prose_of("docs/results.md")
 
 
 def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
@@ -181,7 +189,7 @@ def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
         f"{rounded(alone.ms_per_face)} ms for one alone: {ratios[0]}, and {ratios[1]}, as fast as "
         "Deep-MDS with the batched and with scikit-learn's solver"
     )
-    assert said in " ".join(PAGES["README.md"].split())
+    assert said in prose_of("README.md")
 
 
 def test_what_an_installation_takes_is_what_was_measured():
