@@ -10,13 +10,34 @@ from experiments.audit import complexity
 from experiments.verdicts import DOES_NOT_HOLD, HOLDS
 
 NUMBERS = (120, 24)
+# What each part's time is said to grow by: no clock is asked.
+POWERS = {
+    complexity.EMBEDDING: 2.5,
+    complexity.START: 2.0,
+    complexity.ITERATION: 1.5,
+    complexity.NET: 1.0,
+}
+ALDRIAN = 1.7
+
+
+def times_of(n, output, rng):
+    return {part: 1e-6 * n**power for part, power in POWERS.items()}
+
+
+def seconds_in_turns(calls, rounds):
+    """The first round, to warm up, is far off."""
+    for call in calls:
+        call()
+    return np.array([[5.0, 1.0], *(rounds - 1) * [[1e-6 * n**ALDRIAN for n in sorted(NUMBERS)]]])
 
 
 @pytest.fixture(scope="module")
 def measured():
-    preset = SimpleNamespace(timed_landmarks=NUMBERS)
-    run = SimpleNamespace(seed=0, preset=preset)
-    return complexity.measure(SimpleNamespace(run=run, model=load_model("openhead")))
+    run = SimpleNamespace(seed=0, preset=SimpleNamespace(timed_landmarks=NUMBERS))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(complexity, "_times", times_of)
+        patch.setattr(complexity, "seconds_in_turns", seconds_in_turns)
+        return complexity.measure(SimpleNamespace(run=run, model=load_model("openhead")))
 
 
 def test_exponent_of_a_power_is_found():
@@ -27,12 +48,23 @@ def test_exponent_of_a_power_is_found():
 
 def test_every_part_is_timed_for_every_number_of_landmarks(measured):
     times = {(row["part"], row["landmarks"]): row["ms"] for row in measured["timings"]}
-    assert {n for _, n in times} == set(NUMBERS)
-    assert len(times) == 4 * len(NUMBERS)
-    for n in NUMBERS:
-        # The start is part of the embedding, which has an iteration at least.
-        assert 0 < times["classical start", n] < times["embedding", n]
-        assert 0 < times["one SMACOF iteration", n] < times["embedding", n]
+    given = {(part, n): 1e-3 * n**power for part, power in POWERS.items() for n in NUMBERS}
+    assert times == pytest.approx(given)
+    assert measured["slopes"] == pytest.approx(POWERS)
+
+
+def test_iterations_are_what_the_start_leaves_of_the_embedding(measured):
+    given = [(n**2.5 - n**2) / n**1.5 for n in sorted(NUMBERS)]
+    assert measured["iterations"] == pytest.approx(given)
+
+
+def test_parts_of_a_face_are_timed_by_the_clock():
+    rng = np.random.default_rng(0)
+    seen = []
+    times = complexity._times(24, seen.append, rng)
+    assert {*times} == {*POWERS}
+    assert all(times[part] > 0 for part in POWERS if part != complexity.ITERATION)
+    assert [view.shape for view in seen] == [(24, 2)]
 
 
 def test_whole_is_net_and_embedding(measured):
@@ -60,7 +92,10 @@ def test_zhaos_net_grows_as_wide_as_the_view(measured):
     """Its square matrices as the number squared, its other weights as the number."""
     found = measured["growth_of_others"]
     assert 1.9 < found["zhao"] < 2
-    assert 0 < found["aldrian"] < 3
+
+
+def test_time_of_aldrians_fit_is_that_of_the_rounds_after_the_first(measured):
+    assert measured["growth_of_others"]["aldrian"] == pytest.approx(ALDRIAN)
 
 
 @pytest.mark.parametrize(
