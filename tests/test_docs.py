@@ -390,3 +390,31 @@ def test_transfer_is_what_was_measured():
         pairs = itertools.product(("openhead", "ict"), repeat=2)
         cells = (f"{1e5 * mse[method, trained, tested]:.3g}" for trained, tested in pairs)
         assert f"| {title(method)} | {' | '.join(cells)} |" in text
+
+
+def test_what_is_said_of_standard_deviations_and_of_seeds_is_what_was_measured():
+    rows = lifting_results("hard").query("method == 'lifting'").set_index(["metric", "condition"])
+    shown = [condition for condition in rows.loc["mse"].index if condition != "hard_1_hidden"]
+    spans = []
+    for metric in ("within_1_sd", "within_2_sd"):
+        held = rows.loc[metric].loc[shown, "mean"]
+        spans += [f"{100 * held.min():.0f} to {100 * held.max():.0f} %"]
+    page = text_of("docs/lifting.md")
+    assert "one holds {} of the true coordinates of these columns, two {}.".format(*spans) in page
+    seeds = rows.loc[[("mse", "hard_1")]]
+    assert (seeds["n_seeds"] == 3).all() and "Trained from three seeds" in page
+    assert (seeds["std"] / seeds["mean"] < 0.01).all() and "by less than a percent" in page
+
+
+def test_shares_on_faces_of_another_model_are_what_was_measured():
+    rows = lifting_results("transfer").query("noise_mm == 1")
+    mse = rows.set_index(["trained", "tested", "method"])["mse"].unstack()
+    shares = mse.div(mse["mean_shape"], axis=0)
+    pairs = [("openhead", "openhead"), ("ict", "ict"), ("openhead", "ict"), ("ict", "openhead")]
+    said = (
+        "On faces of its own model lifting has {:.2f} (open head) and {:.2f} (ICT) of the error of "
+        "the mean shape, on those of the other {:.2f} and {:.2f}. Ridge regression has {:.2f} and "
+        "{:.2f}, and {:.2f} and {:.2f}."
+    )
+    numbers = [*shares.loc[pairs, "lifting"], *shares.loc[pairs, "linear"]]
+    assert said.format(*numbers) in text_of("docs/lifting.md")
