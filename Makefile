@@ -89,7 +89,7 @@ bench: ## speed and memory beside the released way: results/bench/   (25 to 40 m
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS, and one rounded otherwise   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (70 min)
+lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (40 min)
 reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting: | $(READY)
 	@$(PY) -m experiments make $@ $(RUN)
 

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import h5py
+import keras
 import numpy as np
 import pandas as pd
 import pytest
@@ -26,6 +27,7 @@ from data_gen.views.projections import PROTOCOLS
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.ringnet import RingNet
+from deepmds_keras.baselines.ringnet_net import build_ringnet
 from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
 from deepmds_keras.detection.dlib_landmarks import find_shape_predictor
@@ -230,10 +232,34 @@ def test_the_table_of_recipes_is_that_of_the_code():
         "Lifting, in the tables": (lifting["learning_rate"], "cosine",
                                    f"{lifting['batch_size']} faces", f"{PAPER.lifting_steps:,}"),
     }  # fmt: skip
+    rows["Zhao et al., authors' training"] = rows["Zhao et al."]
     method = text_of("docs/method.md")
     for network, (rate, schedule, batch, steps) in rows.items():
-        assert f"| {network} | {rate:g}, {schedule} | {batch} | {steps} |" in method, network
+        optimiser = "RMSprop" if "authors" in network else "Adam"
+        row = f"| {network} | {optimiser} | {rate:g}, {schedule} | {batch} | {steps} |"
+        assert row in method, network
     assert zhao["optimizer"] == "adam"
+    assert isinstance(net.optimizer(1), keras.optimizers.Adam)
+
+
+def test_initial_weights_are_as_the_table_of_recipes_says():
+    networks = (
+        build_autoencoder(72),
+        build_dissimilarity_net("paper"),
+        build_zhao_net(72),
+        build_mobileface_net(4),
+        build_ringnet(300, 100, 64),
+    )
+    for network in networks:
+        for weight in network.trainable_weights:
+            if weight.name == "bias":
+                assert not np.any(weight), weight.path
+            if weight.name.endswith("kernel"):
+                *field, inward, outward = weight.shape
+                outward = 1 if "depthwise" in weight.path else outward
+                bound = np.sqrt(6 / (np.prod(field) * (inward + outward)))
+                bound *= 0.01 if "correction" in weight.path else 1
+                assert 0.9 * bound < np.abs(weight).max() < 1.001 * bound, weight.path
 
 
 def test_how_much_smaller_the_published_errors_on_celeba_are():

@@ -11,9 +11,7 @@ from experiments.manifest import modules_of
 RESULTS = ROOT / "results"
 # Folders whose results are of earlier code, until they are made anew. A change of code that makes
 # results anew takes a run of what it changed, or an entry here.
-EARLIER = (
-    "openhead/pretrained",
-)
+EARLIER = ("openhead/pretrained",)
 
 
 MANIFESTS = {
