@@ -9,11 +9,6 @@ from experiments.code_hash import code_hash
 from experiments.manifest import modules_of
 
 RESULTS = ROOT / "results"
-# Folders whose results are of earlier code, until they are made anew. A change of code that makes
-# results anew takes a run of what it changed, or an entry here.
-EARLIER = ("openhead/pretrained",)
-
-
 MANIFESTS = {
     path.parent.relative_to(RESULTS).as_posix(): json.loads(path.read_text())
     for path in sorted(RESULTS.rglob("manifest.json"))
@@ -23,14 +18,10 @@ MANIFESTS = {
 @pytest.mark.parametrize("folder", MANIFESTS)
 def test_results_are_of_the_code_as_it_is(folder):
     made = MANIFESTS[folder]
-    same = made.get("code_sha256") == code_hash(modules_of(made["stages"]))
-    if folder in EARLIER:
-        assert not same, f"{folder} is of this code: take it out of EARLIER"
-    else:
-        assert same, f"{folder} is of other code: run `{made['command']}`, or name it in EARLIER"
+    now = code_hash(modules_of(made["stages"]))
+    assert made["code_sha256"] == now, f"{folder} is of other code: run `{made['command']}`"
 
 
 def test_results_are_of_one_clean_commit():
-    commits = {made["commit"] for folder, made in MANIFESTS.items() if folder not in EARLIER}
-    assert len(commits) <= 1
-    assert not any(commit.endswith("+") for commit in commits)
+    (commit,) = {made["commit"] for made in MANIFESTS.values()}
+    assert not commit.endswith("+")
