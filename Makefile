@@ -48,7 +48,7 @@ RUN := --model $(MODEL) --data '$(DATA)' --preset $(PRESET) --seed $(SEED) \
        $(if $(FACES),--faces $(FACES)) \
        $(if $(SEEDS),--seeds $(SEEDS)) $(if $(filter paper,$(MOBILEFACE)),--mobileface paper) \
        $(foreach switch,MOBILEFACE MEDIAPIPE RINGNET,$(if $(filter no,$($(switch))),--without $(switch)))
-# No start-up notices, and sums in one order whatever the processor offers beyond AVX2.
+# No start-up notices, and what is compiled is the same whatever the processor offers beyond AVX2.
 export TF_CPP_MIN_LOG_LEVEL := 3
 export TF_ENABLE_ONEDNN_OPTS := 0
 export XLA_FLAGS := --xla_cpu_max_isa=AVX2 $(XLA_FLAGS)

@@ -25,7 +25,7 @@ from pathlib import Path
 from places import ROOT
 
 PRESET = "tiny"
-# As `make` has them: sums in one order on every processor.
+# As `make` has them: what is compiled is the same on processors with more instructions.
 SUMS = {"TF_ENABLE_ONEDNN_OPTS": "0", "XLA_FLAGS": "--xla_cpu_max_isa=AVX2"}
 # A stage that runs alone is as deterministic as its threads.
 ENVIRONMENT = os.environ | SUMS | {"TF_CPP_MIN_LOG_LEVEL": "3"}
