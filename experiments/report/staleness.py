@@ -7,8 +7,7 @@ from pathlib import Path
 
 from deepmds_keras.io.checksums import sha256_of
 from deepmds_keras.io.errors import InputError
-from experiments.code_hash import code_hash
-from experiments.manifest import MANIFEST, files_of, modules_of, read_manifest
+from experiments.manifest import MANIFEST, files_of, read_manifest
 from experiments.published import PUBLISHED
 from experiments.report.experiment import COMMANDS, Experiment, base_of, name_of, result_folders
 from experiments.scoring.numbers import moment
@@ -84,7 +83,7 @@ def _changed_tables(experiment: Experiment, record: dict) -> list[str]:
 def _of_other_runs(experiments: list[Experiment]) -> list[str]:
     """Experiments made from a stage, such as the networks, that was run anew since.
 
-    When does not matter where the same code ran it on the same inputs: it makes the same.
+    When does not matter where one clean commit ran it on the same inputs: it makes the same.
     """
     made = defaultdict(list)
     for experiment in experiments:
@@ -108,16 +107,9 @@ def _of_other_runs(experiments: list[Experiment]) -> list[str]:
 
 
 def _recipe(experiment: Experiment, record: dict) -> tuple[str, dict] | None:
-    """What decides what a stage makes: the code and the inputs; None if the code is not known.
-
-    The code is that of the commit, or the one here if what was run has not changed since.
-    """
-    made = experiment.manifest
-    commit = made["commit"]
-    if commit is None or commit.endswith("+"):
-        return None
-    here = made.get("code_sha256") == code_hash(modules_of(made["stages"]))
-    return "here" if here else commit, record.get("inputs", {})
+    """What decides what a stage makes: the commit and the inputs; None if the code is not known."""
+    commit = experiment.manifest["commit"]
+    return None if commit is None or commit.endswith("+") else (commit, record.get("inputs", {}))
 
 
 def _again(folder: Path, experiment: Experiment | None = None) -> str:

@@ -67,9 +67,9 @@ EXPERIMENTS = {
     ),
     "rounding": (
         "The same seed, rounded otherwise",
-        "The paper's recipe from one seed: twice as it is, with one thread, and by instructions of "
-        "other processors. Those up to AVX2 are what the dissimilarity net's training is compiled "
-        "for; the matrix products of the autoencoder take all that there are.",
+        "The paper's recipe from one seed, twice as it is (instructions up to AVX2, two threads), "
+        "with one thread, and compiled for instructions of other processors. Only the "
+        "dissimilarity net's training is compiled, not the autoencoder's.",
     ),
     "stream": (
         "Many faces: the tails of the errors",
