@@ -82,7 +82,8 @@ def test_loss_is_the_mean_squared_error_of_the_meshes(toy, standardise):
 @pytest.mark.slow
 def test_training_learns_and_predictions_are_in_the_models_frame(toy):
     images, coefficients, basis = toy
-    model = toy_model(basis, epochs=3, steps_per_epoch=20)
+    # In half as many epochs it is the processor's rounding that decides.
+    model = toy_model(basis, epochs=6, steps_per_epoch=20)
     model.fit(images, coefficients)
     assert model.history_["train"][-1] < 0.7 * model.history_["train"][0]
     shapes = model.predict(images[:7])
