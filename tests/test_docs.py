@@ -43,6 +43,7 @@ from experiments.presets import PAPER, PRESETS, SMOKE
 from experiments.recipes import MOBILEFACE_RATES
 from experiments.records import with_checksum, write_json
 from experiments.run import AUTHORS_FILES, EVALUATORS, Run
+from experiments.timing import PASSES
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -205,6 +206,8 @@ def test_numbers_of_the_method_are_those_of_the_code():
     assert f"{recipe.epochs} passes over the {PAPER.train_faces:,} faces" in method
     assert f"mini-batches of {recipe.batch_size}, and {steps:,} mini-batches" in method
     assert f"over {PAPER.n_subsets} subsets of {PAPER.subset_size} faces" in method
+    assert f"one prediction of {PAPER.timed_faces} test faces on one core" in method
+    assert f"the median of {PASSES} repeats" in method
 
 
 def test_the_table_of_recipes_is_that_of_the_code():

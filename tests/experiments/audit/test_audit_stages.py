@@ -14,11 +14,11 @@ from experiments.verdicts import UNKNOWN
 
 pytestmark = pytest.mark.slow
 
-NO_EVIDENCE_YET = {
+WITHOUT_EVIDENCE = {
     *("celeba-aldrian", "celeba-mobileface", "celeba-zhao"),  # make reproduce-celeba
     *("casia-comparable", "pose-51"),  # make reproduce-flame
     "mediapipe-poses",  # make pretrained
-    "first-use",  # none can settle it
+    "first-use",  # a search of the literature
 }
 
 
@@ -64,7 +64,7 @@ def test_ablation_has_every_variant_and_criterion(audited):
 def test_audit_has_a_verdict_on_every_claim(audited):
     table = claims(audited)
     assert {*table["id"]} == CHECKS.keys()
-    assert {*table.loc[table["evidence"] == "", "id"]} == NO_EVIDENCE_YET
+    assert {*table.loc[table["evidence"] == "", "id"]} == WITHOUT_EVIDENCE
     assert {*table.loc[table["verdict"] == UNKNOWN, "condition"]} >= {"`make seeds`"}
     own = table.set_index("id")
     # What no size of the experiment changes.
