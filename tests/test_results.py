@@ -1,6 +1,7 @@
-"""Committed results are of the code as it is, from one clean commit."""
+"""Committed results are of the code as it is, and belong together."""
 
 import json
+from collections import defaultdict
 
 import pytest
 from places import ROOT
@@ -22,6 +23,12 @@ def test_results_are_of_the_code_as_it_is(folder):
     assert made["code_sha256"] == now, f"{folder} is of other code: run `{made['command']}`"
 
 
-def test_results_are_of_one_clean_commit():
-    (commit,) = {made["commit"] for made in MANIFESTS.values()}
-    assert not commit.endswith("+")
+def test_results_that_share_a_stage_are_of_one_clean_commit():
+    commits = defaultdict(set)
+    for made in MANIFESTS.values():
+        for record in made["stages"]:
+            stage = made["processor"], made["model"], record["build"], record["stage"]
+            commits[stage].add(made["commit"])
+    for stage, own in commits.items():
+        (commit,) = own
+        assert not commit.endswith("+"), stage

@@ -314,3 +314,18 @@ def test_figure_has_every_panel_also_on_one_core():
     single_threaded = bench(table[table["comparison"] != "jobs"]).axes[3]
     assert "one core" in single_threaded.texts[0].get_text()
     assert isinstance(table, pd.DataFrame)
+
+
+def test_every_way_to_train_mobileface_has_the_same_mini_batches():
+    from experiments.bench.mobileface_steps import WAYS, mini_batches
+
+    rng = np.random.default_rng(5)
+    images = rng.integers(0, 256, (6, 4, 4, 3), np.uint8)
+    scaled, targets = np.float32(images / 127.5 - 1), np.float32(rng.standard_normal((6, 2)))
+    rows = np.array([[5, 0], [2, 2], [1, 4]])
+    for way in WAYS:
+        stored = {"uint8": images, "float32": scaled}[way.stored]
+        made = list(mini_batches(way, stored, targets, rows).as_numpy_iterator())
+        for own, (some_images, some_targets) in zip(rows, made, strict=True):
+            np.testing.assert_allclose(some_images, scaled[own], atol=1e-6, err_msg=way.name)
+            np.testing.assert_array_equal(some_targets, targets[own], err_msg=way.name)
