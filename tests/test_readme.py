@@ -99,7 +99,10 @@ def test_shares_of_deep_mds_error_are_what_was_measured():
         mse = errors_of(f"{model}/bfm")
         others = mse.loc["mean_shape", "median"], mse.loc["linear", "mean"]
         shares[model] = [f"{error / mse.loc['ours', 'median']:.2f}" for error in others]
-    said = "has only {} of it on ICT faces and {} on the open head. Ridge regression has {} and {}."
+    said = (
+        "has only {} of that error on ICT faces and {} on the open head. "
+        "Ridge regression has {} and {}."
+    )
     pairs = zip(shares["ict"], shares["openhead"], strict=True)
     assert said.format(*itertools.chain(*pairs)) in prose_of("docs/results.md")
 
