@@ -1,4 +1,4 @@
-"""Figure of `make bench`: time of a face by part and way, and how it grows."""
+"""Figure of `make bench`: time per face by part and way, and how it grows."""
 
 from __future__ import annotations
 
@@ -47,13 +47,11 @@ def bench(table: pd.DataFrame) -> Figure:
     _draw_growth(panels[1, 0], rows[rows["comparison"] == "landmarks"], "n_landmarks",
                  "ms_per_face")  # fmt: skip
     _draw_jobs(panels[1, 1], rows[rows["comparison"] == "jobs"])
-    panels[0, 0].set(title="Parts, on one core", xlabel="Time of a face (ms)")
-    panels[0, 1].set(title="Growth with faces", xlabel="Faces", ylabel="Time of all (s)")
-    panels[1, 0].set(
-        title="Growth with landmarks", xlabel="Landmarks", ylabel="Time of a face (ms)"
-    )
+    panels[0, 0].set(title="Parts, on one core", xlabel="Time per face (ms)")
+    panels[0, 1].set(title="Growth with faces", xlabel="Faces", ylabel="Total time (s)")
+    panels[1, 0].set(title="Growth with landmarks", xlabel="Landmarks", ylabel="Time per face (ms)")
     panels[1, 1].set(title="Growth with processes", xlabel="Processes")
-    panels[1, 1].set_ylabel("Times as fast as with one")
+    panels[1, 1].set_ylabel("Speed-up over one process")
     _legends(figure, rows)
     return figure
 
