@@ -23,7 +23,8 @@ def main(arguments: list[str] | None = None) -> None:
     stopped = _stopped_by_ctrl_c()
     try:
         # Not before: --help and wrong arguments are answered without its many imports.
-        from deepmds_keras.predict.command import complain, run
+        from deepmds_keras.predict.command import run
+        from deepmds_keras.predict.messages import complain
 
         if isinstance(options, Export):
             from deepmds_keras.predict.onnx_export import export
