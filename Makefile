@@ -85,7 +85,7 @@ reproduce-flame: ## the paper's CASIA-3D table, ours beside it   (21 min; 10 wit
 reproduce-celeba: ## the paper's CelebA table, ours beside it   (6 min after reproduce-bfm)
 ablation: ## the method with a part changed, over five seeds   (40 min after reproduce-bfm)
 audit: ## which claims of the paper hold: results/audit/   (3 min after ablation)
-bench: ## speed and memory beside the released way: results/bench/   (25 to 40 min)
+bench: ## speed and memory beside the released way: results/bench/   (20 to 40 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS, and one rounded otherwise   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them

@@ -13,7 +13,10 @@ from experiments.methods import METHODS
 
 PAGES = {
     name: (ROOT / name).read_text(encoding="utf-8")
-    for name in ("README.md", "docs/results.md", "docs/photos.md")
+    for name in (
+        "README.md",
+        *(f"docs/{page}.md" for page in ("large", "method", "photos", "results")),
+    )
 }
 
 
@@ -91,6 +94,12 @@ def headline(model):
     others = mse.loc["mean_shape", "median"], mse.loc["linear", "mean"]
     median, low, high, *others = (f"{error / 1e-4:.2f}" for error in (*ours, *others))
     return median, f"{low} to {high}", *others
+
+
+def test_what_the_method_page_says_of_mobileface_is_what_was_measured():
+    errors = [errors_of(f"{m}/bfm").loc["mobileface", "mean"] / 1e-5 for m in ("openhead", "ict")]
+    said = "an MSE of {:.2f} × 10⁻⁵ on the open head and {:.2f} on ICT faces".format(*errors)
+    assert said in prose_of("docs/method.md")
 
 
 def test_shares_of_deep_mds_error_are_what_was_measured():
@@ -336,11 +345,40 @@ def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
         for column in ("times_batched", "times_sklearn")
     ]
     said = (
-        f"{rounded(1e3 * batch.ms_per_face)} µs a face in a batch of {batch.n_faces:,} and "
+        f"{rounded(1e3 * batch.ms_per_face)} µs per face in a batch of {batch.n_faces:,} and "
         f"{rounded(alone.ms_per_face)} ms for one alone. Deep-MDS takes {slower[0]} as long with "
         f"the batched solver, {slower[1]} with scikit-learn's"
     )
     assert said in prose_of("README.md")
+
+
+def test_what_is_said_of_training_steps_is_what_was_measured():
+    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv").set_index(["part", "way"])
+    of_released = 1 / table.xs("ours", level="way")["times_released"]
+    shares = [
+        f"{of_released[f'training step, {net}']:.2f}"
+        for net in ("autoencoder", "dissimilarity net")
+    ]
+    page = prose_of("docs/large.md")
+    assert (
+        f"Ours took {shares[0]} of the released way's time for the autoencoder and {shares[1]} of "
+        "it for the dissimilarity net."
+    ) in page
+    steps = table.loc["training step, MobileFace", "ms_per_face"]
+    slower = {way: rounded(own / steps["ours"]) for way, own in steps.items()}
+    said = (
+        f"A step takes {slower['without oneDNN']} times as long without oneDNN, "
+        f"{slower['compiled by XLA']} times when XLA compiles it, "
+        f"{slower['one thread']} times with one thread "
+        f"and {slower['two threads within a layer']} times with two that share each layer. "
+        f"It takes {slower['images as float32']} times as long with images as float32, which fill "
+        f"four times the memory, and {slower['mini-batches not ahead']} times when no mini-batches "
+        "are put together ahead."
+    )
+    assert said in page
+    together = slower["two networks, a process and a thread each"]
+    said = f"Two networks in a process and with a thread each take {together} of the time"
+    assert said in page
 
 
 def test_what_an_installation_takes_is_what_was_measured():
