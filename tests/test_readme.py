@@ -26,6 +26,11 @@ def errors_of(folder):
     return table[table["metric"] == "mse"].set_index("method")
 
 
+def bench():
+    """All times of the bench."""
+    return pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
+
+
 def prose_of(page):
     """A page on one line."""
     return " ".join(PAGES[page].split())
@@ -305,7 +310,7 @@ def test_what_is_said_of_detectors_is_what_was_measured():
 
 
 def test_times_are_those_of_the_bench():
-    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
+    table = bench()
     parts = table[table["comparison"] == "parts"].set_index(["part", "way"])["ms_per_face"]
     rows = table_of("ms per face, on one core")
     assert [*rows] == [part.capitalize() for part in dict.fromkeys(parts.index.get_level_values(0))]
@@ -327,8 +332,7 @@ def test_what_is_said_of_a_million_faces_is_what_was_measured():
     table = pd.read_csv(folder / "table.csv").set_index(["method", "metric"])
     made = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     memory = max(made["stages"][-1]["processes_mb"])
-    page = (ROOT / "docs" / "large.md").read_text(encoding="utf-8")
-    (bound,) = re.findall(r"No process held more than\s([\d.]+) GB", page)
+    (bound,) = re.findall(r"No process held more than ([\d.]+) GB", prose_of("docs/large.md"))
     assert memory / 1000 <= float(bound) < memory / 1000 + 0.1
     assert (table["n_faces"] == 1_000_000).all()
     errors = table.xs("mse", level="metric") / 1e-4
@@ -337,7 +341,7 @@ def test_what_is_said_of_a_million_faces_is_what_was_measured():
 
 
 def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
-    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
+    table = bench()
     rows = table[table["way"] == "lifting"].set_index("comparison")
     batch, alone = rows.loc["parts"], rows.loc["one face"]
     slower = [
@@ -353,7 +357,7 @@ def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
 
 
 def test_what_is_said_of_training_steps_is_what_was_measured():
-    table = pd.read_csv(ROOT / "results" / "bench" / "bench.csv").set_index(["part", "way"])
+    table = bench().set_index(["part", "way"])
     of_released = 1 / table.xs("ours", level="way")["times_released"]
     shares = [
         f"{of_released[f'training step, {net}']:.2f}"

@@ -1,7 +1,6 @@
 """`deepmds predict` as people run it: photos and landmarks in, files out, a line for what fails."""
 
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -55,7 +54,7 @@ def run(capsys, tmp_path):
         with pytest.raises(SystemExit) as ended:
             main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
         said = capsys.readouterr()
-        lines = re.split(r"[\r\n]+", said.err)  # a bar begins its line anew
+        lines = said.err.splitlines()
         return ended.value.code, said.out, [line for line in lines if line.startswith("error: ")]
 
     return run
