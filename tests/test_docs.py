@@ -16,6 +16,7 @@ import keras
 import numpy as np
 import pandas as pd
 import pytest
+from documents import text_of
 from places import ROOT, SHARED
 from scipy.io import savemat
 
@@ -53,11 +54,6 @@ _MATH = re.compile(r"\$`[^`]*`\$")
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _OTHER_COMMANDS = ("apt ", "git ", "make ", "pip ", "python", "dask ")
 _CHOICES = {"MODEL": MODELS, "PROTOCOL": PROTOCOLS, "EVALUATOR": EVALUATORS, "PRESET": PRESETS}
-
-
-def text_of(name):
-    """A page on one line, as a reader sees it."""
-    return " ".join((ROOT / name).read_text(encoding="utf-8").split())
 
 
 def prose_of(page):

@@ -6,18 +6,11 @@ import re
 
 import pandas as pd
 import pytest
+from documents import text_of
 from places import ROOT
 from scipy.stats import mannwhitneyu
 
 from experiments.methods import METHODS
-
-PAGES = {
-    name: (ROOT / name).read_text(encoding="utf-8")
-    for name in (
-        "README.md",
-        *(f"docs/{page}.md" for page in ("large", "method", "photos", "results")),
-    )
-}
 
 
 def errors_of(folder):
@@ -31,15 +24,11 @@ def bench():
     return pd.read_csv(ROOT / "results" / "bench" / "bench.csv")
 
 
-def prose_of(page):
-    """A page on one line."""
-    return " ".join(PAGES[page].split())
-
-
 def table_of(head, page="docs/results.md"):
     """Cells of a page's table with that head, by the first of each row."""
-    start = PAGES[page].index(f"\n| {head} |")
-    lines = PAGES[page][start + 1 :].split("\n\n")[0].splitlines()[2:]
+    text = (ROOT / page).read_text(encoding="utf-8")
+    start = text.index(f"\n| {head} |")
+    lines = text[start + 1 :].split("\n\n")[0].splitlines()[2:]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return {row[0]: row[1:] for row in rows}
 
@@ -84,7 +73,7 @@ def test_the_readme_and_the_results_have_one_main_table():
 
 
 def test_what_is_said_of_luck_is_what_was_measured():
-    readme = prose_of("README.md")
+    readme = text_of("README.md")
     median, span, mean_shape, linear = headline("openhead")
     assert f"a median of {median} × 10⁻⁴ ({span})" in readme
     assert f"whatever the view, has {mean_shape}. Ridge regression has {linear}." in readme
@@ -104,7 +93,7 @@ def headline(model):
 def test_what_the_method_page_says_of_mobileface_is_what_was_measured():
     errors = [errors_of(f"{m}/bfm").loc["mobileface", "mean"] / 1e-5 for m in ("openhead", "ict")]
     said = "an MSE of {:.2f} × 10⁻⁵ on the open head and {:.2f} on ICT faces".format(*errors)
-    assert said in prose_of("docs/method.md")
+    assert said in text_of("docs/method.md")
 
 
 def test_shares_of_deep_mds_error_are_what_was_measured():
@@ -118,11 +107,11 @@ def test_shares_of_deep_mds_error_are_what_was_measured():
         "Ridge regression has {} and {}."
     )
     pairs = zip(shares["ict"], shares["openhead"], strict=True)
-    assert said.format(*itertools.chain(*pairs)) in prose_of("docs/results.md")
+    assert said.format(*itertools.chain(*pairs)) in text_of("docs/results.md")
 
 
 def test_what_is_said_of_single_seeds_is_what_was_measured():
-    page = prose_of("docs/results.md")
+    page = text_of("docs/results.md")
     ours, stable = seeds_of("openhead")
     assert (
         f"nine of ten seeds of the paper's recipe lie between {ours[0]} and {ours[8]} × 10⁻⁴, and "
@@ -146,7 +135,7 @@ def test_how_many_seeds_agree_with_verdicts_of_one_is_what_was_measured():
         authors = errors_of(f"{model}/bfm").loc["aldrian_authors", "mean"] / 1e-4
         better[model] = [sum(float(x) < bound for x in ours) for bound in (authors, constant)]
     assert better == {"ict": [6, 4], "openhead": [9, 7]}
-    page = prose_of("docs/results.md")
+    page = text_of("docs/results.md")
     assert "Aldrian & Smith: six of the ten seeds do, on the open head nine." in page
     assert "taken as a constant: four do, and seven." in page
 
@@ -161,7 +150,7 @@ def test_what_rounding_alone_changes_is_what_was_measured():
     for model in ("ict", "openhead"):
         errors = rounding_of(model)
         assert errors.max() / errors.min() < 1.01
-    assert "moves one seed by less than a hundredth" in prose_of("docs/results.md")
+    assert "moves one seed by less than a hundredth" in text_of("docs/results.md")
 
 
 def test_what_the_processor_changes_is_what_was_measured():
@@ -174,18 +163,18 @@ def test_what_the_processor_changes_is_what_was_measured():
             assert processor in json.loads(manifest.read_text())["processor"]
             said.append(f"{errors['as trained']:.2f}")
     text = "Seed 0 has {} on AMD and {} on Intel; on ICT faces {} and {}."
-    assert text.format(*said) in prose_of("docs/results.md")
+    assert text.format(*said) in text_of("docs/results.md")
 
 
 def test_that_processors_differ_as_seeds_do_is_what_was_measured():
     amd, intel = (errors_by_seed(folder) for folder in ("openhead", "intel/openhead"))
-    page = prose_of("docs/results.md")
+    page = text_of("docs/results.md")
     for errors, text, said in (
         (intel, page, "a median of {:.2f} × 10⁻⁴ ({:.2f} to {:.2f})"),
         (amd, page, "of the tables {:.2f} ({:.2f} to {:.2f}; "),
         (
             intel,
-            prose_of("README.md"),
+            text_of("README.md"),
             "Another ten, on an Intel processor, have a median of {:.2f} ({:.2f} to {:.2f}).",
         ),
     ):
@@ -221,7 +210,7 @@ def test_how_little_lifting_is_biased_is_what_was_measured():
         for model in ("openhead", "ict")
     ]
     said = "It finds {:.2f} of what sets a face apart, on ICT faces {:.2f}.".format(*found)
-    assert said in prose_of("docs/results.md")
+    assert said in text_of("docs/results.md")
 
 
 def test_what_is_said_of_turned_perspective_views_is_what_was_measured():
@@ -229,7 +218,7 @@ def test_what_is_said_of_turned_perspective_views_is_what_was_measured():
     for model, folder in itertools.product(("openhead", "ict"), ("bfm", "bfm-posed")):
         mse[model, folder] = own = errors_of(f"{model}/{folder}")["mean"] / 1e-4
         assert own["lifting"] == own.min() and own["mean_shape"] < own["ours"]
-    page = prose_of("docs/results.md")
+    page = text_of("docs/results.md")
     methods = ["ours", "ours_stable", "aldrian", "lifting"]
     posed = [[f"{x:.2f}" for x in mse[m, "bfm-posed"][methods]] for m in ("openhead", "ict")]
     said = "{} × 10⁻⁴ then, with the cosine schedule {}, Aldrian & Smith {} and lifting {}."
@@ -250,7 +239,7 @@ def test_how_many_faces_are_said_to_be_scored_is_how_many_were():
         made = json.loads((ROOT / "results" / model / table / "manifest.json").read_text())
         (faces,) = (stage[kind] for stage in made["stages"] if stage["stage"] == kind)
         used[model, kind] = f"{faces['used']:,}"
-    page = prose_of("docs/results.md")
+    page = text_of("docs/results.md")
     scans, photos = ((used["openhead", kind], used["ict", kind]) for kind in ("scans", "photos"))
     assert "Of the open head's {} and of ICT's {} are scored".format(*scans) in page
     assert "dlib finds {} of the faces of the open head and {} of ICT's".format(*photos) in page
@@ -260,7 +249,7 @@ def test_what_is_said_of_lifting_at_the_limit_is_what_was_measured():
     for model in ("openhead", "ict"):
         table = pd.read_csv(ROOT / "results" / model / "lifting" / "hard" / "table.csv")
         row = table[table["metric"] == "times_limit"].set_index(["method", "condition"])["mean"]
-        assert f"{row['lifting', 'hard_1']:.2f} times" in prose_of("README.md")
+        assert f"{row['lifting', 'hard_1']:.2f} times" in text_of("README.md")
 
 
 def test_what_is_said_of_the_shipped_weights_is_what_was_measured():
@@ -284,7 +273,7 @@ def test_what_is_said_of_photos_is_what_was_measured():
     below = 100 - 100 * mse["lifting"] / mse["mean_shape"]
     exact, jaw = found.loc[:, :, "exact"], below.loc["ibug68", :, "dlib"]
     lower, again = (column.loc["ibug51", :, ["dlib", "mediapipe"]] for column in (below, found))
-    page = prose_of("docs/photos.md")
+    page = text_of("docs/photos.md")
     assert f"On exact landmarks it finds {exact.min():.2f} to {exact.max():.2f} of what" in page
     assert (
         f"lifting is {lower.min():.0f} to {lower.max():.0f} % below the mean shape, and finds "
@@ -306,7 +295,7 @@ def test_what_is_said_of_detectors_is_what_was_measured():
     assert (
         "MediaPipe finds {} of the faces turned by 60° and over 99 % of the others. Of the faces "
         "seen from the front dlib finds {}, of those turned by 40° {}."
-    ).format(*spans) in prose_of("docs/photos.md")
+    ).format(*spans) in text_of("docs/photos.md")
 
 
 def test_times_are_those_of_the_bench():
@@ -332,12 +321,12 @@ def test_what_is_said_of_a_million_faces_is_what_was_measured():
     table = pd.read_csv(folder / "table.csv").set_index(["method", "metric"])
     made = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     memory = max(made["stages"][-1]["processes_mb"])
-    (bound,) = re.findall(r"No process held more than ([\d.]+) GB", prose_of("docs/large.md"))
+    (bound,) = re.findall(r"No process held more than ([\d.]+) GB", text_of("docs/large.md"))
     assert memory / 1000 <= float(bound) < memory / 1000 + 0.1
     assert (table["n_faces"] == 1_000_000).all()
     errors = table.xs("mse", level="metric") / 1e-4
     said = f"{errors.loc['ours', 'mean']:.3f} ± {errors.loc['ours', 'standard_error']:.1g}"
-    assert said in prose_of("docs/results.md")
+    assert said in text_of("docs/results.md")
 
 
 def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
@@ -353,7 +342,7 @@ def test_what_is_said_of_the_speed_of_lifting_is_what_was_measured():
         f"{rounded(alone.ms_per_face)} ms for one alone. Deep-MDS takes {slower[0]} as long with "
         f"the batched solver, {slower[1]} with scikit-learn's"
     )
-    assert said in prose_of("README.md")
+    assert said in text_of("README.md")
 
 
 def test_what_is_said_of_training_steps_is_what_was_measured():
@@ -363,7 +352,7 @@ def test_what_is_said_of_training_steps_is_what_was_measured():
         f"{of_released[f'training step, {net}']:.2f}"
         for net in ("autoencoder", "dissimilarity net")
     ]
-    page = prose_of("docs/large.md")
+    page = text_of("docs/large.md")
     assert (
         f"Ours took {shares[0]} of the released way's time for the autoencoder and {shares[1]} of "
         "it for the dissimilarity net."
