@@ -1,1 +1,1 @@
-"""Files into files: one module for each stage, table or figure of the paper."""
+"""Files into files: one module for each step, see the Snakefile."""

@@ -1,39 +1,181 @@
-"""`python -m experiments STAGE [options]`: run one stage, as the Makefile does."""
+"""`python -m experiments STEP [ITEM …] [options]`: run one step, as `experiments/Snakefile` does.
+
+A step is a module of this package with `main(run, *items)`, such as `tracks.faces`.
+"""
 
 from __future__ import annotations
 
+import datetime
+import errno
+import json
+import logging
 import os
+import resource
+import shlex
 import signal
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 
-from experiments.stages import STAGES
+from threadpoolctl import threadpool_limits
 
-_MODULES = {stage.name: stage.module for stage in STAGES} | {
-    "footprint": "bench.footprint",
-    "make": "make",
-    "pictures": "figures.doc_pictures",
-    "report": "report.report",
-    "show": "tracks.show",
-    "surface": "pretrained.surface_errors",
-}
+from deepmds_keras.io.errors import InputError
+from experiments.methods import METHODS
+from experiments.records import environment, outside_files, write_manifest, write_record
+from experiments.run import OPTIONS, Parser, Run, add_options, run_of
+
+# Of the process of `make`: a step ends with it.
+PARENT = "EXPERIMENTS_PARENT"
+_THREADS = 2
+_XLA = "--xla_cpu_max_isa=AVX2"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    arguments = sys.argv[1:] if arguments is None else arguments
-    name = arguments[0] if arguments else "none"
-    if name not in _MODULES:
-        names = ", ".join(_MODULES)
-        print(f"error: STAGE must be one of {names}. Received {name}.", file=sys.stderr)
-        raise SystemExit(2)
-    try:
-        import_module(f"experiments.{_MODULES[name]}").main(arguments[1:])
+    parser = Parser("python -m experiments", description=__doc__)
+    parser.add_argument("step", help="module, such as tracks.faces")
+    parser.add_argument("items", nargs="*", help="of a step that is done for several, which one")
+    parser.add_argument("--record", type=Path, help="file to write the step's record to")
+    parser.add_argument("--inputs", type=Path, nargs="*", default=[], help="files it is made from")
+    add_options(parser)
+    values = vars(parser.parse_intermixed_args(arguments))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # cleaning up
+    with one_line_errors():
+        run = run_of(values)
+        module = f"experiments.{values['step']}"
+        if not values["step"].islower() or _spec(module) is None:
+            raise InputError(
+                f"STEP must be a module of experiments, such as tracks.faces. Received {module}."
+            )
+        prepare(onednn=_is_onednn(values["step"], values["items"]))
+        end_with_parent()
+        _run_step(module, run, values)
         sys.stdout.flush()
+
+
+def _spec(module: str):
+    with suppress(ModuleNotFoundError):
+        return find_spec(module)
+    return None
+
+
+def _run_step(module: str, run: Run, values: dict) -> None:
+    """Run a step, then write its record and the manifests of its results."""
+    started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    said = import_module(module).main(run, *values["items"]) or {}
+    records = [path for path in values["inputs"] if path.parent.name == "records"]
+    outside = [p for p in values["inputs"] if p not in records and run.build not in p.parents]
+    record = {
+        "name": values["record"].stem if values["record"] else values["step"],
+        "step": " ".join([values["step"], *values["items"]]),
+        "command": os.environ.get("EXPERIMENTS_COMMAND")
+        or "python -m experiments " + shlex.join(sys.argv[1:]),
+        "options": {k: v for k in OPTIONS if (v := values[k]) not in (None, "") and k != "jobs"},
+        "preset": vars(run.preset),
+        "started": started.isoformat(timespec="seconds"),
+        "seconds": round(time.perf_counter() - clock, 1),
+        "peak_memory_mb": peak_memory_mb(),
+        **environment(),
+        "inputs": outside_files(outside),
+        "needs": [str(path) for path in dict.fromkeys(records)],
+        **{name: value for name, value in said.items() if name != "results"},
+    }
+    record = json.loads(json.dumps(record))  # as it will be read
+    folders = [Path(folder) for folder in said.get("results", ())]
+    record["results"] = {str(folder): sorted(write_manifest(folder, record)) for folder in folders}
+    if values["record"] is not None:
+        write_record(values["record"], record)
+
+
+def _is_onednn(step: str, items: list[str]) -> bool:
+    """Whether the method that a step trains or asks has convolutions by oneDNN."""
+    of_method = step in ("tracks.train", "tracks.predict") and items and items[0] in METHODS
+    return bool(of_method) and METHODS[items[0]].onednn
+
+
+def prepare(*, onednn: bool = False) -> None:
+    """Set what numbers depend on, before TensorFlow reads it, and silence its notices."""
+    os.environ["TF_ENABLE_ONEDNN_OPTS"] = str(int(onednn))
+    # What is compiled is the same whatever the processor offers beyond AVX2.
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _XLA not in flags:
+        os.environ["XLA_FLAGS"] = f"{_XLA} {flags}".strip()
+    # Sums are split between threads: their last digits depend on the number, not on the machine's.
+    for library in ("TF_NUM_INTRAOP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[library] = str(_THREADS)
+    threadpool_limits(_THREADS)  # of libraries that are loaded already
+    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
+    # Each network of a step is traced once, which TensorFlow takes for one traced too often.
+    logging.getLogger("tensorflow").setLevel(logging.ERROR)
+    if onednn:
+        # TensorFlow tells of oneDNN before it reads how much it may tell.
+        with _silent_stderr():
+            import_module("tensorflow")
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """Drop what is written to standard error, also by compiled code."""
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+
+
+def end_with_parent() -> None:
+    """End this process when that of `make` has ended, however it ended."""
+    parent = int(os.environ.get(PARENT, 0))
+
+    def watch() -> None:
+        while True:
+            try:
+                os.kill(parent, 0)
+            except ProcessLookupError:
+                os._exit(128 + signal.SIGTERM)
+            time.sleep(0.5)
+
+    if parent:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """End with one line and status 2 on a file or argument that cannot be used, or a full disk."""
+    try:
+        yield
+        return
+    except InputError as error:
+        reason = str(error)
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):  # who read the output, such as `head`, is gone
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise SystemExit(128 + signal.SIGPIPE) from None
+        if error.errno not in (*_FULL, *_FORBIDDEN):
+            raise
+        reason = f"{error.filename or 'A file'}: {error.strerror}."
+        if error.errno in _FULL:
+            reason += " Free some space and run again; what is complete is kept."
     except KeyboardInterrupt:
         raise SystemExit(128 + signal.SIGINT) from None
-    except BrokenPipeError:  # who read the output, such as `head`, is gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(128 + signal.SIGPIPE) from None
+    print(f"error: {reason}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def peak_memory_mb() -> int:
+    """Largest resident set of this process, or of a child that has ended."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return round(max(u.ru_maxrss for u in usage) * unit / 1e6)
 
 
 if __name__ == "__main__":

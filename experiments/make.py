@@ -1,121 +1,151 @@
-"""Make what a target of the Makefile stands for: run the stages that are missing, in order."""
+"""`python -m experiments.make TARGET VARIABLE=value …`: what `make TARGET VARIABLE=value` runs.
+
+It checks the variables, waits for other commands on the same model, and starts Snakemake on
+`experiments/Snakefile`, which knows what a target needs.
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
-from statistics import median
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
+from filelock import FileLock, Timeout
+
+from data_gen.models.registry import model_files
 from deepmds_keras.io.errors import InputError
-from experiments.arguments import parse_run
-from experiments.build_key import check_key, is_done
-from experiments.manifest import MANIFEST, read_manifest
-from experiments.run import Run
-from experiments.running import exit_on_user_error
-from experiments.scoring.numbers import duration
-from experiments.stages import STAGES, SWITCHES, Stage, stages_to, with_needed
-from experiments.tracks import show
+from experiments.__main__ import PARENT, one_line_errors
+from experiments.records import is_current, read_record
+from experiments.run import Run, check_authors, run_of_variables
 
-TARGETS = tuple(dict.fromkeys(stage.target for stage in STAGES if stage.target))
-
-
-def missing(run: Run, target: str) -> list[Stage]:
-    """Stages that a target would run, if those before them change nothing that is there.
-
-    Raises:
-        InputError: A stage's folder was made of other files than the run names.
-    """
-    goals, found = stages_to(target), []
-    stages = with_needed(goals, run)
-    for stage in stages:
-        check_key(run.on(stage.track), stage.name)
-    for stage in stages:
-        again = stage in goals and stage.always or {*found} & {*stage.needed}
-        if again or not is_done(run.on(stage.track), stage.name):
-            found.append(stage)
-    return found
-
-
-def in_turns(run: Run, target: str, todo: list[Stage]) -> list[list[Stage]]:
-    """The stages to run in one turn or two: what comes soon first, with a table of its own.
-
-    What `make` can leave out, MobileFace or RingNet, is most of the time; the table without it
-    need not wait.
-    """
-    goal = stages_to(target)[0]
-    soon = {*with_needed([goal], replace(run, without=SWITCHES))}
-    first = [stage for stage in todo if stage in soon]
-    later = [stage for stage in todo if stage not in soon]
-    waits = {*later} & {*with_needed([goal], run)}
-    if goal.always or not waits or is_done(run.on(goal.track), goal.name):
-        return [todo]
-    return [first, [*later, goal]]
+_SNAKEFILE = Path(__file__).with_name("Snakefile")
+_TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
+_PATIENCE = 3  # seconds that steps have to end after Ctrl-C
+# Code is no trigger: a comment is no reason to train anew.
+_OPTIONS = (
+    "--rerun-triggers", "mtime", "params", "input", "--rerun-incomplete", "--nolock",
+)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> None:
-    target, *options = [*arguments] or [""]
-    if target not in TARGETS:
-        print(f"error: TARGET must be one of {', '.join(TARGETS)}. Received {target}.",
-              file=sys.stderr)  # fmt: skip
+    target, *given = sys.argv[1:] if arguments is None else arguments
+    variables = dict(pair.partition("=")[::2] for pair in given)
+    dry, drawing = variables.pop("DRY", ""), variables.pop("DAG", "")
+    more = shlex.split(variables.pop("SNAKEMAKE", ""))
+    with one_line_errors():
+        run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
+        check_authors(run)
+        model_files(run.model, run.data)  # which says where to get what is missing
+        snakemake = [
+            sys.executable, "-m", "snakemake", target.replace("-", "_"), "-s", str(_SNAKEFILE),
+            "--cores", str(run.jobs) if run.jobs > 0 else "all", *_OPTIONS, *more, "--config",
+            *(f"{name}={json.dumps(value)}" for name, value in variables.items()),
+        ]  # fmt: skip
+        if drawing:
+            draw([*snakemake, "--dag"], Path(drawing))
+            return
+        words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
+        with locked(run.build / run.model):
+            tidy(run)
+            if dry:
+                _plan([*snakemake, "--dry-run", "--quiet", "host", "progress", "reason", "rules"])
+                return
+            _run([*snakemake, "--quiet", "all"], " ".join(["make", target, *words]))
+        if target.startswith("reproduce"):
+            from experiments.scoring.tables import print_tables
+
+            print_tables(run)
+
+
+def tidy(run: Run) -> None:
+    """Delete what killed steps had half written, and records whose results were deleted.
+
+    Snakemake then runs these steps again.
+
+    Raises:
+        InputError: A record is damaged.
+    """
+    for folder in (run.build / run.model, run.model_results):
+        for path in folder.rglob(".*.partial"):
+            path.unlink(missing_ok=True)
+    for path in (run.build / run.model).glob("*/records/*.json"):
+        if not is_current(read_record(path)):
+            path.unlink()
+
+
+def draw(command: list[str], path: Path) -> None:
+    """Draw the steps that a command of Snakemake prints, done ones dashed, as SVG.
+
+    Raises:
+        InputError: Graphviz is not installed.
+    """
+    if shutil.which("dot") is None:
+        raise InputError("Graphviz must be installed to draw (apt install graphviz). None found.")
+    graph = subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
+    path.parent.mkdir(parents=True, exist_ok=True)
+    subprocess.run(["dot", "-Tsvg", "-o", str(path)], input=graph, check=True)
+    print(path)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a model's folder; the system frees it when the process ends."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        print(f"Another command works in {folder}; waiting for it to end.", flush=True)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _plan(command: list[str]) -> None:
+    """Print the steps that a dry run of Snakemake would take, and nothing else of it."""
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+    if done.returncode:
+        print(done.stderr, file=sys.stderr)
         raise SystemExit(2)
-    goal = stages_to(target)[0]
-    own = [*options, "--track", goal.track]
-    run = parse_run(__doc__, own)
-    with exit_on_user_error():
-        turns = in_turns(run, target, missing(run, target))
-    # A stage is not to live on alone.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    left = [stage for turn in turns for stage in turn]
-    number, seconds = len(left), usual_seconds(run)
-    for turn in turns:
-        last = turn is turns[-1]
-        without = [] if last else [word for name in SWITCHES for word in ("--without", name)]
-        for stage in turn:
-            print(progress_line(left, number, seconds), flush=True)
-            # The authors' files and scripts are of the target's own track.
-            other = ["--track", stage.track, "--authors", "", "--evaluator", "paper"]
-            given = own if stage.track == run.track else [*options, *other]
-            _start(stage, [*given, *without] if stage == goal else given)
-            left.pop(0)
-        if not goal.always:
-            show.main(own)
-        if not last:
-            print("\nThe rest of the table follows.\n", flush=True)
 
 
-def usual_seconds(run: Run) -> dict[str, float]:
-    """Id of a stage to how long it took for the results that are there, of runs of this size."""
-    found: dict[str, list[float]] = {}
-    for path in run.model_results.parent.glob(f"*/**/{MANIFEST}"):
-        try:
-            made = read_manifest(path.parent)
-        except InputError:  # a damaged one is the report's to refuse
-            continue
-        if made.get("preset", {}).get("name") != run.preset.name:
-            continue
-        for record in made["stages"]:
-            # Stages of several tracks have one name; a build begins with its track.
-            track = record.get("build", made["track"]).partition("-")[0]
-            found.setdefault(f"{track}/{record['stage']}", []).append(record["seconds"])
-    return {stage: median(seconds) for stage, seconds in found.items()}
+def _run(command: list[str], made_by: str) -> None:
+    """Run Snakemake in a session of its own, so that Ctrl-C ends all of it within seconds."""
+    variables = {PARENT: str(os.getpid()), "EXPERIMENTS_COMMAND": made_by}
+    process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 
+    def stop(signal_number: int, _) -> None:
+        raise SystemExit(128 + signal_number)
 
-def progress_line(left: list[Stage], number: int, seconds: Mapping[str, float]) -> str:
-    """Which stage of how many begins, and about how long all that are left take."""
-    known = [seconds[stage.id] for stage in left if stage.id in seconds]
-    about = f", about {duration(sum(known))} left" if known else ""
-    more = " or more" * (0 < len(known) < len(left))
-    return f"Stage {number - len(left) + 1} of {number}: {left[0].name}{about}{more}"
-
-
-def _start(stage: Stage, options: list[str]) -> None:
-    """Run a stage in a process of its own; end with its status if it does not succeed."""
-    onednn = {"TF_ENABLE_ONEDNN_OPTS": "1"} if stage.onednn else {}
-    command = [sys.executable, "-m", "experiments", stage.name, *options]
-    status = subprocess.run(command, env=os.environ | onednn).returncode
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        status = process.wait()
+    except SystemExit:
+        _end(process)
+        print("\nStopped; the same command goes on from here.", file=sys.stderr)
+        raise
     if status:
-        raise SystemExit(128 - status if status < 0 else status)
+        raise SystemExit(2)
+
+
+def _end(process: subprocess.Popen) -> None:
+    """Ask all processes of a session to end, then kill them."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_PATIENCE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,23 +1,22 @@
-"""One compared method, as stages, tables, figures and report know it."""
+"""One compared method, as steps, tables, figures and report know it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import keras
     import numpy as np
 
-    from experiments.inputs import Faces
     from experiments.run import Run
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """One compared method.
+    """One row of the tables.
 
     Attributes:
         id: As in `metrics.csv`.
@@ -25,21 +24,29 @@ class Method:
         description: What it is, is trained on and is tested on.
         paper: Its id in `results/published/published.csv`, or None: the paper has no such row.
         tracks: Experiments in whose table it is.
-        stage: Stage that writes its predictions; None if the last one knows them without a method.
-        load: From a run to what has `predict`; never trains.
-        train: From a run to the same, trained, where there is something to keep. It is done in the
-            stage `networks`, or in its own if that is where it predicts.
-        process: Of the stage `networks`: methods of one number are trained one after the other in
-            one process, so that two that share a network must have the same.
-        sees: What it is given of the test faces, where it sees no images.
+        inputs: What it sees of a test face: `"views"`, `"frontal views"`, `"images"` (renders of
+            the face) or `"photos"`.
+        build: From a run to the estimator: untrained, or ready where there is no `data`.
+        data: From a run to the arguments of the estimator's `fit`. Without a `checkpoint` it is
+            fitted whenever it is loaded, which takes seconds.
+        checkpoint: From a run to the file, or folder, that keeps the training, complete or not;
+            None where the run has nothing to train.
+        restore: From a run, the untrained estimator and the checkpoint to the trained one; None:
+            its `restore`.
+        after: Method whose training must be complete before this one is trained or, where it has
+            no training of its own, predicts by the other's networks.
+        switch: Variable of `make` that leaves it out where it is `no`.
+        given: Variable of `make` without which it is left out.
+        onednn: Whether convolutions are oneDNN's: a training step takes three quarters of the time.
+        threads: TensorFlow's within an operation and between operations.
         one_by_one: Whether each face is a fit of its own, which processes share.
-        needs: Argument of a run without which it cannot be run, such as `"authors"`.
-        absent: What the table says where it was not run.
+        over_seeds: Whether it is trained from several seeds.
         note: What a reader of the table must know, from a run and `(n,)` bool: whether the method
-            found each test face. See `experiments.remarks`.
+            found each test face.
         colour, marker: Its look, the same in every figure.
         drawn: Whether the figures show it; otherwise only the tables.
         pictured: Whether it is drawn beside whole faces; some look there as their neighbour.
+        gallery: Whether it is in the figure of photos with FLAME's landmarks.
         mapped: Experiments that draw its error by landmark as a whole face.
         complexity: Time of a prediction in the number of landmarks n, derived from the algorithm;
             None keeps it out of the table of parameters.
@@ -52,20 +59,39 @@ class Method:
     description: str
     paper: str | None = None
     tracks: tuple[str, ...] = ()
-    stage: str | None = "predictions"
-    load: Callable[[Run], object] | None = None
-    train: Callable[[Run], object] | None = None
-    process: int = 1
-    sees: Callable[[Faces], np.ndarray] = attrgetter("views")
+    inputs: str = "views"
+    build: Callable[[Run], object] | None = None
+    data: Callable[[Run], tuple] | None = None
+    checkpoint: Callable[[Run], Path | None] | None = None
+    restore: Callable[[Run, object, Path], object] | None = None
+    after: str | None = None
+    switch: str | None = None
+    given: str | None = None
+    onednn: bool = False
+    threads: tuple[int, int] | None = None
     one_by_one: bool = False
-    needs: str | None = None
-    absent: str = ""
+    over_seeds: bool = False
     note: Callable[[Run, np.ndarray], str] | None = None
     colour: str = "#333333"
     marker: str = "o"
     drawn: bool = True
     pictured: bool = True
+    gallery: bool = False
     mapped: tuple[str, ...] = ()
     complexity: str | None = None
     networks: Callable[[int, int], list[keras.Model]] | None = None
     deep_mds: tuple[str, str | None] | None = None
+
+    @property
+    def trained(self) -> str | None:
+        """Method whose networks it predicts by, perhaps itself; None: nothing takes long."""
+        if self.checkpoint is None:
+            return None
+        return self.after if self.data is None else self.id
+
+    @property
+    def absent(self) -> str:
+        """Note of the table where it was not run."""
+        if self.given:
+            return f"their weight files were not given ({self.given}=folder)"
+        return f"left out ({self.switch}=no), or not run yet" if self.switch else ""

@@ -1,18 +1,21 @@
-"""The compared methods: what stages, tables, figures and report know of each is its row here.
+"""The compared methods: what steps, tables, figures and report know of each is its row here.
 
-A new method is a new row. What trains and loads it goes into `recipes`.
+A new method is a new row. How it is built and trained goes into `recipes`.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
 from deepmds_keras.io.errors import InputError
 from deepmds_keras.normalisation import normalise
-from experiments import recipes, remarks
+from experiments import recipes
+from experiments.inputs import Faces, load_landmark_model
 from experiments.method import Method
 from experiments.run import Run
 
@@ -21,11 +24,14 @@ _ALL = ("bfm", "flame", "celeba")
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
 
-def _trained_deep_mds(variant: str, schedule: str, **row) -> Method:
+def _deep_mds(variant: str, schedule: str, **row) -> Method:
     return Method(
         tracks=_ALL,
-        load=partial(recipes.load_deep_mds, variant=variant, schedule=schedule),
-        train=partial(recipes.train_deep_mds, variant=variant, schedule=schedule),
+        build=partial(recipes.deep_mds, variant=variant, schedule=schedule),
+        data=recipes.faces,
+        checkpoint=attrgetter("networks"),
+        restore=recipes.restore_deep_mds,
+        over_seeds=True,
         deep_mds=(variant, schedule),
         networks=partial(recipes.deep_mds_networks, variant),
         complexity=_EMBEDDING,
@@ -33,272 +39,211 @@ def _trained_deep_mds(variant: str, schedule: str, **row) -> Method:
     )
 
 
+def _mobileface_note(run: Run, detected: np.ndarray) -> str:
+    if run.track == "celeba":
+        return "trained on renders before an empty background, as on the BFM track"
+    schedule, epochs = recipes.mobileface_schedule(run)
+    rate = {"cosine": "learning rate that decays to 0", "constant": "constant learning rate"}
+    return (
+        f"trained for {epochs * run.preset.mobileface_steps:,} steps of 16 images at a "
+        f"{rate[schedule]} (the released code: 100,000 at a constant one) to find "
+        f"{len(load_landmark_model(run)[1])} coefficients of the face model"
+    )
+
+
+def _ringnet_note(run: Run, detected: np.ndarray) -> str:
+    if run.ringnet is not None:
+        return ""
+    steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
+    return (
+        f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
+        "paper's is the published one"
+    )
+
+
+def _lifting_note(run: Run, detected: np.ndarray) -> str:
+    note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
+    if run.track == "flame":
+        note += (
+            ", with errors added to the landmarks, of a s.d. of up to "
+            f"{100 * recipes.LIFTING_NOISE:g} % of a view's r.m.s. radius, since a detector finds "
+            "those of the test; other methods learn from exact ones"
+        )
+    return note
+
+
+def _mediapipe_note(run: Run, detected: np.ndarray) -> str:
+    lost = int((~detected).sum())
+    return f"no face found in {lost:,} of {len(detected):,} photos (N/A), which are left out"
+
+
+def _model_fit_note(run: Run, detected: np.ndarray) -> str:
+    if run.track == "flame":
+        return ""
+    return "no method here: what the paper takes for the truth, scored against the true one"
+
+
 # Okabe and Ito's palette (https://jfly.uni-koeln.de/color/), whose hues stay apart for colour-blind
 # readers; the added ones differ from their neighbours in lightness and marker. Grey is the truth's.
 # The rows stand in the order of the tables.
 _ROWS = (
     Method(
-        id="mean_shape",
-        title="Mean shape",
+        id="mean_shape", title="Mean shape", paper="mean_shape", tracks=_ALL,
         description="the mean of the training shapes, whatever the view (the paper's trivial case)",
-        paper="mean_shape",
-        tracks=_ALL,
-        load=recipes.load_mean_shape,
-        colour="#8C6D31",
-        marker="s",
-        mapped=_ALL,
-        complexity="O(n)",
+        build=recipes.mean_shape, data=recipes.faces, over_seeds=True,
+        colour="#8C6D31", marker="s", mapped=_ALL, complexity="O(n)",
     ),
     Method(
-        id="linear",
-        title="Linear",
+        id="linear", title="Linear", tracks=_ALL,
         description="ridge regression from the view to the shape, on the same views",
-        tracks=_ALL,
-        load=recipes.load_linear,
-        colour="#222222",
-        marker="D",
-        mapped=_ALL,
-        complexity="O(n^2)",
+        build=recipes.linear, data=recipes.faces,
+        colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     # The widths of Zhao's net grow with n.
     Method(
-        id="zhao",
-        title="Zhao et al.",
+        id="zhao", title="Zhao et al.", paper="zhao", tracks=_ALL,
         description="Zhao's net trained on the same views as every method",
-        paper="zhao",
-        tracks=_ALL,
-        load=partial(recipes.load_zhao, name="zhao"),
-        train=partial(recipes.train_zhao, name="zhao"),
-        colour="#0072B2",
-        marker="^",
-        mapped=_ALL,
-        complexity="O(n^2)",
+        build=recipes.zhao, data=recipes.posed_faces,
+        checkpoint=partial(Run.network_file, name="zhao"),
+        colour="#0072B2", marker="^", gallery=True, mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
-        id="zhao_authors",
-        title="Zhao et al., authors' training",
+        id="zhao_authors", title="Zhao et al., authors' training", tracks=("bfm",),
         description="Zhao's net trained as the authors did, by RMSprop on 3,000 frontal "
         "orthographic views; tested on the same posed views as every method",
-        tracks=("bfm",),
-        load=partial(recipes.load_zhao, name="zhao_authors"),
-        train=partial(recipes.train_zhao, name="zhao_authors"),
-        colour="#56B4E9",
-        marker="v",
-        drawn=False,
-        complexity="O(n^2)",
+        build=partial(recipes.zhao, as_authors=True), data=recipes.frontal_faces,
+        checkpoint=partial(Run.network_file, name="zhao_authors"),
+        colour="#56B4E9", marker="v", drawn=False, complexity="O(n^2)",
     ),
     Method(
-        id="zhao_frontal",
-        title="Zhao et al., authors' protocol",
+        id="zhao_frontal", title="Zhao et al., authors' protocol", tracks=("bfm",),
         description="the same net tested on frontal orthographic views, as the authors did",
-        tracks=("bfm",),
-        load=partial(recipes.load_zhao, name="zhao_authors"),
-        sees=lambda test: normalise(test.shapes[..., :2]),
-        colour="#1F3A93",
-        marker="d",
-        drawn=False,
-        complexity="O(n^2)",
+        inputs="frontal views", build=partial(recipes.zhao, as_authors=True),
+        checkpoint=partial(Run.network_file, name="zhao_authors"), after="zhao_authors",
+        colour="#1F3A93", marker="d", drawn=False, complexity="O(n^2)",
     ),
     Method(
-        id="zhao_true_depth",
-        title="True depth in place of Zhao et al.",
+        id="zhao_true_depth", title="True depth in place of Zhao et al.",
         description="no method: what the released evaluator gives to a net that makes no error",
-        stage=None,
         drawn=False,
     ),
     Method(
-        id="aldrian",
-        title="Aldrian & Smith",
+        id="aldrian", title="Aldrian & Smith", paper="aldrian", tracks=("bfm", "celeba"),
         description="fit of the face model to the view; nothing is trained, the model is given",
-        paper="aldrian",
-        tracks=("bfm", "celeba"),
-        load=recipes.load_aldrian,
-        one_by_one=True,
-        colour="#009E73",
-        marker="*",
-        complexity="O(t (n k^2 + k^3))",
+        build=recipes.aldrian, one_by_one=True,
+        colour="#009E73", marker="*", complexity="O(t (n k^2 + k^3))",
     ),
     Method(
-        id="aldrian_authors",
-        title="Aldrian & Smith, authors' fit",
+        id="aldrian_authors", title="Aldrian & Smith, authors' fit", tracks=("bfm", "celeba"),
         description="the same fit with the scaled coefficients of the released code",
-        tracks=("bfm", "celeba"),
-        load=recipes.load_aldrian_authors,
-        one_by_one=True,
-        colour="#005A41",
-        marker="8",
-        drawn=False,
-        complexity="O(t (n k^2 + k^3))",
+        build=recipes.aldrian_authors, one_by_one=True,
+        colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
     ),
+    # A layer of this net is too small to be shared between threads; two layers' gradients are not.
     Method(
-        id="mobileface",
-        title="MobileFace",
+        id="mobileface", title="MobileFace", paper="mobileface", tracks=("bfm", "celeba"),
         description="MobileNet from an image to coefficients of the face model",
-        paper="mobileface",
-        tracks=("bfm", "celeba"),
-        stage="mobileface",
-        load=recipes.load_mobileface,
-        train=recipes.train_mobileface,
-        absent="left out (MOBILEFACE=no), or still to come",
-        note=remarks.of_mobileface,
-        colour="#7B1FA2",
-        marker="<",
-        mapped=("celeba",),
+        inputs="images", build=recipes.mobileface, data=recipes.mobileface_data,
+        checkpoint=recipes.mobileface_file, networks=recipes.mobileface_networks,
+        switch="MOBILEFACE", onednn=True, threads=(1, 2),
+        note=_mobileface_note, colour="#7B1FA2", marker="<", mapped=("celeba",),
         complexity="O(n k)",
-        networks=recipes.mobileface_networks,
     ),
     Method(
-        id="true_landmarks",
-        title="True landmarks",
+        id="true_landmarks", title="True landmarks",
         description="no method: what the faces' own landmarks score against the truth found on "
         "scans or photos",
-        stage=None,
-        colour="#777777",
-        drawn=False,
+        colour="#777777", drawn=False,
     ),
     Method(
-        id="scan_landmarks",
-        title="Truth found on scans",
+        id="scan_landmarks", title="Truth found on scans",
         description="no method: what the paper's pipeline takes for the truth, scored against the "
         "true one",
-        stage=None,
-        colour="#777777",
-        marker="s",
-        drawn=False,
+        colour="#777777", marker="s", drawn=False,
     ),
     Method(
-        id="model_fit",
-        title="Model fit",
+        id="model_fit", title="Model fit",
         description="the fit of the face model to a photo; the truth found on scans starts from "
         "it, and on photos it is the truth",
-        stage=None,
-        note=remarks.of_model_fit,
-        colour="#6A7B00",
-        marker="P",
+        note=_model_fit_note, colour="#6A7B00", marker="P",
     ),
     Method(
-        id="ringnet",
-        title="RingNet",
+        id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
         description="network from an image to coefficients of the face model, or of FLAME",
-        paper="ringnet",
-        tracks=("flame",),
-        stage="ringnet",
-        load=recipes.load_ringnet,
-        train=recipes.train_ringnet,
-        absent="left out (RINGNET=no), or still to come",
-        note=remarks.of_ringnet,
-        colour="#5F6B7A",
-        marker=">",
-        complexity="O(1)",
-        networks=recipes.ringnet_networks,
+        inputs="photos", build=recipes.ringnet, data=recipes.ringnet_data,
+        checkpoint=recipes.ringnet_file, networks=recipes.ringnet_networks, switch="RINGNET",
+        onednn=True, threads=(2, 2),
+        note=_ringnet_note, colour="#5F6B7A", marker=">", gallery=True, complexity="O(1)",
     ),
     Method(
-        id="mediapipe",
-        title="MediaPipe",
+        id="mediapipe", title="MediaPipe", paper="mediapipe", tracks=("flame",),
         description="pretrained face mesh of an image, by the authors' list of points",
-        paper="mediapipe",
-        tracks=("flame",),
-        stage="mediapipe",
-        absent="left out (MEDIAPIPE=no), or still to come",
-        note=remarks.of_mediapipe,
-        colour="#00727A",
-        marker="H",
-        complexity="O(1)",
+        inputs="photos", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
+        note=_mediapipe_note, colour="#00727A", marker="H", complexity="O(1)",
     ),
     Method(
-        id="mediapipe_corrected",
-        title="MediaPipe, corrected list",
+        id="mediapipe_corrected", title="MediaPipe, corrected list", tracks=("flame",),
         description="the same with the left brow's points where they should be",
-        tracks=("flame",),
-        stage="mediapipe",
-        note=remarks.of_mediapipe,
-        colour="#2AA198",
-        marker="8",
-        mapped=("flame",),
+        inputs="photos", build=partial(recipes.MediaPipe, points="corrected"), switch="MEDIAPIPE",
+        note=_mediapipe_note, colour="#2AA198", marker="8", gallery=True, mapped=("flame",),
     ),
-    # `ours` and `ours_released` share the autoencoder, which is the same in both variants.
-    _trained_deep_mds(
-        "paper",
-        "constant",
-        id="ours",
-        title="Deep-MDS",
+    _deep_mds(
+        "paper", "constant",
+        id="ours", title="Deep-MDS", paper="ours",
         description="the paper's method: six pair features, constant learning rate",
-        paper="ours",
-        process=0,
-        colour="#D55E00",
-        marker="o",
-        mapped=_ALL,
+        colour="#D55E00", marker="o", gallery=True, mapped=_ALL,
     ),
-    _trained_deep_mds(
-        "released",
-        "constant",
-        id="ours_released",
-        title="Deep-MDS, released features",
+    # The autoencoder does not see pair features: it is that of `ours`, in one file.
+    _deep_mds(
+        "released", "constant",
+        id="ours_released", title="Deep-MDS, released features",
         description="the same with the five pair features of the released code",
-        process=0,
-        colour="#E69F00",
-        marker="h",
-        pictured=False,
+        after="ours",
+        colour="#E69F00", marker="h", pictured=False,
     ),
-    _trained_deep_mds(
-        "paper",
-        "cosine",
-        id="ours_stable",
-        title="Deep-MDS, cosine schedule",
+    _deep_mds(
+        "paper", "cosine",
+        id="ours_stable", title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
-        colour="#8C1C13",
-        marker="p",
-        mapped=("bfm",),
+        colour="#8C1C13", marker="p", gallery=True, mapped=("bfm",),
     ),
     Method(
-        id="authors_weights",
-        title="Deep-MDS, authors' weights",
+        id="authors_weights", title="Deep-MDS, authors' weights", tracks=_ALL,
         description="the released networks with the authors' own weights, nothing trained here",
-        tracks=_ALL,
-        load=recipes.load_authors_weights,
-        needs="authors",
-        absent="their weight files were not given (AUTHORS=folder)",
-        colour="#CC79A7",
-        marker="X",
-        complexity=_EMBEDDING,
-        networks=partial(recipes.deep_mds_networks, "released"),
-        deep_mds=("released", None),
+        build=recipes.authors_weights, deep_mds=("released", None),
+        networks=partial(recipes.deep_mds_networks, "released"), given="AUTHORS",
+        colour="#CC79A7", marker="X", complexity=_EMBEDDING,
     ),
     Method(
-        id="lifting",
-        title="Lifting",
+        id="lifting", title="Lifting", tracks=_ALL,
         description="ours, beside the paper: a network that solves for the camera and the shape",
-        tracks=_ALL,
-        load=recipes.load_lifting,
-        train=recipes.train_lifting,
-        note=remarks.of_lifting,
-        colour="#E5097F",
-        marker="d",
-        mapped=_ALL,
+        build=recipes.lifting, data=recipes.faces,
+        checkpoint=partial(Run.network_file, name="lifting-checkpoint"),
+        restore=recipes.load_lifting,
+        note=_lifting_note, colour="#E5097F", marker="d", gallery=True, mapped=_ALL,
         complexity="O(n)",
     ),
     Method(
-        id="lifting_large",
-        title="Lifting, large",
-        description="the same with a network four times as large",
-        stage=None,
-        colour="#7A0044",
-        marker="D",
-        drawn=False,
-    ),
-    Method(
-        id="limit",
-        title="Limit",
+        id="limit", title="Limit",
         description="no method: what noise and a single view leave open to one that knows the face "
         "model and the camera",
-        stage=None,
-        colour="#777777",
-        drawn=False,
+        colour="#777777", drawn=False,
     ),
-)
+)  # fmt: skip
 METHODS = {method.id: method for method in _ROWS}
 # Of the paper's method, trained here: pair features and learning-rate schedule.
-DEEP_MDS = {method.id: method.deep_mds for method in _ROWS if method.deep_mds and method.train}
+DEEP_MDS = {method.id: method.deep_mds for method in _ROWS if method.deep_mds and method.data}
+
+
+def method_of(method_id: str) -> Method:
+    """Row of a method.
+
+    Raises:
+        InputError: There is no such method.
+    """
+    if method_id not in METHODS:
+        raise InputError(f"method must be one of {', '.join(METHODS)}. Received {method_id!r}.")
+    return METHODS[method_id]
 
 
 def title(method_id: str) -> str:
@@ -307,42 +252,88 @@ def title(method_id: str) -> str:
     Raises:
         InputError: There is no such method.
     """
-    if method_id not in METHODS:
-        raise InputError(f"method must be one of {', '.join(METHODS)}. Received {method_id!r}.")
-    return METHODS[method_id].title
+    return method_of(method_id).title
+
+
+def methods_of(track: str, *, authors: bool = False) -> list[Method]:
+    """Methods that predict on a track, in the order of the tables.
+
+    Args:
+        track: `"bfm"`, `"flame"` or `"celeba"`.
+        authors: Whether the authors' released weights were given.
+    """
+    return [m for m in METHODS.values() if track in m.tracks and (authors or not m.given)]
+
+
+def train(run: Run, method_id: str):
+    """Train a method; one that was stopped goes on from its checkpoint.
+
+    Returns:
+        The trained estimator.
+    """
+    method = method_of(method_id)
+    checkpoint = method.checkpoint(run)
+    model = recipes.fit(method.build(run), *method.data(run), checkpoint=checkpoint)
+    if method_id == "lifting":  # the checkpoint of which holds the last weights, not the best
+        model.save(recipes.lifting_file(run))
+    return model
 
 
 def load(run: Run, method_id: str):
-    """Return a method that is ready to predict; nothing is trained.
+    """Return a method that is ready to predict; what takes long to train is not trained.
 
     Args:
-        run: The run, whose faces and networks are those of `run.trained`.
-        method_id: Of a method that has `load`.
+        run: The run, whose training faces and networks are those of `run.trained`.
+        method_id: Of a method with `build`.
 
     Raises:
-        InputError: It is not trained yet, which names the stage to run, or a file is damaged.
+        InputError: It is not trained yet, or a file is damaged.
     """
-    return METHODS[method_id].load(run.trained)
+    method, run = method_of(method_id), run.trained
+    model = method.build(run)
+    if method.checkpoint is None:
+        return model.fit(*method.data(run)) if method.data else model
+    checkpoint = method.checkpoint(run)
+    if checkpoint is None:
+        return model
+    try:
+        if method.restore is None:
+            return model.restore(checkpoint)
+        return method.restore(run, model, checkpoint)
+    except InputError as error:
+        raise InputError(f"{error} make reproduce-{run.track} trains it.") from None
 
 
-def methods_of(run: Run, stage: str) -> list[Method]:
-    """Methods whose predictions a stage of the run writes, in the order of the tables."""
-    own = (m for m in METHODS.values() if m.stage == stage and run.track in m.tracks)
-    return [m for m in own if m.needs is None or getattr(run, m.needs) is not None]
+def predict(model, inputs, **options) -> np.ndarray:
+    """Predictions of a loaded method, `(n, L, 3)`, whichever way up the faces are.
+
+    Args:
+        model: As from `load`.
+        inputs: Views or images, as `model.predict` takes them.
+        options: Of `model.predict`.
+    """
+    if "check_orientation" in inspect.signature(model.predict).parameters:
+        options.setdefault("check_orientation", False)
+    return model.predict(inputs, **options)
 
 
-def notes(run: Run, found: Mapping[str, np.ndarray]) -> dict[str, str]:
+def views_for(method: Method, test: Faces) -> np.ndarray:
+    """Views of the test faces that a method is given, `(n, L, 2)`."""
+    return normalise(test.shapes[..., :2]) if method.inputs == "frontal views" else test.views
+
+
+def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:
     """Notes that a reader of the run's table needs, or why a method has no number of ours.
 
     Args:
         run: The run.
-        found: Of each method that was run, `(n,)` bool: whether it found each test face.
+        detected: Of each method that was run, `(n,)` bool: whether it found each test face.
     """
-    said = {}
+    notes = {}
     for method in METHODS.values():
-        if method.id in found:
-            note = method.note(run, found[method.id]) if method.note else ""
-            said[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
+        if method.id in detected:
+            note = method.note(run, detected[method.id]) if method.note else ""
+            notes[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
         elif run.track in method.tracks:
-            said[method.id] = method.absent
-    return {method_id: note for method_id, note in said.items() if note}
+            notes[method.id] = method.absent
+    return {method_id: note for method_id, note in notes.items() if note}

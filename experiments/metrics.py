@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepmds_keras.metrics import depth_corr_across_faces
 from experiments.published import published
 
-_REPORT = frozenset({"report"})
-_TERMINAL = _REPORT | {"terminal"}
-_ALL = _TERMINAL | {"latex"}
+_NOT_LATEX = ("terminal",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +17,7 @@ class Metric:
     """A metric and the column that shows it.
 
     At most one of `per_face`, `per_subset` and `derived` says how it is computed. Without any, the
-    stage that predicts measures it and writes it, under the id, into its description.
+    step that predicts measures it and writes it, under the id, into its description.
 
     Attributes:
         id: As in `metrics.csv` and `table.csv`.
@@ -29,16 +26,15 @@ class Metric:
         scale: What follows the name in the table of one experiment: `{n}` as above, `{power}` the
             power of ten in which the paper prints the metric there.
         better: `"higher"`, `"lower"`, or empty: neither.
-        per_face: `(n,)` values of the faces of `Scores`; a subset has their mean but for NaN.
-        per_subset: A number from the `scores.Scores` of those faces of a subset that were found.
+        per_face: `(n,)` values from `scores.Scores`; a subset has the mean of those not NaN.
+        per_subset: A number from the `Scores` of the detected faces of a subset.
         derived: Id of another metric and a function of its value on each subset. `metrics.csv`
             holds the other metric only.
-        in_paper: Whether the paper prints it. Such a metric has two columns, paper and here, and is
-            compared by Wilcoxon's test.
+        in_paper: Whether the paper prints it: two columns, paper and here, and Wilcoxon's tests.
         over_seeds: Whether a table has a column of its spread over seeds.
         decimals: Of a mean that is shown without its s.d.; None: three significant digits.
-        shown: Outputs with this column, of `"latex"`, `"terminal"` and `"report"`; the CSV files
-            hold every metric.
+        shown: Outputs with this column: `"terminal"`, whose columns the report has too, and
+            `"latex"`. The CSV files hold every metric.
         tracks: Where it is measured; None: everywhere.
     """
 
@@ -53,10 +49,10 @@ class Metric:
     in_paper: bool = False
     over_seeds: bool = False
     decimals: int | None = None
-    shown: frozenset[str] = _ALL
+    shown: tuple[str, ...] = ("terminal", "latex")
     tracks: tuple[str, ...] | None = None
 
-    def definition(self, n: int | str = "the number of landmarks") -> str:
+    def definition(self, n: int) -> str:
         """Explanation of the column, with n landmarks, and which values are better."""
         better = f", {self.better} is better" if self.better else ""
         return self.legend.format(n=n) + better
@@ -67,7 +63,7 @@ class Metric:
 
     @property
     def is_cost(self) -> bool:
-        """Whether the stage that predicts measures it."""
+        """Whether the step that predicts measures it."""
         return not (self.per_face or self.per_subset or self.derived)
 
 
@@ -92,7 +88,7 @@ METRICS = {
             legend="the same mean square in square millimetres",
             better="lower",
             per_face=lambda scores: scores.mse * scores.unit_mm**2,
-            shown=_REPORT,
+            shown=(),
         ),
         Metric(
             id="rmse_mm",
@@ -117,7 +113,7 @@ METRICS = {
             head="Across faces",
             legend="sum over landmarks of the correlation of depth across faces, at most {n}",
             better="higher",
-            per_subset=lambda scores: depth_corr_across_faces(scores.aligned, scores.truth),
+            per_subset=lambda scores: scores.depth_corr_across_faces,
             decimals=2,
         ),
         Metric(
@@ -126,7 +122,7 @@ METRICS = {
             legend="share of faces that the alignment had to reflect",
             per_face=lambda scores: scores.mirrored,
             decimals=2,
-            shown=_TERMINAL,
+            shown=_NOT_LATEX,
         ),
         Metric(
             id="detection_rate",
@@ -134,21 +130,21 @@ METRICS = {
             legend="share of photos in which a method found the face",
             per_face=lambda scores: scores.found,
             decimals=2,
-            shown=_TERMINAL,
+            shown=_NOT_LATEX,
             tracks=("flame",),  # where methods look for the face in a photo
         ),
         Metric(
             id="ms_per_face",
             head="ms/face",
             legend="time of a prediction, median of several taken in turns",
-            shown=_TERMINAL,
+            shown=_NOT_LATEX,
         ),
         *(
             Metric(
                 id=f"ms_per_face_{end}",
                 head=f"ms/face, {end}",
                 legend=f"{end} time of a prediction",
-                shown=frozenset(),
+                shown=(),
             )
             for end in ("lowest", "highest")
         ),
@@ -156,7 +152,7 @@ METRICS = {
             id="n_parameters",
             head="Parameters",
             legend="trainable parameters",
-            shown=_TERMINAL,
+            shown=_NOT_LATEX,
         ),
     )
 }
@@ -172,5 +168,5 @@ def metrics_of(experiment: str) -> list[Metric]:
         InputError: Unknown experiment.
     """
     order = [*dict.fromkeys(published(experiment)["metric"])]
-    own = [metric for metric in METRICS.values() if metric.is_of(experiment)]
-    return sorted(own, key=lambda m: order.index(m.id) if m.in_paper else len(order))
+    metrics = [metric for metric in METRICS.values() if metric.is_of(experiment)]
+    return sorted(metrics, key=lambda m: order.index(m.id) if m.in_paper else len(order))

@@ -1,13 +1,12 @@
-"""Progress bars, on a terminal only: a log gets the lines that begin and end a stage."""
+"""Progress: bars, on a terminal only, and durations as text."""
 
 from __future__ import annotations
 
-import os
 import threading
 
 from tqdm import tqdm
 
-# tqdm's own lock is a semaphore, of which Python complains where a process with a bar is killed.
+# tqdm's lock is a semaphore, of which Python complains where a process with a bar is killed.
 tqdm.set_lock(threading.RLock())
 
 
@@ -19,14 +18,7 @@ class Bar(tqdm):
 
 
 class EpochBar(Bar):
-    """A progress bar over epochs that shows the losses.
-
-    Attributes:
-        parent: Process on whose behalf this one trains; training stops after an epoch when it is
-            gone.
-    """
-
-    parent = os.getpid()
+    """A progress bar over epochs that shows the losses."""
 
     def __init__(self, name: str, epochs: int):
         # What a file already holds is read in less than the delay and needs no bar.
@@ -38,7 +30,16 @@ class EpochBar(Bar):
 
     def sums(self, losses: dict[str, float]) -> None:
         """Show losses as they are."""
-        if self.parent not in (os.getpid(), os.getppid()):
-            raise SystemExit("The run that this process trained for is gone.")
         self.set_postfix({k: f"{v:.4f}" for k, v in losses.items()}, refresh=False)
         self.update()
+
+
+def duration(seconds: float) -> str:
+    """In the two largest units."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes} min"
+    if minutes:
+        return f"{minutes} min {rest} s"
+    return f"{seconds:.3g} s"

@@ -22,12 +22,11 @@ SOURCES = {
 }
 
 
-def published(experiment: str, path: Path = PUBLISHED) -> pd.DataFrame:
+def published(experiment: str) -> pd.DataFrame:
     """The paper's numbers for an experiment, in plain units.
 
     Args:
         experiment: `"bfm"`, `"celeba"`, `"flame"` or `"parameters"`.
-        path: The transcription.
 
     Returns:
         A row for each method and metric: `method`, `metric`, `paper_mean`, `paper_std` (NaN where
@@ -37,51 +36,23 @@ def published(experiment: str, path: Path = PUBLISHED) -> pd.DataFrame:
     Raises:
         InputError: Unknown experiment.
     """
-    rows = _rows(experiment, path)
-    rows = rows[(rows["method"] != "") & (rows["value"] != "")]
-    return pd.DataFrame(
-        {
-            "method": rows["method"],
-            "metric": rows["metric"],
-            "paper_mean": [*map(float, map(_plain, rows["value"], rows["unit"]))],
-            "paper_std": [*map(float, map(_plain, rows["uncertainty"], rows["unit"]))],
-            "paper_note": rows["note"],
-        }
-    ).reset_index(drop=True)
+    rows = _rows(experiment)
+    rows = rows[(rows["method"] != "") & (rows["value"] != "")].reset_index(drop=True)
+    numbers = [(*map(float, digits), math.nan)[:2] for digits in rows["digits"]]
+    numbers = pd.DataFrame(numbers, columns=["paper_mean", "paper_std"])
+    notes = rows["note"].rename("paper_note")
+    return pd.concat([rows[["method", "metric"]], numbers, notes], axis=1)
 
 
-def printed(experiment: str, metric: str, path: Path = PUBLISHED) -> dict[str, str]:
+def printed(experiment: str, metric: str) -> dict[str, str]:
     """Cells of a metric as the paper prints them, by method; for what is no number.
 
     Raises:
         InputError: Unknown experiment.
     """
-    rows = _rows(experiment, path)
+    rows = _rows(experiment)
     rows = rows[rows["metric"] == metric]
     return dict(zip(rows["method"], rows["printed"], strict=True))
-
-
-def printed_number(table: str, metric: str, method: str = "", path: Path = PUBLISHED) -> float:
-    """One number that the paper prints, in plain units.
-
-    Args:
-        table: As in the transcription, such as `"tab:cmp_bfm"` or `"text:bfm"`.
-        metric: Such as `"mse"`.
-        method: Of the paper; empty for a number that is of none.
-        path: The transcription.
-
-    Raises:
-        InputError: There is no such number, or more than one.
-    """
-    rows = pd.read_csv(path, dtype=str, keep_default_na=False)
-    rows = rows[(rows["table"] == table) & (rows["metric"] == metric) & (rows["method"] == method)]
-    rows = rows[rows["value"] != ""]
-    if len(rows) != 1:
-        raise InputError(
-            f"{path} must have one number {metric} of {method or 'no method'} in {table}. "
-            f"Received {len(rows)}."
-        )
-    return float(_plain(rows["value"].iloc[0], rows["unit"].iloc[0]))
 
 
 def unit_of(experiment: str, metric: str) -> float:
@@ -90,7 +61,7 @@ def unit_of(experiment: str, metric: str) -> float:
     Raises:
         InputError: Unknown experiment.
     """
-    rows = _rows(experiment, PUBLISHED)
+    rows = _rows(experiment)
     units = rows["unit"][rows["metric"] == metric]
     return float(_plain("1", units.iloc[0])) if len(units) else 1.0
 
@@ -106,30 +77,31 @@ def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
     Returns:
         In plain units; without trailing zeros where the paper prints no such number.
     """
-    numbers = [value for value in (mean, std) if not math.isnan(value)]
-    return _printed_digits().get(tuple(numbers)) or [Decimal(f"{value:.6g}") for value in numbers]
+    numbers = tuple(value for value in (mean, std) if not math.isnan(value))
+    printed = {tuple(map(float, digits)): digits for digits in _transcription()["digits"]}
+    return printed.get(numbers) or [Decimal(f"{value:.6g}") for value in numbers]
 
 
 @functools.cache
-def _printed_digits() -> dict[tuple[float, ...], list[Decimal]]:
-    """Numbers of the transcription, with their uncertainties, as they are printed."""
+def _transcription() -> pd.DataFrame:
+    """The paper's numbers; `digits` are a number and its uncertainty, if any, in plain units."""
     rows = pd.read_csv(PUBLISHED, dtype=str, keep_default_na=False)
-    found = {}
-    for row in rows[rows["value"] != ""].itertuples():
-        digits = [_plain(text, row.unit) for text in (row.value, row.uncertainty) if text]
-        found[tuple(map(float, digits))] = digits
-    return found
+    rows["digits"] = [
+        [_plain(text, row.unit) for text in (row.value, row.uncertainty) if text]
+        for row in rows.itertuples()
+    ]
+    return rows
 
 
-def _rows(experiment: str, path: Path) -> pd.DataFrame:
+def _rows(experiment: str) -> pd.DataFrame:
     if experiment not in SOURCES:
         raise InputError(
             f"experiment must be one of {', '.join(SOURCES)}. Received {experiment!r}."
         )
-    rows = pd.read_csv(path, dtype=str, keep_default_na=False)
+    rows = _transcription()
     return rows[rows["table"].isin(SOURCES[experiment])]
 
 
 def _plain(value: str, unit: str) -> Decimal:
     """Decimal, so that 1.4 in units of 1e-4 is 0.00014, not its neighbour, and 0.30 keeps its 0."""
-    return Decimal(value or "nan") * (1 if unit in ("", "%") else Decimal(unit))
+    return Decimal(value) * (1 if unit in ("", "%") else Decimal(unit))

@@ -1,12 +1,16 @@
-"""One run of an experiment: what it was asked for, and where its files lie."""
+"""One run of an experiment: what was asked for, where its files lie, and its command line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import argparse
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
+from data_gen.models.registry import MODELS
+from data_gen.views.projections import PROTOCOLS
 from deepmds_keras.io.errors import InputError
-from experiments.presets import Preset
+from experiments.presets import PRESETS, Preset
 
 EVALUATORS = ("paper", "released")
 MOBILEFACES = ("cosine", "paper")
@@ -20,7 +24,7 @@ AUTHORS_FILES = {
     "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
 }
 # Data sets of each track, and what folders made of them end with.
-_SUFFIXES = {
+SUFFIXES = {
     "bfm": {},
     "flame": {"coma": "-coma", "casia": "-casia"},
     "celeba": {"celeba": "-real"},
@@ -31,51 +35,37 @@ _DATASETS = {
 }
 
 
+def _option(help: str, default=None, **argument):
+    """A field of `Run` with its option on the command line."""
+    return field(default=default, metadata={"help": help} | argument)
+
+
 @dataclass(frozen=True)
 class Run:
     """Identity of a run, and the places of its files.
 
-    Attributes:
-        model: Name of the morphable model.
-        preset: Sizes.
-        track: Which of the paper's experiments, one of `SCHEMES`.
-        seed: Of faces, views, initial weights, mini-batches and test subsets.
-        protocol: How faces are projected, see `data_gen.views.projections.sample_cameras`.
-        data: File or folder of a model that is not embedded, or None.
-        coma, casia, celeba: Folders of the data sets CoMA, CASIA-3D and CelebA, or None: their
-            open stand-ins.
-        tf_flame: Folder of faces with 51 landmarks for a figure, see
-            `experiments.tracks.celeba.celeba_flame`, or None.
-        casia_index: Table of the scans of CASIA-3D that are used, or None for all.
-        authors: Folder of the authors' released weights, or None.
-        evaluator: How predictions are scored, one of `EVALUATORS`.
-        ringnet: Prefix of the licensed RingNet checkpoint, or None: ours is trained.
-        mobileface: How MobileFace is trained, one of `MOBILEFACES`: with a cosine schedule, or as
-            the paper's authors did, which takes longer.
-        seeds: Number of seeds over which the BFM table shows Deep-MDS, or None: of its own alone.
-        without: Variables of `make` that leave stages out.
-        jobs: Processes for the embedding and for rendering, see `experiments.tasks`.
-        build: Folder of arrays and weights; results: folder of tables and figures.
+    Each attribute but the last two is an option of every step: `casia_index` is `--casia-index`.
+    `build` is the folder of arrays and weights, `results` that of tables and figures.
     """
 
-    model: str
-    preset: Preset
-    track: str = "bfm"
-    seed: int = 0
-    protocol: str = "paper"
-    data: str | None = None
-    coma: str | None = None
-    casia: str | None = None
-    celeba: str | None = None
-    tf_flame: str | None = None
-    casia_index: Path | None = None
-    authors: str | None = None
-    evaluator: str = "paper"
-    ringnet: str | None = None
-    mobileface: str = "cosine"
-    seeds: int | None = None
-    without: tuple[str, ...] = ()
-    jobs: int = -1
+    model: str = _option("morphable model of the faces", "openhead", choices=MODELS)
+    preset: Preset = _option("sizes of the experiment", PRESETS["paper"], choices=tuple(PRESETS))
+    track: str = _option("which of the paper's experiments", "bfm", choices=tuple(SCHEMES))
+    seed: int = _option("of everything random", 0, type=int)
+    protocol: str = _option("how faces are projected", "paper", choices=PROTOCOLS)
+    data: str | None = _option("file or folder of a model that is not embedded")
+    coma: str | None = _option("folder of the data set CoMA, instead of its stand-in")
+    casia: str | None = _option("folder of the data set CASIA-3D, instead of its stand-in")
+    celeba: str | None = _option("folder of the data set CelebA, instead of its stand-in")
+    tf_flame: str | None = _option("folder of photos with 51 landmarks, for a figure")
+    casia_index: str | None = _option("table of the scans of CASIA-3D that are used")
+    authors: str | None = _option("folder of the authors' released weights (*.h5)")
+    evaluator: str = _option("how predictions are scored", "paper", choices=EVALUATORS)
+    ringnet: str | None = _option("prefix of the licensed RingNet's checkpoint, to use that one")
+    mobileface: str = _option("how MobileFace is trained", "cosine", choices=MOBILEFACES)
+    seeds: int | None = _option("number of seeds whose spread the BFM table shows", type=int)
+    faces: int | None = _option("of make stream, instead of the preset's", type=int)
+    jobs: int = _option("processes side by side, -1 for every core", -1, type=int)
     build: Path = Path("build")
     results: Path = Path("results")
 
@@ -96,24 +86,22 @@ class Run:
         return self.on("bfm") if self.track == "celeba" else self
 
     @property
-    def drawn_photos(self) -> bool | None:
-        """Whether photos can be drawn for those of TF_FLAME, or None: they are given, or the face
-        model's expressions have no names.
-        """
-        return True if self.tf_flame is None and self.model != "flame" else None
-
-    @property
     def n_seeds(self) -> int:
         """Of `make seeds`."""
         return self.seeds or self.preset.n_seeds
+
+    @property
+    def streamed_faces(self) -> int:
+        """Of `make stream`."""
+        return self.faces or self.preset.streamed_faces
 
     def on(self, track: str) -> Run:
         """The run of a track with the same model, sizes and seed."""
         return self if track == self.track else replace(self, track=track, evaluator="paper")
 
-    def record_file(self, stage: str) -> Path:
-        """Record of a stage that is done."""
-        return self.work / f"{self.evaluation if stage == self.track else stage}.json"
+    def record_file(self, name: str) -> Path:
+        """Record of a step that is done, see `experiments.records`."""
+        return self.work / "records" / f"{name}.json"
 
     @property
     def networks(self) -> Path:
@@ -127,17 +115,12 @@ class Run:
     def prediction_file(self, method: str) -> Path:
         """File of a method's predictions for the test views, or photos."""
         if method == "ringnet" and self.ringnet is not None:
-            method = self.ringnet_stage
+            method = "ringnet-licensed"
         return self.work / "predictions" / f"{method}.npz"
 
     @property
-    def ringnet_stage(self) -> str:
-        """Name of the stage, and of its files, that runs the licensed RingNet or trains ours."""
-        return "ringnet" if self.ringnet is None else "ringnet-licensed"
-
-    @property
     def evaluation(self) -> str:
-        """Name of the stage that scores, of its record and of its folder of results."""
+        """Name of the step that scores, of its record and of its folder of results."""
         released = "" if self.evaluator == "paper" else f"-evaluator-{self.evaluator}"
         return f"{self.track}{released}"
 
@@ -168,5 +151,134 @@ class Run:
     def _given(self) -> str:
         """Suffix of folders for data sets that were named: others hold their stand-ins."""
         return "".join(
-            suffix for name, suffix in _SUFFIXES[self.track].items() if getattr(self, name)
+            suffix for name, suffix in SUFFIXES[self.track].items() if getattr(self, name)
         )
+
+
+class Parser(argparse.ArgumentParser):
+    """One whose refusals are one line, as all others."""
+
+    def error(self, message: str):
+        self.exit(2, f"error: {message}\n")
+
+
+OPTIONS = {own.name: own for own in fields(Run) if own.metadata}
+# Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
+_SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
+_PATHS = ("data", "coma", "casia", "celeba", "tf_flame", "casia_index", "authors", "ringnet")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `Run` to a parser."""
+    for name, own in OPTIONS.items():
+        default = own.default.name if isinstance(own.default, Preset) else own.default
+        flag = f"--{name.replace('_', '-')}"
+        metavar = None if "choices" in own.metadata else name.upper()
+        parser.add_argument(flag, default=default, metavar=metavar, **own.metadata)
+
+
+def options_of(run: Run, without: Collection[str] = ()) -> list[str]:
+    """Words of a command line that ask for a run."""
+    words = []
+    for name in OPTIONS:
+        value = getattr(run, name)
+        if value is not None and name not in without:
+            text = value.name if isinstance(value, Preset) else str(value)
+            words += [f"--{name.replace('_', '-')}", text]
+    return words
+
+
+def run_of(values: dict) -> Run:
+    """The run of parsed options; empty paths are none, data sets within `--data` are taken.
+
+    Raises:
+        InputError: A path does not exist, or options contradict each other.
+    """
+    given = {name: values[name] for name in OPTIONS} | {"preset": PRESETS[values["preset"]]}
+    given |= {name: values[name] or None for name in _PATHS}
+    _check_numbers(given)
+    for name in _PATHS[:-2]:
+        if given[name] and not Path(given[name]).exists():
+            raise InputError(
+                f"{name.upper()} must be a file or folder. Received {given[name]}, which does not "
+                "exist."
+            )
+    for name in ("coma", "casia", "celeba") if given["data"] else ():
+        given[name] = given[name] or _within(Path(given["data"]), name)
+    run = Run(**given)
+    if run.track != "bfm" and run.evaluator != "paper":
+        raise InputError(
+            "EVALUATOR must be paper but for the BFM track: no script of the authors scores "
+            f"another. Received {run.evaluator}."
+        )
+    if run.model == "openhead" and run.data and Path(run.data).is_file():
+        raise InputError(
+            "DATA must be a folder of data sets with MODEL=openhead, which is embedded. Received "
+            f"the file {run.data}."
+        )
+    if run.model == "openhead" and run.track == "celeba" and run.data and not run.celeba:
+        raise InputError(
+            "DATA must be a folder that holds CelebA's img_align_celeba, with MODEL=openhead. "
+            f"Received {run.data}."
+        )
+    return run
+
+
+def check_authors(run: Run) -> None:
+    """See that the folder of the authors' weights has those of the run's track.
+
+    Raises:
+        InputError: It has not.
+    """
+    for name in AUTHORS_FILES[run.track] if run.authors else ():
+        if not Path(run.authors, name).is_file():
+            raise InputError(f"AUTHORS must be a folder with {name}. Received {run.authors}.")
+
+
+def run_of_variables(variables: dict[str, str], track: str = "bfm") -> Run:
+    """The run that variables of `make` ask for.
+
+    Args:
+        variables: `MODEL`, `DATA` and so on; empty or missing ones have their defaults. A switch
+            such as `RINGNET=no` leaves steps out, see `left_out`.
+        track: Of the target.
+
+    Raises:
+        InputError: A variable has no such value.
+    """
+    # Snakemake makes numbers of some.
+    variables = {name: str(value) for name, value in variables.items() if value is not None}
+    for name, values in _SWITCHES.items():
+        if values and variables.get(name, "yes") not in values:
+            raise InputError(
+                f"{name} must be one of {', '.join(values)}. Received {variables[name]}."
+            )
+    words = ["--track", track]
+    for name, value in variables.items():
+        is_switch = name in _SWITCHES and value in ("yes", "no")
+        if value and not is_switch:
+            words += [f"--{name.lower().replace('_', '-')}", value]
+    parser = Parser("make")
+    add_options(parser)
+    return run_of(vars(parser.parse_args(words)))
+
+
+def left_out(variables: dict[str, str]) -> set[str]:
+    """Switches that are `no`: `"MOBILEFACE"`, `"RINGNET"`, `"MEDIAPIPE"`."""
+    return {name for name in _SWITCHES if variables.get(name) == "no"}
+
+
+def _check_numbers(given: dict) -> None:
+    for name, least in (("seed", 0), ("seeds", 2), ("faces", 2)):
+        if given[name] is not None and given[name] < least:
+            raise InputError(f"{name.upper()} must be at least {least}. Received {given[name]}.")
+
+
+def _within(data: Path, dataset: str) -> str | None:
+    """Folder of a data set under its usual name, in the folder of all data."""
+    folders = [data, *sorted(data.glob("*"))]
+    if dataset == "celeba":
+        matching = (path for path in folders if (path / "img_align_celeba").is_dir())
+    else:
+        matching = (p for p in folders[1:] if p.is_dir() and p.name.lower().startswith(dataset))
+    return next(map(str, matching), None)

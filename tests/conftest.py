@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import pickle
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -14,7 +13,9 @@ from filelock import FileLock
 from places import MEDIAPIPE
 from threadpoolctl import threadpool_limits
 
-os.environ |= runs.SUMS | os.environ  # before TensorFlow is loaded
+from experiments.__main__ import prepare
+
+prepare()  # before TensorFlow is loaded
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -34,55 +35,43 @@ def apart():
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory):
-    """Makes a run that tests only read, once for all processes of pytest: `once(name, build)`."""
+    """Folder that tests only read, built once for all processes of pytest: `once(name, build)`."""
     root = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
 
-    def once(name: str, build: Callable[[Path], runs.Measured]) -> runs.Measured:
-        made = root / f"{name}.pickle"
+    def once(name: str, build: Callable[[Path], object]) -> Path:
+        folder, ready = root / name, root / f"{name}.ready"
         with FileLock(root / f"{name}.lock"):
-            if not made.exists():
-                (root / name).mkdir()
-                made.write_bytes(pickle.dumps(build(root / name)))
-        return pickle.loads(made.read_bytes())
+            if not ready.exists():
+                folder.mkdir()
+                build(folder)
+                ready.touch()
+        return folder
 
     return once
 
 
-_BFM = ("faces", "networks", "predictions", "images", "mobileface", "bfm")
-
-
 @pytest.fixture(scope="session")
 def whole_bfm(once):
-    """The BFM experiment at the smallest size, which nothing disturbed: nobody may write to it."""
-    return once("bfm", lambda folder: runs.measure(_BFM, folder, "--jobs", "1"))
-
-
-@pytest.fixture(scope="session")
-def smoke_bfm(once):
-    """The same at the size that users can ask for, for tests that take long."""
-    return once("bfm-smoke", lambda folder: runs.measure(_BFM, folder, "--preset", "smoke"))
+    """Folder of the BFM experiment at the smallest size, as `make` leaves it; only to be read."""
+    return once("bfm", lambda folder: runs.ended(runs.command("reproduce-bfm", folder)))
 
 
 @pytest.fixture(scope="session")
 def whole_flame(once):
-    """The FLAME experiment on the stand-ins; without MediaPipe, without its stage."""
-    stages = ["frames", "scans", "networks", "predictions", "rings", "ringnet", "flame"]
-    if MEDIAPIPE:
-        stages.insert(2, "mediapipe")
-    more = ("--track", "flame", "--jobs", "1")
-    return once("flame", lambda folder: runs.measure(stages, folder, *more))
+    """Folder of the FLAME experiment on the stand-ins; without MediaPipe, without its rows."""
+    variables = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
+    return once("flame", lambda folder: runs.make("reproduce-flame", folder, *variables))
 
 
 @pytest.fixture(scope="session")
 def whole_celeba(once, whole_bfm):
-    """The CelebA experiment on the stand-in, after the BFM track."""
+    """Folder of the CelebA experiment on the stand-in, after the BFM track."""
 
     def build(folder):
-        shutil.copytree(whole_bfm.folder / "build", folder / "build")
-        stages = ("photos", "predictions", "mobileface", "celeba")
-        return runs.measure(stages, folder, "--track", "celeba", "--jobs", "1")
+        shutil.copytree(whole_bfm / "build", folder / "build")
+        runs.make("reproduce-celeba", folder)
 
     return once("celeba", build)
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 from deepmds_keras.detection.mediapipe_models import has_face_mesh
@@ -10,3 +15,22 @@ ROOT = Path(__file__).parents[1]
 # Reference material beside the repository; tests that need it skip where it is not.
 SHARED = ROOT.parent / "shared"
 MEDIAPIPE = has_face_mesh()
+
+
+@functools.cache
+def committed() -> Path:
+    """Folder with README, docs and results as git has them: a user's runs are no concern of tests.
+
+    As they are staged, so that a change can be tested before it is committed; without git, as they
+    are.
+    """
+    listed = ["git", "ls-files", "-z", "README.md", "docs", "results"]
+    try:
+        files = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return ROOT
+    folder = tempfile.mkdtemp(prefix="committed-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    checkout = ["git", "checkout-index", "-z", "--stdin", f"--prefix={folder}/"]
+    subprocess.run(checkout, cwd=ROOT, input=files, check=True)
+    return Path(folder)

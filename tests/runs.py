@@ -1,6 +1,6 @@
-"""Stages of the experiments at the smallest size, each as a process of its own.
+"""Steps of the experiments at the smallest size, as Snakemake would run them.
 
-To load TensorFlow takes longer than what such a stage does. Hence they are forked from a process
+To load TensorFlow takes longer than what such a step does. Hence they are forked from a process
 that has loaded it, but for those that render, which refuse to where it is.
 """
 
@@ -9,27 +9,28 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import os
-import resource
-import shutil
-import signal
+import shlex
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 import traceback
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from places import ROOT
 
 PRESET = "tiny"
-# As `make` has them: what is compiled is the same on processors with more instructions.
-SUMS = {"TF_ENABLE_ONEDNN_OPTS": "0", "XLA_FLAGS": "--xla_cpu_max_isa=AVX2"}
-# A stage that runs alone is as deterministic as its threads.
-ENVIRONMENT = os.environ | SUMS | {"TF_CPP_MIN_LOG_LEVEL": "3"}
-_RENDERING = {"images", "scans", "rings", "photos", "celeba", "portraits"}
+# A step that runs alone is as deterministic as its threads.
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+SNAKEMAKE = (
+    sys.executable, "-m", "snakemake", "-s", str(ROOT / "experiments" / "Snakefile"),
+    "--cores", "2", "--rerun-triggers", "mtime", "params", "input", "--nolock",
+)  # fmt: skip
+RENDERING = {
+    "tracks.images", "tracks.scans", "tracks.rings", "tracks.photos", "tracks.celeba",
+    "tracks.celeba_flame", "pretrained.portraits",
+}  # fmt: skip
 _LIBRARIES = (
     "tensorflow", "keras", "h5py", "pandas", "joblib", "sklearn.manifold", "sklearn.linear_model",
     "scipy.stats", "matplotlib.pyplot", "PIL.Image",
@@ -40,29 +41,77 @@ _context.set_forkserver_preload([*_LIBRARIES])
 
 @dataclass(frozen=True)
 class Done:
-    """A stage that has ended, as `subprocess.CompletedProcess`; negative of a signal's number."""
+    """A step that has ended, as `subprocess.CompletedProcess`; negative of a signal's number."""
 
     returncode: int
     stdout: str
     stderr: str
 
 
-def arguments(stage: str, folder: Path, *more: str) -> list[str]:
-    """Of `python -m experiments`, with `build` and `results` in a folder."""
-    where = ("--build", str(folder / "build"), "--results", str(folder / "results"))
-    return [stage, "--preset", PRESET, *where, *more]
+def run(step: str, folder: Path, *arguments: str) -> Done:
+    """Run a step with `build` and `results` in a folder, at the preset `tiny` if none is named."""
+    words = [step, *arguments]
+    if "--preset" not in words:
+        words += ["--preset", PRESET]
+    if step in RENDERING:
+        command = [sys.executable, "-m", "experiments", *words]
+        done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+        return Done(done.returncode, done.stdout, done.stderr)
+    with tempfile.TemporaryDirectory(prefix="step-") as texts:
+        paths = [Path(texts, name) for name in ("stdout", "stderr")]
+        process = _context.Process(target=_fork, args=(words, folder, paths))
+        process.start()
+        process.join()
+        return Done(process.exitcode, *(path.read_text("utf-8") for path in paths))
 
 
-def run(stage: str, folder: Path, *more: str) -> Done:
-    """Run a stage to its end."""
-    return Stage(stage, folder, *more).done()
-
-
-def succeed(stage: str, folder: Path, *more: str) -> str:
-    """Run a stage that is to succeed, and return what it printed."""
-    done = run(stage, folder, *more)
+def succeed(step: str, folder: Path, *arguments: str) -> str:
+    """Run a step that is to succeed, and return what it printed."""
+    done = run(step, folder, *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def make(target: str, folder: Path, *variables: str) -> list[list[str]]:
+    """Run all steps of a target in the order of Snakemake's plan, but in forked processes.
+
+    Returns:
+        Words of each step that was run.
+    """
+    steps = plan(target, folder, *variables)
+    for words in steps:
+        succeed(words[0], folder, *words[1:])
+    return steps
+
+
+def plan(target: str, folder: Path, *variables: str) -> list[list[str]]:
+    """Words of each step that Snakemake would run for a target, in order."""
+    if not any(variable.startswith("PRESET=") for variable in variables):
+        variables = (*variables, f"PRESET={PRESET}")
+    words = [*SNAKEMAKE, target.replace("-", "_"), "--dry-run", "--printshellcmds"]
+    done = subprocess.run(
+        [*words, "--config", *variables],
+        cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = [line for line in done.stderr.splitlines() + done.stdout.splitlines()]
+    steps = (line.partition(" -m experiments ")[2] for line in lines)
+    return [shlex.split(words) for words in steps if words]
+
+
+def command(target: str, folder: Path, *variables: str, **options) -> subprocess.Popen:
+    """Start what `make TARGET VARIABLE=value …` runs, in a session of its own."""
+    words = [sys.executable, "-m", "experiments.make", target, f"PRESET={PRESET}", *variables]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    options = pipes | {"cwd": folder, "env": ENVIRONMENT, "start_new_session": True} | options
+    return subprocess.Popen(words, **options)
+
+
+def ended(process: subprocess.Popen) -> Done:
+    """Wait for a command that is to succeed."""
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    return Done(0, output, errors)
 
 
 def results(folder: Path, name: str, preset: str = PRESET) -> Path:
@@ -70,173 +119,33 @@ def results(folder: Path, name: str, preset: str = PRESET) -> Path:
     return folder / "results" / preset / "openhead" / name
 
 
-def work(folder: Path, track: str, preset: str = PRESET) -> Path:
+def work(folder: Path, track: str, preset: str = PRESET, model: str = "openhead") -> Path:
     """Folder of the arrays and weights of a track."""
-    return folder / "build" / "openhead" / f"{track}-{preset}-paper-seed0"
-
-
-def copy_build(source: Path, target: Path) -> Path:
-    """Copy `build` into another folder; RingNet's 300 MB are the same file there.
-
-    Returns:
-        The other folder.
-    """
-
-    def copy(path: str, copied: str) -> str:
-        # No stage changes a file: what is new takes its place.
-        return (os.link if Path(path).name == "ringnet.npz" else shutil.copy2)(path, copied)
-
-    shutil.copytree(source / "build", target / "build", copy_function=copy)
-    return target
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A run that nothing disturbed.
-
-    Attributes:
-        folder: Of its `build` and `results`.
-        seconds: How long each stage took.
-        sizes: Bytes of each file that a stage wrote, by its name in the folder.
-    """
-
-    folder: Path
-    seconds: dict[str, float]
-    sizes: dict[str, dict[Path, int]]
-
-
-def measure(stages: Sequence[str], folder: Path, *more: str) -> Measured:
-    """Run stages one after the other; the numbers are of the last run of each."""
-    seconds, sizes = {}, {}
-    for stage in stages:
-        before, start = _stamps(folder), time.perf_counter()
-        succeed(stage, folder, *more)
-        seconds[stage] = time.perf_counter() - start
-        sizes[stage] = {
-            path.relative_to(folder): path.stat().st_size
-            for path, stamp in _stamps(folder).items()
-            if before.get(path) != stamp
-        }
-    return Measured(folder, seconds, sizes)
+    return folder / "build" / model / f"{track}-{preset}-paper-seed0"
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Files but those with temporary names, the locks among them."""
-    return [path for path in folder.rglob("[!.]*") if path.is_file()]
+    """Files but those with temporary names, and Snakemake's."""
+    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
+    return [path for path in paths if ".snakemake" not in path.parts]
 
 
-def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
-    return {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in files_in(folder)}
-
-
-class Stage:
-    """A stage at work, in a session of its own that can be killed as one.
-
-    Args:
-        stage: Its name.
-        folder: Of `build` and `results`.
-        more: Further arguments.
-        environment: Variables. With these it is not forked, since libraries have read them.
-        limit: Bytes that a file may have, or None.
-        scratch: Folder for what joblib leaves where all of it is killed, or None.
-    """
-
-    def __init__(
-        self,
-        stage: str,
-        folder: Path,
-        *more: str,
-        environment: Mapping[str, str] | None = None,
-        limit: int | None = None,
-        scratch: Path | None = None,
-    ):
-        self.stage = stage
-        self._folder = tempfile.TemporaryDirectory(prefix="stage-")
-        self._said = [Path(self._folder.name, name) for name in ("stdout", "stderr")]
-        own = arguments(stage, folder, *more)
-        variables = ENVIRONMENT | (environment or {})
-        if scratch is not None:
-            variables["JOBLIB_TEMP_FOLDER"] = str(scratch)
-        if environment is None and stage not in _RENDERING:
-            forked = (own, self._said, limit, variables)
-            self._process = _context.Process(target=_fork, args=forked)
-            self._process.start()
-        else:
-            self._process = _Fresh(own, self._said, limit, variables)
-        self.pid = self._process.pid
-
-    def wait(self, seconds: float | None = None) -> int | None:
-        """Status once it has ended, None if it has not after so many seconds."""
-        self._process.join(seconds)
-        return self._process.exitcode
-
-    def kill(self, alone: bool = False) -> None:
-        """Kill it together with its processes, or alone."""
-        if alone or not kill_group(self.pid):
-            self._process.kill()
-
-    def done(self) -> Done:
-        """Wait for its end."""
-        status = self.wait()
-        said = [path.read_text("utf-8") if path.exists() else "" for path in self._said]
-        self._folder.cleanup()
-        return Done(status, *said)
-
-
-def kill_group(group: int) -> bool:
-    """Kill all processes of a group, if there are any."""
-    try:
-        os.killpg(group, signal.SIGKILL)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-class _Fresh:
-    """A new interpreter, with the methods of `multiprocessing.Process`."""
-
-    def __init__(self, own, said, limit, variables):
-        with open(said[0], "w") as output, open(said[1], "w") as errors:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "experiments", *own],
-                cwd=ROOT, env=variables, stdout=output, stderr=errors,
-                start_new_session=True, preexec_fn=lambda: _limit_files(limit),
-            )  # fmt: skip
-        self.pid, self.kill = self._process.pid, self._process.kill
-
-    def join(self, seconds=None):
-        try:
-            self._process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            return
-
-    @property
-    def exitcode(self):
-        return self._process.returncode
-
-
-def _limit_files(limit: int | None) -> None:
-    if limit is not None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-
-def _fork(own: list[str], said: list[Path], limit: int | None, variables: dict[str, str]) -> None:
+def _fork(words: list[str], folder: Path, paths: list[Path]) -> None:
     """Be `python -m experiments`, in a process that was forked for it."""
-    os.setsid()
-    os.chdir(ROOT)
+    os.chdir(folder)
     os.environ.clear()
-    os.environ.update(variables)
-    for number, path in enumerate(said, 1):
+    os.environ.update(ENVIRONMENT)
+    sys.path.insert(0, str(ROOT))
+    for number, path in enumerate(paths, 1):
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(file, number)
         os.close(file)
-    _limit_files(limit)
-    sys.argv = [str(ROOT / "experiments" / "__main__.py"), *own]
+    sys.argv = [str(ROOT / "experiments" / "__main__.py"), *words]
     status = 0
     try:
         from experiments.__main__ import main
 
-        main(own)
+        main(words)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

@@ -9,7 +9,7 @@ from places import ROOT
 
 pytestmark = pytest.mark.slow
 PHOTO = ROOT / "docs" / "pictures" / "portraits.jpg"
-PYTHONS = ("python3.10", "python3.11", "python3.12", "python3.13")
+PYTHONS = ("python3.11", "python3.12", "python3.13")
 
 
 def run(*command, **options):

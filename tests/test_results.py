@@ -1,33 +1,25 @@
-"""Committed results are of the code as it is, and belong together."""
+"""Committed results belong together: of one commit, and the files that their manifest lists."""
 
-import json
-from collections import defaultdict
+import hashlib
 
 import pytest
-from places import ROOT
+from places import committed
 
-from experiments.code_hash import code_hash
-from experiments.manifest import modules_of
+from experiments.records import commits_of, read_manifest
 
-RESULTS = ROOT / "results"
-MANIFESTS = {
-    path.parent.relative_to(RESULTS).as_posix(): json.loads(path.read_text())
-    for path in sorted(RESULTS.rglob("manifest.json"))
-}
+RESULTS = committed() / "results"
+FOLDERS = sorted(path.parent.relative_to(RESULTS) for path in RESULTS.rglob("manifest.json"))
 
 
-@pytest.mark.parametrize("folder", MANIFESTS)
-def test_results_are_of_the_code_as_it_is(folder):
-    made = MANIFESTS[folder]
-    now = code_hash(modules_of(made["stages"]))
-    assert made["code_sha256"] == now, f"{folder} is of other code: run `{made['command']}`"
+@pytest.mark.parametrize("folder", FOLDERS, ids=str)
+def test_every_table_is_of_one_clean_commit(folder):
+    (commit,) = commits_of(read_manifest(RESULTS / folder))
+    assert not commit.endswith("+")
 
 
-def test_stages_are_of_one_clean_commit_in_all_results():
-    commits = defaultdict(set)
-    for made in MANIFESTS.values():
-        for record in made["stages"]:
-            commits[record["stage"]].add(made["commit"])
-    for stage, own in commits.items():
-        (commit,) = own
-        assert not commit.endswith("+"), stage
+@pytest.mark.parametrize("folder", FOLDERS, ids=str)
+def test_every_file_is_the_one_that_the_manifest_lists(folder):
+    files = read_manifest(RESULTS / folder)["files"]
+    for name, digest in files.items():
+        content = (RESULTS / folder / name).read_bytes()
+        assert hashlib.sha256(content).hexdigest() == digest, name

@@ -1,95 +1,113 @@
-"""Check every claim of the paper on one face model, and put all face models side by side."""
+"""Step: collect what the audit measured, decide every claim, and compare the face models."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections import ChainMap
+from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
-from threadpoolctl import threadpool_limits
+from jinja2 import StrictUndefined, Template
+from matplotlib.figure import Figure
 
-from deepmds_keras.io.checksums import sha256_of
-from experiments.arguments import parse_run
-from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
-from experiments.audit.claim_tables import combine, table_of
-from experiments.audit.claims import judge, load_claims
-from experiments.audit.evidence import Inputs, measured_file
+from deepmds_keras.io.errors import InputError
+from experiments.audit.claims import decide, numbers_of
+from experiments.audit.estimates import Tables
+from experiments.audit.poses import TRAINED
 from experiments.face_models import TITLES
-from experiments.figures import audit_curves as figures
+from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
-from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.progress import Bar
-from experiments.records import write_json
-from experiments.running import stage
-from experiments.scoring.tables import write_csv
-from experiments.verdicts import counted, phrase
+from experiments.records import clear_results, write_csv, write_text
+from experiments.run import Run
+from experiments.scoring.numbers import power, scientific
 
-POSES = ("yaw", "pitch", "roll", "field_of_view")
-PERTURBATIONS = ("noise_percent", "missing_percent")
-# Of the views of the paper, section "Datasets"; see `data_gen.views.projections.sample_cameras`.
-TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view": (0, 5)}
+CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
+_PAGE = Path(__file__).with_name("claims.md.j2")
 
 
-def measured(inputs: Inputs, topic: str) -> dict:
-    """Measure a topic; where it takes long, keep the result until its arrays or its code change."""
-    module = TOPICS[topic]
-    if topic in NOT_KEPT:
-        return module.measure(inputs)
-    path = measured_file(inputs.run, topic)
-    made_from = {**inputs.key, "code": sha256_of([Path(module.__file__)])}
-    kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    if kept.get("made_from") != made_from:
-        with threadpool_limits(1):  # sums in one order on any machine
-            kept = {"made_from": made_from, "measured": module.measure(inputs)}
-        write_json(path, kept)
-    return json.loads(path.read_text(encoding="utf-8"))["measured"]
+def main(run: Run, *topics: str) -> dict:
+    """Collect the topics, which were measured, and decide the claims."""
+    files = {topic: run.work / "audit" / f"{topic}.csv" for topic in topics}
+    for topic, file in files.items():
+        if not file.exists():
+            raise InputError(f"{file} must be there: python -m experiments audit.measure {topic}.")
+    tables = {topic: pd.read_csv(file) for topic, file in files.items()}
+    curves = pd.concat([tables.pop("poses"), tables.pop("noise")], ignore_index=True)
+    folder = run.experiment_results("audit")
+    clear_results(folder)
+    for name, table in {"curves": curves, **tables}.items():
+        write_csv(folder / f"{name}.csv", table)
+    for name, figure in figures(curves).items():
+        save(figure, folder / "figures", name, run.preset.caution)
+    counts = judge(run)["verdict"].value_counts()
+    print(f"\n{run.model}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}")
+    print(f"\n{folder}/ and, of all face models, {combine(run.model_results.parent)}/")
+    return {"results": [folder]}
 
 
-def check(inputs: Inputs) -> tuple[pd.DataFrame, dict[str, dict]]:
-    """Every claim's verdict, as `tables.table_of`, and what was measured, by topic."""
-    claims, numbers = load_claims(), {}
-    with Bar(TOPICS, desc="audit", unit="topic") as bar:
-        for topic in bar:
-            bar.set_postfix_str(topic)
-            numbers[topic] = measured(inputs, topic)
-    findings = {
-        claim: judge(claims[claim], function, numbers[topic_of(function)])
-        for claim, function in CHECKS.items()
-    }
-    return table_of(claims, findings, inputs.run.model), numbers
+def figures(curves: pd.DataFrame) -> dict[str, Figure]:
+    """Errors by pose and projection, and by noise, of `curves.csv`."""
+    rows = curves.rename(columns={"mse": "mean"}).groupby("sweep")
+    poses = []
+    for sweep, trained in TRAINED.items():
+        label = f"{sweep.replace('_', ' ').capitalize()} (°)"
+        poses.append(Panel(rows.get_group(sweep), "value", label, shaded=trained))
+    noise = Panel(rows.get_group("noise_percent"), "value", "Noise (% of interocular distance)")
+    return {"poses": error_lines(poses, n_columns=2), "noise": error_lines([noise])}
 
 
-def curves_of(numbers: Mapping[str, Mapping]) -> pd.DataFrame:
-    """All curves that were measured: `sweep, value, method, mse, sem`."""
-    rows = [row for measured in numbers.values() for row in measured.get("curves", ())]
-    return pd.DataFrame(rows, columns=["sweep", "value", "method", "mse", "sem"])
+def judge(run: Run) -> pd.DataFrame:
+    """Write `numbers.csv` and `claims.csv` of a face model, from its tables of results.
+
+    Returns:
+        What `claims.csv` holds: of each claim its verdict and the number that decides it.
+    """
+    claims, by_claim = pd.read_csv(CLAIMS, dtype=str), numbers_of(Tables(run))
+    known = ChainMap(*by_claim.values())
+    numbers = pd.DataFrame(
+        {"claim": claim, "number": name, "model": run.model, **asdict(estimate)}
+        for claim, estimates in by_claim.items()
+        for name, estimate in estimates.items()
+    ).dropna(subset="value")
+    decided = [decide(conditions, known) for conditions in claims["supported_if"]]
+    claims[["model", "verdict", "number"]] = [(run.model, *decision) for decision in decided]
+    claims = claims.merge(numbers.drop(columns=["claim", "model"]), on="number", how="left")
+    for name, table in {"numbers": numbers, "claims": claims}.items():
+        write_csv(run.experiment_results("audit") / f"{name}.csv", table)
+    return claims
 
 
-def draw(numbers: Mapping[str, Mapping], curves: pd.DataFrame, folder: Path) -> None:
-    """Write every figure."""
-    save(figures.error_curves(curves, POSES, TRAINED), folder, "poses")
-    save(figures.error_curves(curves, PERTURBATIONS, {}), folder, "perturbations")
-    save(figures.spectra(numbers["dissimilarity"]["spectra"]), folder, "spectra")
-    save(figures.timings(pd.DataFrame(numbers["complexity"]["timings"])), folder, "timings")
-    save(figures.bias(numbers["bias"]["bias"]), folder, "bias")
+def combine(root: Path) -> Path:
+    """Write the claims of all face models in `results`, the root: `claims.csv` and `claims.md`.
+
+    Returns:
+        The folder, `results/audit`.
+    """
+    claims, numbers = (
+        pd.concat(pd.read_csv(f) for m in TITLES if (f := root / m / "audit" / name).exists())
+        for name in ("claims.csv", "numbers.csv")
+    )
+    numbers["text"] = numbers.apply(text_of, axis=1)
+    page = Template(_PAGE.read_text(), trim_blocks=True, undefined=StrictUndefined).render(
+        titles={model: title for model, title in TITLES.items() if model in {*claims["model"]}},
+        claims=claims.drop_duplicates("id").to_dict("records"),
+        verdicts=claims.set_index(["id", "model"])["verdict"].to_dict(),
+        numbers=numbers.astype({"n": "Int64"}).astype(object).fillna("").to_dict("records"),
+        texts=numbers.set_index(["model", "number"])["text"].to_dict(),
+    )
+    write_csv(root / "audit" / "claims.csv", claims)
+    write_text(root / "audit" / "claims.md", page)
+    return root / "audit"
 
 
-def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
-    inputs = Inputs(run)
-    folder = inputs.run.experiment_results("audit")
-    with stage(inputs.run, "audit") as record:
-        table, numbers = check(inputs)
-        record["tables"] = inputs.tables
-        clear_results(folder)
-        curves = curves_of(numbers)
-        write_csv(folder / "claims.csv", table)
-        write_csv(folder / "curves.csv", curves)
-        draw(numbers, curves, folder / "figures")
-    write_manifest(run, "audit", records_of(inputs.run, "audit"), folder)
-    together = combine(run.model_results.parent, TITLES)
-    print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}: {counted(table)}\n")
-    for row in table.itertuples():
-        print(f"{row.claim}\n    {phrase(row.verdict, row.condition)}")
-    print(f"\nClaims, figures and manifest: {folder}/\nAll face models: {together}/")
+def text_of(row: pd.Series) -> str:
+    """An estimate, row of `numbers.csv`; errors in 10⁻⁴ squared normalised units."""
+    unit = 1e-4 if row["number"].endswith("_mse") and "_over_" not in row["number"] else 1.0
+    ends = [row[end] / unit for end in ("value", "low", "high")]
+    if row["value"] == round(row["value"]) >= 1000:
+        text = f"{row['value']:,.0f}"
+    elif row["high"] > row["low"]:
+        text = "{} [{}, {}]".format(*(scientific(end, 3) for end in ends))
+    else:
+        text = scientific(ends[0])
+    return text if unit == 1 else f"{text} × {power(unit)}"

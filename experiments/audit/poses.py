@@ -1,336 +1,172 @@
-"""Poses and projections: where the errors stay alike, and what the autoencoder is good for."""
+"""Topics on views: poses and projections, landmark noise, perspective."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
+from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 import pandas as pd
 from scipy.stats import sem
 
-from data_gen.views.projections import PROJECTIONS, Cameras, project
+from data_gen.views.photo_views import DETECTOR_SD_MM
+from data_gen.views.projections import PROJECTIONS, Cameras, project, rotations, sample_cameras
 from deepmds_keras.alignment import align
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.normalisation import normalise
-from experiments.audit.evidence import Inputs
-from experiments.audit.findings import ALIKE, Finding, does_not_hold, holds, holds_if
+from experiments.audit.measure import Evidence
 from experiments.inputs import Faces
-from experiments.methods import title
-from experiments.scoring.numbers import enumeration, factor, minus, scientific
+from experiments.methods import predict
 from experiments.scoring.scores import score
+from experiments.streams import Stream
 
-# Degrees; all other angles are 0, and the projection orthographic but in the last sweep. Training
-# views have yaws of -45 to 45, pitches of -30 to 0, no roll and fields of view of 0 to 5.
+# Degrees; all other angles are 0, and the projection orthographic but in the last sweep.
 SWEEPS = {
     "yaw": tuple(range(-90, 91, 15)),
     "pitch": tuple(range(-60, 61, 15)),
     "roll": tuple(range(-90, 91, 15)),
     "field_of_view": (0, 5, 10, 20, 30, 45, 60),
 }
-FRONTAL = "frontal"
-WITHOUT = "without_autoencoder"
-_METHODS = ("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable", "lifting")
-# The paper's method, and what is tried where it fails: the text names no learning rate.
-_OURS = ("ours", "ours_stable")
-# Of the audited faces: each is embedded once for each of the 42 views and three or four methods.
-_FACES_SWEPT = 50
-# Views among them that the training knows: frontal, turned, and seen in perspective.
-_KNOWN = {
-    "frontal": (("yaw", 0),),
-    "turned": (("yaw", -45), ("yaw", 45), ("pitch", -30)),
-    "perspective": (("field_of_view", 5),),
-}
+# Ranges of the training views, see `data_gen.views.projections.sample_cameras`.
+TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view": (0, 5)}
+# Standard deviations of each coordinate, in percent of the distance of the outer corners of the
+# eyes, in which the errors of landmark detectors are given.
+NOISE_PERCENTS = (0, 0.5, 1, 2, 3, 4, 5)
+CURVES = ["sweep", "value", "method", "mse", "sem"]
+_NOISY = ("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable")
+_POSED = (*_NOISY, "lifting")
+_FACES_SWEPT = 50  # of the audited ones: each is embedded for 42 views and two or three methods
+_NOISE_DRAWS = 3  # for each face, over which its MSE is averaged
+_FIELD_OF_VIEW = 5.0  # degrees, the largest that the paper draws
+_CAMERAS_DRAWN = 10_000  # of each protocol
 
 
-def measure(inputs: Inputs) -> dict:
-    """Errors along the sweeps and by kind of test view, of shapes and of frontal views."""
-    methods = [*_METHODS, *["authors_weights"] * (inputs.run.authors is not None)]
-    models = {method: inputs.method(method) for method in methods}
-    models[WITHOUT] = without_autoencoder(models["ours"])
-    autoencoders = {method: models[method] for method in _OURS}
-    faces = inputs.audited[:_FACES_SWEPT]
-    views = sweep_views(inputs.test_dataset.landmarks[faces].astype(float))
-    rows = curves(models, views, inputs.test[faces])
-    return {
-        "curves": rows,
-        "faces_swept": len(faces),
-        "by_kind": _by_kind(inputs),
-        "swept": {
-            m: {
-                sweep: [row["mse"] for row in rows if (row["method"], row["sweep"]) == (m, sweep)]
-                for sweep in SWEEPS
-            }
-            for m in models
-        },
-        "frontal_views": _frontal_views(inputs, autoencoders),
-        "frontal_swept": _frontal_swept(inputs, faces, autoencoders, views),
-        "trained_without": trained_without(inputs.results("ablation")),
-    }
-
-
-def projection_independent(
-    by_kind: dict, swept: dict, faces_swept: int, alike: float = ALIKE
-) -> Finding:
-    """The same error whatever the view."""
-    errors = {
-        method: {kind: own["mse"] for kind, own in by_kind[method].items()}
-        for method in (*_OURS, "mean_shape")
-    }
-    ratios = {method: max(own.values()) / min(own.values()) for method, own in errors.items()}
-    ours, mean_shape = errors["ours"], errors["mean_shape"]
-    largest, smallest = max(ours, key=ours.get), min(ours, key=ours.get)
-    better = sum(mean_shape[kind] < ours[kind] for kind in ours)
-    same = [method for method in _OURS if ratios[method] <= alike]
-    shown = (same or _OURS)[0]
-    frontal = swept[shown]["yaw"][SWEEPS["yaw"].index(0)]
-    limits = {
-        sweep: reach(SWEEPS[sweep], own, alike * frontal) for sweep, own in swept[shown].items()
-    }
-    farthest = max(SWEEPS, key=lambda sweep: max(swept[shown][sweep]))
-    evidence = (
-        f"The MSE of {title('ours')} is lowest in test views that are {minus(smallest)} "
-        f"({scientific(ours[smallest], 3)}) and {factor(ratios['ours'])} times as high in those "
-        f"that are {minus(largest)}; for {title('ours_stable')} that ratio is "
-        f"{factor(ratios['ours_stable'])}. {faces_swept} faces were swept beyond these views. The "
-        f"MSE of {title(shown)} stays within {alike:g} times the frontal one for "
-        f"{_ranges(limits)}. It reaches {scientific(max(swept[shown][farthest]), 3)} in the sweep "
-        f"of {farthest.replace('_', ' ')}. The mean shape looks at no view and so depends on none. "
-        f"It has {scientific(float(np.mean([*mean_shape.values()])), 3)}: less than "
-        f"{title('ours')} in {better} of {len(ours)} kinds of test views."
-    )
-    if not same:
-        return does_not_hold(evidence)
-    return _under_conditions(same, limits, evidence)
-
-
-def lifting_independent(
-    by_kind: dict, swept: dict, faces_swept: int, alike: float = ALIKE
-) -> Finding:
-    """The same error whatever the view, by the lifting network: as for the paper's method."""
-    errors = {kind: own["mse"] for kind, own in by_kind["lifting"].items()}
-    largest, smallest = max(errors, key=errors.get), min(errors, key=errors.get)
-    ratio = errors[largest] / errors[smallest]
-    frontal = swept["lifting"]["yaw"][SWEEPS["yaw"].index(0)]
-    limits = {
-        sweep: reach(SWEEPS[sweep], own, alike * frontal) for sweep, own in swept["lifting"].items()
-    }
-    better = sum(errors[kind] < own["mse"] for kind, own in by_kind["mean_shape"].items())
-    evidence = (
-        f"{title('lifting')} is trained on the same views as {title('ours')} and has fewer "
-        f"parameters. Its MSE is lowest in test views that are {minus(smallest)} "
-        f"({scientific(errors[smallest], 3)}) and {factor(ratio)} times as high in those that are "
-        f"{minus(largest)}: less than the mean shape's in {better} of {len(errors)} kinds. "
-        f"{faces_swept} faces were swept beyond these views. There it stays within {alike:g} times "
-        f"the frontal one for {_ranges(limits)}."
-    )
-    if ratio > alike:
-        return does_not_hold(evidence)
-    return _under_conditions(["ours"], limits, evidence)
-
-
-def frontal_view(frontal_views: dict, frontal_swept: dict) -> Finding:
-    """Nearer to the true frontal view than the view that it was given, and than one for all."""
-    posed = [kind for kind in frontal_views["view"] if kind != FRONTAL]
-
-    def below(method: str, other: str) -> bool:
-        own, its = frontal_views[method], frontal_views[other]
-        return all(own[kind]["aligned"] < its[kind]["aligned"] for kind in posed)
-
-    def spans(how: str) -> list[str]:
-        by_answer = {
-            answer: [frontal_views[answer][kind][how] for kind in posed]
-            for answer in ("view", *_OURS, "constant")
-        }
-        return [f"{min(own):.2g} to {max(own):.2g}" for own in by_answer.values()]
-
-    good = [m for m in _OURS if below(m, "view") and below(m, "constant")]
-    shown = (good or _OURS)[0]
-    limits = {
-        sweep: reach(SWEEPS[sweep], own, frontal_swept["constant"])
-        for sweep, own in frontal_swept[shown].items()
-    }
-    view, ours, stable, constant = spans("aligned")
-    evidence = (
-        f"The paper's code trains for the frontal view, under the name of profile view. The r.m.s. "
-        f"distance to the true one is given by kind of posed test view, without shift, turn and "
-        f"scale of the whole. It is {view} for the view itself, {ours} for the autoencoder of "
-        f"{title('ours')} and {stable} for that of {title('ours_stable')}. The mean frontal view, "
-        f"as the one answer to all, has {constant}. As they come, these are "
-        f"{enumeration(spans('raw'))}. Seen from elsewhere, {title(shown)} beats that one answer "
-        f"for {_ranges(limits)}."
-    )
-    if not good:
-        return does_not_hold(evidence)
-    return _under_conditions(good, limits, evidence)
-
-
-def autoencoder_needed(
-    swept: dict, trained_without: float | None, faces_swept: int, alike: float = ALIKE
-) -> Finding:
-    """Turned views are reconstructed far worse once the net is given the views themselves."""
-    mean = {
-        method: {
-            kind: np.mean([own[sweep][SWEEPS[sweep].index(value)] for sweep, value in views])
-            for kind, views in _KNOWN.items()
-        }
-        for method, own in swept.items()
-    }
-    ratios = {kind: mean[WITHOUT][kind] / mse for kind, mse in mean["ours"].items()}
-    evidence = (
-        f"On {faces_swept} faces turned as far as in training, the MSE is "
-        f"{scientific(mean['ours']['turned'], 3)} with the autoencoder; the mean shape has "
-        f"{scientific(mean['mean_shape']['turned'], 3)}. It is "
-        f"{scientific(mean[WITHOUT]['turned'], 3)}, {factor(ratios['turned'])} times that with the "
-        f"autoencoder, where the trained dissimilarity net is given the views themselves. Without "
-        f"the autoencoder it is {factor(ratios['frontal'])} times as high on frontal views and "
-        f"{factor(ratios['perspective'])} times on frontal perspective ones."
-    )
-    if trained_without is not None:
-        evidence += (
-            f" A net trained on the views themselves has {factor(trained_without)} times the MSE "
-            "of the paper's method on posed views, in the median over seeds."
-        )
-    if ratios["turned"] <= alike:
-        return does_not_hold(evidence)
-    if trained_without is not None and trained_without <= alike:
-        return holds_if("the net is not trained on the views themselves", evidence)
-    return holds(evidence)
-
-
-def _under_conditions(good: list[str], limits: dict, evidence: str) -> Finding:
-    """Of what holds for some of `_OURS` on the test views: for which, and how far beyond them."""
-    everywhere = all(
-        own == [min(SWEEPS[sweep]), max(SWEEPS[sweep])] for sweep, own in limits.items()
-    )
-    conditions = ["if the learning rate decays in training"] * ("ours" not in good)
-    conditions += ["if the views are like those it was trained on"] * (not everywhere)
-    return holds_if(enumeration(conditions), evidence) if conditions else holds(evidence)
-
-
-def without_autoencoder(model):
-    """The same `DeepMDS` with its dissimilarity net given the views as they are."""
-    import keras  # Here, since who only judges what was measured need not load TensorFlow.
-
-    view = keras.Input((2 * model.n_landmarks,), name="view")
-    same = keras.Model(view, keras.layers.Identity(name="same_view")(view))
-    changed = copy.copy(model)
-    changed.autoencoder_ = same
-    return changed
-
-
-def kinds(cameras: Cameras) -> dict[str, np.ndarray]:
-    """Kind of view to `(n,)` bool, which views are of it; kinds that occur only."""
-    perspective = cameras.projection == PROJECTIONS.index("perspective")
-    found = {
-        (f"turned by {yaw:.0f}°" if yaw else FRONTAL): ~perspective & (cameras.yaw == yaw)
-        for yaw in np.unique(cameras.yaw[~perspective])
-    }
-    return found | ({"perspective": perspective} if perspective.any() else {})
-
-
-def reach(values, errors, bound: float) -> list[float] | None:
-    """Between which values about 0 the errors stay within a bound; None if not even at 0."""
-    values, within = np.asarray(values), np.asarray(errors) <= bound
-    if not within[values == 0].all():
-        return None
-    low = max(values[~within & (values < 0)], default=-np.inf)
-    high = min(values[~within & (values > 0)], default=np.inf)
-    inside = values[(values > low) & (values < high)]
-    return [float(inside.min()), float(inside.max())]
-
-
-def sweep_views(landmarks: np.ndarray, sweeps: Sequence[str] = (*SWEEPS,)) -> dict[str, np.ndarray]:
-    """Normalised views of every face `(n, L, 3)` for every value of a sweep in turn."""
-    views = {}
-    for sweep in sweeps:
-        values = SWEEPS[sweep]
-        angles = {angle: np.zeros(len(values) * len(landmarks)) for angle in SWEEPS}
-        angles[sweep] += np.repeat(values, len(landmarks))
-        cameras = Cameras((angles["field_of_view"] > 0).astype(int), **angles)
-        views[sweep] = normalise(project(np.tile(landmarks, (len(values), 1, 1)), cameras))
-    return views
-
-
-def curves(models: dict, views: dict[str, np.ndarray], truth: Faces) -> list[dict]:
-    """Rows of `sweep, value, method, mse, sem`: errors of each method in `sweep_views`."""
+def poses(evidence: Evidence) -> pd.DataFrame:
+    """Errors by pose and projection: `sweep, value, method, mse, sem`."""
+    models = _models(evidence, _POSED)
+    faces = evidence.audited[:_FACES_SWEPT]
+    landmarks, truth = evidence.test_dataset.landmarks[faces].astype(float), evidence.test[faces]
     rows = []
-    for sweep in views:
-        values = SWEEPS[sweep]
-        faces = np.tile(np.arange(len(truth.shapes)), len(values))
+    for sweep, values in SWEEPS.items():
+        views = sweep_views(landmarks, sweep)
         for method, model in models.items():
-            mse = score(model.predict(views[sweep]), truth[faces]).mse.reshape(len(values), -1)
-            rows += [
-                {"sweep": sweep, "value": value, "method": method, "mse": mean, "sem": own}
-                for value, mean, own in zip(
-                    values, mse.mean(1).tolist(), sem(mse, axis=1).tolist(), strict=True
-                )
-            ]
-    return rows
+            mse = errors(model, views, truth)
+            rows += zip(repeat(sweep), values, repeat(method), mse.mean(1), sem(mse, axis=1))
+    return pd.DataFrame(rows, columns=CURVES)
 
 
-def _frontal_swept(inputs: Inputs, faces: np.ndarray, models: dict, views: dict) -> dict:
-    """Of each autoencoder along the sweeps, and of the mean frontal view."""
-    truth = inputs.test.shapes[faces, :, :2].astype(float)
-    mean = inputs.train.shapes[..., :2].mean(0, dtype=float)
-    swept = {method: {} for method in models}
-    for method, model in models.items():
-        for sweep, own in views.items():
-            answers = model.frontalise(own).reshape(-1, *truth.shape)
-            swept[method][sweep] = [_rms(_aligned(answer, truth) - truth) for answer in answers]
-    return swept | {"constant": _rms(_aligned(mean, truth) - truth)}
+def noise(evidence: Evidence) -> pd.DataFrame:
+    """Errors by the noise of the landmarks, with columns as `poses`."""
+    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_NOISE])
+    dataset, audited = evidence.test_dataset, evidence.audited
+    views, truth = dataset.views[audited].astype(float), evidence.test[audited]
+    names = load_scheme(evidence.run.scheme).names
+    right, left = (names.index(f"{side}_eye_outer_corner") for side in ("right", "left"))
+    landmarks = dataset.landmarks[audited].astype(float)
+    distances = np.linalg.norm(landmarks[:, right] - landmarks[:, left], axis=-1)
+    # The same draws at every size, so that a curve shows nothing but the size.
+    draws = distances[:, None, None] * rng.standard_normal((_NOISE_DRAWS, *views.shape))
+    rows = []
+    for method, model in _models(evidence, _NOISY).items():
+        for percent in NOISE_PERCENTS:
+            noisy = views + percent / 100 * (draws if percent else draws[:1])
+            mse = errors(model, normalise(noisy), truth).mean(0)
+            rows.append(("noise_percent", percent, method, mse.mean(), sem(mse)))
+    return pd.DataFrame(rows, columns=CURVES)
 
 
-def _by_kind(inputs: Inputs) -> dict:
-    """Method to kind of test view to mean error and its standard error."""
-    found = kinds(inputs.test.cameras)
-    by_kind = {}
-    for method, scores in inputs.scores.items():
-        groups = {kind: scores.mse[own] for kind, own in found.items()}
-        by_kind[method] = {
-            kind: {"mse": float(mse.mean()), "sem": float(mse.std() / len(mse) ** 0.5)}
-            for kind, mse in groups.items()
-        }
-    return by_kind
+def perspective(evidence: Evidence) -> pd.DataFrame:
+    """Difference of perspective views from orthographic ones of the same faces and poses.
+
+    Returns:
+        `views`: those that the `text` describes, those of the `released` generator, which never
+        divides by the fourth row of its matrix, or what a landmark `detector` errs by. `rms` and
+        `max` distance of landmarks, as shares of the face's size without shift, turn and scale of
+        whole views, with the largest field of view that the paper draws. `share` of all views that
+        are called perspective.
+    """
+    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_CAMERAS])
+    n, audited = len(evidence.audited), evidence.audited
+    shapes = evidence.test.shapes[audited].astype(float)
+    landmarks = evidence.test_dataset.landmarks[audited].astype(float)
+    size_mm = evidence.test.unit_mm[audited]
+    rows = []
+    for name, protocol, views_of, points, size in (
+        ("text", "paper", project, landmarks, size_mm),
+        ("released", "released", _released_views, shapes, np.ones(n)),
+    ):
+        drawn = sample_cameras(_CAMERAS_DRAWN, rng, protocol)
+        called = drawn.projection == PROJECTIONS.index("perspective")
+        views, orthographic = (
+            views_of(points, replace(drawn[called][:n], field_of_view=np.full(n, angle)))
+            for angle in (_FIELD_OF_VIEW, 0.0)
+        )
+        aligned = align(views, orthographic, reflection=False)
+        distances = np.linalg.norm(aligned - orthographic, axis=2) / size[:, None]
+        rows.append((name, np.sqrt(np.mean(distances**2)), distances.max(), called.mean()))
+    detector = np.sqrt(np.mean(2 * (DETECTOR_SD_MM / size_mm) ** 2))
+    rows.append(("detector", detector, np.nan, np.nan))
+    return pd.DataFrame(rows, columns=["views", "rms", "max", "share"])
 
 
-def _frontal_views(inputs: Inputs, models: dict) -> dict:
-    """Root-mean-square distances to the true frontal view, as it comes and once aligned."""
-    truth = inputs.test.shapes[..., :2].astype(float)
-    mean = inputs.train.shapes[..., :2].mean(0, dtype=float)
-    answers = {method: model.frontalise(inputs.test.views) for method, model in models.items()}
-    answers |= {"constant": np.broadcast_to(mean, truth.shape), "view": inputs.test.views}
-    return {
-        name: {
-            kind: {
-                "raw": _rms((answer - truth)[own]),
-                "aligned": _rms(_aligned(answer[own], truth[own]) - truth[own]),
-            }
-            for kind, own in kinds(inputs.test.cameras).items()
-        }
-        for name, answer in answers.items()
-    }
+def sweep_views(landmarks: np.ndarray, sweep: str) -> np.ndarray:
+    """Normalised views of faces `(n, L, 3)` for every value of a sweep, `(values, n, L, 2)`."""
+    values, n = SWEEPS[sweep], len(landmarks)
+    angles = {angle: np.zeros(len(values) * n) for angle in SWEEPS}
+    angles[sweep] += np.repeat(values, n)
+    cameras = Cameras((angles["field_of_view"] > 0).astype(int), **angles)
+    views = normalise(project(np.tile(landmarks, (len(values), 1, 1)), cameras))
+    return views.reshape(len(values), n, *views.shape[1:])
 
 
-def trained_without(metrics: pd.DataFrame | None) -> float | None:
-    """Error on posed views of a net trained on raw views, in those of one on frontal views."""
-    if metrics is None:
-        return None
-    posed = metrics[metrics["metric"] == "mse_posed"].groupby("variant")["value"].median()
-    return float(posed["no_autoencoder"] / posed["same_face"])
+def errors(model, views: np.ndarray, truth: Faces) -> np.ndarray:
+    """MSE of each face in each of its views: `(k, n, L, 2)` → `(k, n)`."""
+    shapes = predict(model, views.reshape(-1, *views.shape[2:]))
+    faces = np.tile(np.arange(views.shape[1]), len(views))
+    return score(shapes, truth[faces]).mse.reshape(views.shape[:2])
 
 
-def _aligned(views: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Up to a similarity: a mirrored face is no frontal view."""
-    return align(np.broadcast_to(views, truth.shape), truth, reflection=False)
+def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.ndarray:
+    """The matrix of MATLAB's function of that name, `(4, 4)`, from its public documentation.
+
+    The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
+    a field of view the unit cube fills that angle. The target lies where the sphere around the cube
+    is nearest to the viewer: so in the help's worked examples, not the origin that it names.
+
+    https://www.mathworks.com/help/matlab/ref/viewmtx.html
+
+    Args:
+        azimuth, elevation, field_of_view: Degrees; a field of view of 0 is orthographic.
+
+    Returns:
+        Matrix to be multiplied from the left to `(x, y, z, 1)`. Its first two rows, divided by the
+        fourth, are the view, x to the right and y up. The fourth holds 1 less the depth beyond the
+        target, in units of the viewer's distance.
+    """
+    turn, rise = np.deg2rad([azimuth, elevation])
+    towards = np.array([np.cos(rise) * np.sin(turn), -np.cos(rise) * np.cos(turn), np.sin(rise)])
+    right = np.array([np.cos(turn), np.sin(turn), 0.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(towards, right), towards
+    if field_of_view == 0:
+        return matrix
+    target = np.full(3, 0.5) + np.sqrt(3) / 2 * towards
+    matrix[:3, 3] = -matrix[:3, :3] @ target
+    distance = np.sqrt(2) / 2 / np.tan(np.deg2rad(field_of_view) / 2)
+    matrix[3] = np.array([0, 0, 0, 1]) - matrix[2] / distance
+    return matrix
 
 
-def _rms(differences: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(differences**2)))
+def _released_views(shapes: np.ndarray, cameras: Cameras) -> np.ndarray:
+    """Views of the released generator, `(n, L, 2)`, by where the viewer stands."""
+    points = np.concatenate([shapes, np.ones((*shapes.shape[:2], 1))], axis=2)
+    x, y, z = rotations(cameras)[:, 2].T
+    azimuths, elevations = np.rad2deg([np.arctan2(x, -y), np.arcsin(z)])
+    viewers = zip(azimuths, elevations, cameras.field_of_view, strict=True)
+    return points @ np.stack([viewmtx(*viewer)[:2].T for viewer in viewers])
 
 
-def _ranges(limits: dict) -> str:
-    ranges = []
-    for sweep, own in limits.items():
-        degrees = "nowhere" if own is None else minus("{:g}° to {:g}°".format(*own))
-        ranges.append(f"{sweep.replace('_', ' ')} {degrees}")
-    return enumeration(ranges)
+def _models(evidence: Evidence, methods: tuple[str, ...]) -> dict:
+    """Trained methods by id, with the authors' weights where they were given."""
+    given = ["authors_weights"] if evidence.run.authors else []
+    return {method: evidence.method(method) for method in (*methods, *given)}

@@ -1,102 +1,186 @@
-"""Time every part of the method beside the released way, and its growth with the size of the task.
+"""Step: time each part of the method on one core, ours and the way of the authors' released code.
 
-Everything runs in this one process on one core, but for the rows of several processes or threads,
-and for the training steps: those are timed in a process of their own, with the threads of training.
+Ways are `released`, that of the authors' code, and `ours`, which for embeddings is scikit-learn's
+solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other method.
 """
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import product
+from statistics import median
+from timeit import repeat
 
+import keras
+import numpy as np
 import pandas as pd
+import tensorflow as tf
+import tensorflow.experimental.numpy as tnp
+from matplotlib.figure import Figure
 
-from experiments.arguments import parse_run
-from experiments.bench.measurements import RATIOS, measure, table_of
-from experiments.bench.mobileface_steps import mobileface_rows
-from experiments.bench.step_times import in_own_process
-from experiments.figures import bench_times as figures
-from experiments.figures.style import save
-from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.progress import Bar
-from experiments.records import write_text
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.registry import load_model
+from data_gen.views.projections import sample_cameras
+from deepmds_keras.embedding import compiled_solver, embed
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.networks import build_dissimilarity_net
+from deepmds_keras.normalisation import normalise
+from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.proximities import pair_features
+from deepmds_keras.training import Recipe, face_order, pairs_of_faces, steps_per_call, untuned
+from experiments.bench import released_code as released
+from experiments.figures.errors import Panel, error_lines
+from experiments.figures.style import Look, look, save
+from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
-from experiments.running import single_threaded, stage
 from experiments.scoring.latex import plain_tabular
-from experiments.scoring.numbers import factor
-from experiments.scoring.tables import write_csv
+from experiments.streams import Stream
+from experiments.tasks import single_threaded
 
-_ONE_THREAD = {"TF_NUM_INTRAOP_THREADS": "1", "TF_NUM_INTEROP_THREADS": "1"}
+SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
+_AHEAD = 50  # faces, as in `train_dissimilarity_net`
 
 
-def measure_all(run: Run) -> tuple[pd.DataFrame, pd.DataFrame, str]:
-    """The table of times, that of the two solvers' agreement, and the face model's hash."""
-    training = in_own_process(run) + mobileface_rows(run)
-    os.environ |= _ONE_THREAD
+def main(run: Run) -> dict:
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    tf.config.threading.set_inter_op_parallelism_threads(1)
     with single_threaded():
-        rows, agreed, digest = measure_parts(run)
-    return table_of(rows + training), agreed, digest
+        table = with_ratios([(*task, seconds(run, call)) for *task, call in tasks(run)])
+    folder = run.model_results.parent / "bench"  # one for all face models
+    clear_results(folder)
+    write_csv(folder / "bench.csv", table)
+    write_text(folder / "bench.tex", plain_tabular(table.drop(columns="seconds")))
+    save(times_per_face(table), folder / "figures", "bench", run.preset.caution)
+    print(f"\n{table.to_string(index=False)}\n\n{folder}/")
+    return {"results": [folder]}
 
 
-def measure_parts(run: Run) -> tuple[list[dict], pd.DataFrame, str]:
-    """Rows of all but the training steps, the solvers' agreement, and the face model's hash."""
-    # TensorFlow reads how many threads it may use when it is loaded.
-    from experiments.bench import agreement, growth, parts
-    from experiments.bench.workload import make_workload
+def seconds(run: Run, call: Callable) -> float:
+    """Median time of a call; the first one, which compiles, counts only if there is no other."""
+    passes = repeat(call, number=1, repeat=1 + run.preset.bench_passes)
+    return median(passes[1:] or passes)
 
-    workload = make_workload(run)
-    # The growth with faces is last: what was measured before tells which rows would take too long.
-    pieces = {
-        "parts": parts.comparisons,
-        "one face": parts.one_by_one,
-        "landmarks": growth.with_landmarks,
-        "jobs": growth.with_jobs,
-        "faces": growth.with_faces,
+
+def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
+    """Each part of the method, all of them, and a training step.
+
+    Weights of Deep-MDS are those of the package, whatever the face model is.
+
+    Yields:
+        A comparison, its part and way, the number of faces, and what is timed.
+    """
+    model = load_model(run.model, run.data, SCHEME)
+    faces = draw_faces(run, model, run.preset.bench_faces)
+    shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
+    methods = {
+        solver: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
+        for solver in (("sklearn", "batched") if compiled_solver() else ("sklearn",))
     }
-    rows: list[dict] = []
-    with Bar(desc="bench", unit="row") as bar:
-        for comparison, ways_of in pieces.items():
-            bar.set_postfix_str(comparison)
-            for ways in ways_of(workload):
-                rows += measure(comparison, ways, run.preset.bench_passes, rows)
-                bar.update(len(ways))
-        bar.set_postfix_str("agreement")
-        agreed = []
-        for model, experiment, method, matrices in agreement.cases(workload):
-            case = {"model": model, "experiment": experiment, "method": method}
-            agreed.append(case | agreement.compare(matrices))
-            bar.update()
-    table = pd.DataFrame(agreed, columns=list(agreement.COLUMNS))
-    return rows, table, workload.model.sha256
+    networks = methods["sklearn"]
+    matrices = np.abs(networks.dissimilarities(faces.views))
+    # After one step of training: no weight changes its time.
+    lifter = LandmarkLifter(N_LANDMARKS, steps=1).fit(faces.views, shapes)
+    predictors = {way: method.predict for way, method in (*methods.items(), ("lifting", lifter))}
+
+    def generate_as_released(views):
+        rng, n = np.random.default_rng([run.seed, Stream.BENCH]), len(views)
+        identity = rng.standard_normal((n, model.n_identity))
+        return released.make_faces(model, identity, sample_cameras(n, rng, run.protocol), SCHEME)
+
+    calls = {
+        "data generation": {
+            "released": generate_as_released,
+            "ours": lambda views: draw_faces(run, model, len(views)),
+        },
+        "pair features": {
+            "released": lambda views: [released.pair_features(view, pairs) for view in views],
+            "ours": pair_features,
+        },
+        "prediction": {
+            "released": lambda views: released.predict(networks, views),
+            "ours": networks.dissimilarities,
+        },
+        "embedding": {
+            "released": lambda views: released.embed(matrices[: len(views)]),
+            **{way: lambda v, way=way: embed(matrices[: len(v)], solver=way) for way in methods},
+        },
+        "end to end": {"released": lambda views: released.shapes(networks, views), **predictors},
+    }
+    fewer = max(1, run.preset.bench_faces // 5)
+    slow = {"released": run.preset.bench_released_faces, "sklearn": fewer}
+    for part, ways in calls.items():
+        for way, call in ways.items():
+            n = slow.get(way, run.preset.bench_faces)
+            yield "parts", part, way, n, partial(call, faces.views[:n])
+    views = faces.views[:fewer]
+    for way, call in predictors.items():
+        one_by_one = partial(lambda call: [call(view) for view in views], call)
+        yield "one face", "one face at a time", way, fewer, one_by_one
+    n = run.preset.bench_steps
+    for way in ("released", "ours"):
+        _, epoch = training(way, shapes[..., :2], shapes, n)
+        yield "training", "training step, dissimilarity net", way, n, epoch
 
 
-def results_folder(run: Run) -> Path:
-    """One for all face models."""
-    return run.model_results.parent / "bench"
+def training(
+    way: str, frontal: np.ndarray, shapes: np.ndarray, steps: int
+) -> tuple[keras.Model, Callable]:
+    """A dissimilarity net, and a function that trains it for an epoch.
+
+    Args:
+        way: `"ours"`, as in `train_dissimilarity_net`, or `"released"`.
+        frontal, shapes: `(n, L, 2)` frontal views and `(n, L, 3)` normalised shapes.
+        steps: Mini-batches in an epoch, each of one face.
+    """
+    faces = face_order(len(shapes), steps, 0, 0)
+    frontal, shapes = np.float32(normalise(frontal))[faces], np.float32(shapes)[faces]
+    ends = np.triu_indices(shapes.shape[1], 1)
+    options = {"steps_per_execution": steps_per_call(steps), "jit_compile": True}
+    network = build_dissimilarity_net(VARIANT)
+    network.compile(Recipe(1).optimizer(steps), "mse", **options if way == "ours" else {})
+
+    def batches():
+        if way == "released":
+            return released.training_batches(frontal, shapes)
+        data = tf.data.Dataset.from_tensor_slices((frontal, shapes))
+        data = data.map(lambda *face: pairs_of_faces(*face, ends, VARIANT, tnp))
+        return untuned(data.prefetch(_AHEAD))
+
+    return network, lambda: network.fit(batches(), steps_per_epoch=steps, shuffle=False, verbose=0)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
-    folder = results_folder(run)
-    with stage(run, "bench") as record:
-        table, agreed, record["model_sha256"] = measure_all(run)
-        clear_results(folder)
-        write_csv(folder / "bench.csv", table)
-        write_csv(folder / "agreement.csv", agreed)
-        write_text(folder / "bench.tex", plain_tabular(table.drop(columns=["seconds", "note"])))
-        save(figures.bench(table), folder / "figures", "bench")
-    write_manifest(run, "bench", records_of(run, "bench"), folder)
-    print(f"\n{summary(table)}\n\n{agreed.to_string(index=False)}")
-    print(f"\nTables, figure and manifest: {folder}/")
+def with_ratios(rows: list[tuple]) -> pd.DataFrame:
+    """Times, and how many times as fast as the other ways of the same part each way is.
+
+    Args:
+        rows: `comparison, part, way, n_faces, seconds`.
+    """
+    table = pd.DataFrame(rows, columns=["comparison", "part", "way", "n_faces", "seconds"])
+    table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]
+    times = table.set_index(["part", "way"])["ms_per_face"].unstack()
+    for way in ("released", "sklearn", "batched"):
+        table[f"times_{way}"] = table["part"].map(times[way]) / table["ms_per_face"]
+    return table
 
 
-def summary(table: pd.DataFrame) -> str:
-    """The rows as they are read on a terminal."""
-    shown = (
-        table.drop(columns=["seconds", "note"])
-        .astype(object)
-        .rename(columns={"peak_memory_mb": "MB"})
-    )
-    for column in ("ms_per_face", *RATIOS):
-        shown[column] = [factor(value) if value == value else "" for value in shown[column]]
-    return shown.fillna("").to_string(index=False)
+def times_per_face(table: pd.DataFrame) -> Figure:
+    """Time of a face: each part in each way."""
+    looks = {
+        "released": Look("released way", "#777777", "s"),
+        "ours": Look("ours", "#D55E00", "o"),
+        "sklearn": Look("ours, scikit-learn's solver", "#0072B2", "^"),
+        "batched": Look("ours, batched solver", "#D55E00", "o"),
+        "lifting": look("lifting"),
+    }
+    parts = table[table["comparison"] == "parts"]
+    parts = parts.rename(columns={"way": "method", "ms_per_face": "mean"})
+    panel = Panel(parts, "part", "Part, on one core")
+    return error_lines([panel], "Time per face", 1, "ms", looks=looks)
+
+
+def draw_faces(run: Run, model: MorphableModel, n: int):
+    """Faces and their views, the same for the same n."""
+    rng = np.random.default_rng([run.seed, Stream.BENCH])
+    return make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)

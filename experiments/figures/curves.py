@@ -5,133 +5,109 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from experiments.figures.style import INK, colour, styled
+from experiments.figures.errors import Panel, error_lines, plain_log_ticks
+from experiments.figures.style import INK, Look, colour, styled
 from experiments.methods import title
 
+_FIRST_EPOCH = 3  # before it losses fall so far that no later difference would be seen
 _NETWORKS = {"autoencoder": "Autoencoder", "dissimilarity_net": "Dissimilarity net"}
-# Key of a record to line style and legend entry.
-_MODES = {
-    "train": ((0, (3, 1.5)), "training faces, training mode"),
-    "inference": ("-", "training faces, inference mode"),
-    "test": ((0, (1, 1.2)), "test faces, inference mode"),
+_IMAGE_LOSSES = {
+    "mobileface": "Mean squared error of the mesh (mm²)",
+    "ringnet": "Sum of the losses (no unit)",
 }
+# Key of a record to line style and legend entry.
+_MODES = {"train": ((0, (3, 1.5)), "training mode"), "inference": ("-", "inference mode")}
 _SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine schedule"}
+_LAG = {
+    "inference": Look("inference mode (moving statistics)", "#D55E00", ""),
+    "train": Look("training mode (statistics of the mini-batch)", "#777777", ""),
+    "reestimated": Look("statistics estimated again", "#0072B2", "D", ""),
+}
 
 
 @styled
 def learning_curves(
     histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
-    mobileface: Mapping[str, Sequence[float]] | None = None,
-    ringnet: Mapping[str, Sequence[float]] | None = None,
+    of_images: Mapping[str, Mapping[str, Sequence[float]]] = {},
 ) -> Figure:
-    """Loss against training time, the autoencoder beside the dissimilarity net, and others.
+    """Loss of the training faces against time, a panel a network, from the third epoch.
 
     Args:
         histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
             each a record with one mean squared error an epoch, in squared normalised units:
-            `"train"` as seen by the optimiser, `"inference"` of the network after the epoch,
-            `"test"` on test faces. What a record lacks is not drawn.
-        mobileface: Such a record in square millimetres; None leaves its panel out.
-        ringnet: Such a record of the sum of RingNet's losses; likewise.
+            `"train"` as seen by the optimiser, `"inference"` of the network after the epoch. What
+            a record lacks is not drawn.
+        of_images: Such records of `mobileface`, in square millimetres, or of `ringnet`.
     """
-    others = {
-        method: (losses, unit)
-        for method, losses, unit in (
-            ("mobileface", mobileface, "Mean squared error of the mesh (mm²)"),
-            ("ringnet", ringnet, "Sum of the losses (no unit)"),
-        )
-        if losses is not None
-    }
+    label = "Mean squared error\n($10^{-4}$ squared normalised units)"
+    # Methods may share a network: the one named first is drawn last, on top.
+    panels = [
+        (name, label, 1e-4, {m: nets.get(network, {}) for m, nets in reversed(histories.items())})
+        for network, name in _NETWORKS.items()
+    ]
+    panels += [(title(m), _IMAGE_LOSSES[m], 1.0, {m: record}) for m, record in of_images.items()]
     figure = Figure(figsize=(7.2, 3.1), layout="constrained")
-    panels = figure.subplots(1, 2 + len(others))
-    shown = set()
-    for axes, (network, name) in zip(panels[:2], _NETWORKS.items(), strict=True):
-        # Methods may share a network: the one named first is drawn last, on top.
-        for method, networks in reversed(histories.items()):
-            for mode, losses in networks.get(network, {}).items():
-                shown.add(mode)
-                axes.plot(
-                    _epochs(losses), losses, color=colour(method), linestyle=_MODES[mode][0], lw=1.1
-                )
-        axes.set(yscale="log", title=name)
-        _time_axis(axes)
-    panels[0].set_ylabel("Mean squared error\n(squared normalised units)")
-    methods = [*histories, *others]
-    for axes, (method, (record, unit)) in zip(panels[2:], others.items(), strict=True):
-        for mode, losses in record.items():
-            line = {"color": colour(method), "linestyle": _MODES[mode][0], "lw": 1.1}
-            axes.plot(_epochs(losses), losses, **line)
-        axes.set(yscale="log", title=title(method), ylabel=unit)
-        _time_axis(axes)
-    figure.legend(
-        handles=[Line2D([], [], color=colour(m), label=title(m)) for m in methods],
-        loc="outside upper center",
-        ncols=4,
-    )
-    figure.legend(
-        handles=[
-            Line2D([], [], color=INK, linestyle=dashes, label=label)
-            for mode, (dashes, label) in _MODES.items()
-            if mode in shown
-        ],
-        loc="outside lower center",
-        ncols=3,
-        handlelength=2.6,
-    )
+    for axes, panel in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        name, label, unit, records = panel
+        for method, record in records.items():
+            for mode, losses in record.items():
+                style = {"color": colour(method), "ls": _MODES[mode][0], "lw": 1.1}
+                axes.plot(range(1, len(losses) + 1), np.divide(losses, unit), **style)
+        axes.set(title=name, ylabel=label, yscale="log", xlabel="Training time (epochs)")
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        axes.grid(axis="y")
+        _leave_out_first_epochs(axes)
+        plain_log_ticks(axes.yaxis)
+    methods = [{"color": colour(m), "label": title(m)} for m in [*histories, *of_images]]
+    modes = [{"color": INK, "ls": s, "label": f"training faces, {m}"} for s, m in _MODES.values()]
+    for looks, place in ((methods, "upper"), (modes, "lower")):
+        handles = [Line2D([], [], **look) for look in looks]
+        sizes = {"handlelength": 2.6, "columnspacing": 1.2}
+        figure.legend(handles=handles, loc=f"outside {place} center", ncols=4, **sizes)
     return figure
 
 
-@styled
+def _leave_out_first_epochs(axes: Axes) -> None:
+    """Limit the axes to what they show from `_FIRST_EPOCH`."""
+    points = np.concatenate([line.get_xydata() for line in axes.lines])
+    last = points[:, 0].max()
+    first = min(_FIRST_EPOCH, last)
+    shown = points[points[:, 0] >= first, 1]
+    axes.set(xlim=(first - 0.5, last + 0.5), ylim=(0.95 * shown.min(), 1.05 * shown.max()))
+
+
 def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[float]]]]) -> Figure:
-    """The autoencoder's error by batch statistics and by moving ones, seed by seed.
+    """The autoencoder's error by batch statistics and by moving ones: mean and range over seeds.
 
     If the moving statistics of batch normalisation trail the weights, the network errs more at
     inference than in training, on the same faces. It no longer does once the statistics are
-    estimated anew for the weights as they are.
+    estimated again for the final weights.
 
     Args:
         histories: `"constant"` and `"cosine"` to seed to a record with `"train"` and
             `"inference"`, one mean squared error an epoch, and `"reestimated"`, the one after the
             last epoch with statistics of all training faces; in squared normalised units.
     """
-    figure = Figure(figsize=(7.2, 2.9), layout="constrained")
-    panels = figure.subplots(1, len(histories), sharey=True, squeeze=False)[0]
-    looks = {
-        "inference": ("#D55E00", "inference mode (moving statistics)"),
-        "train": ("#777777", "training mode (statistics of the mini-batch)"),
-    }
-    anew = {"color": "#0072B2", "marker": "D", "ms": 4, "mew": 0, "ls": "none", "clip_on": False}
-    for axes, (schedule, runs) in zip(panels, histories.items(), strict=True):
+    panels = []
+    for schedule, runs in histories.items():
+        rows = [
+            (mode, epoch, np.sqrt(loss))
+            for record in runs.values()
+            for mode in ("inference", "train")
+            for epoch, loss in enumerate(record[mode], 1)
+        ]
         for record in runs.values():
-            for mode, (ink, _) in looks.items():
-                losses = record[mode]
-                axes.plot(_epochs(losses), np.sqrt(losses), color=ink, lw=0.8, alpha=0.8)
-            axes.plot(len(losses), np.sqrt(record["reestimated"]), **anew)
-        axes.set(yscale="log", title=f"{_SCHEDULES[schedule]} ({len(runs)} seeds)")
-        _time_axis(axes)
-    panels[0].set_ylabel("R.m.s. error of the frontal view\n(normalised units)")
-    figure.legend(
-        handles=[
-            *(Line2D([], [], color=ink, label=label) for ink, label in looks.values()),
-            Line2D([], [], **anew, label="statistics estimated anew, same weights"),
-        ],
-        loc="outside lower center",
-        ncols=3,
-    )
-    return figure
-
-
-def _epochs(losses: Sequence[float]) -> np.ndarray:
-    return np.arange(1, len(losses) + 1)
-
-
-def _time_axis(axes: Axes) -> None:
-    axes.set_xlabel("Training time (epochs)")
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    axes.margins(x=0.02)
-    axes.grid(axis="y")
+            rows.append(("reestimated", len(record["train"]), np.sqrt(record["reestimated"])))
+        errors = pd.DataFrame(rows, columns=["method", "epoch", "error"])
+        errors = errors.groupby(["method", "epoch"], sort=False)["error"]
+        errors = errors.agg(mean="mean", low="min", high="max").reset_index()
+        name = f"{_SCHEDULES[schedule]} ({len(runs)} seeds)"
+        panels.append(Panel(errors, "epoch", "Training time (epochs)", name))
+    quantity, units = "R.m.s. error of the frontal view", "normalised units"
+    return error_lines(panels, quantity, 1, units, looks=_LAG)

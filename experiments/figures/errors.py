@@ -1,233 +1,191 @@
-"""Where the errors are: over the landmarks of the face, and over the poses of the view."""
+"""Errors against pose, noise, condition or region: a line a method, with confidence intervals."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from matplotlib import ticker
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, PercentFormatter
+from matplotlib.patches import Patch
+from pandas.api.types import is_numeric_dtype
 
-from experiments.figures.style import INK, TRUTH_COLOUR, colour, marker, styled
-from experiments.figures.wireframe import bare, draw_wireframe, front_view
+from experiments.figures.style import Look, colour, look, marker, method_legend, styled
+from experiments.figures.wireframe import draw_error_map
 from experiments.methods import title
+from experiments.scoring.numbers import minus
 
 if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
 
-_N_MAPS = 4
+_SHADE = "#EFEFEF"
+_MOST_TICKS = 8  # values on an axis that each get a tick
 _N_BINS = 9
-_N_SHARES = 501
-_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+_PLAIN = ticker.FuncFormatter(lambda value, _: minus(f"{value:,g}"))
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One pair of axes of `error_lines`.
+
+    Attributes:
+        rows: A row per point: `method` (id), `mean`, and its standard error `sem`, or the ends
+            `low` and `high` of an interval, or neither.
+        x: Column of `rows` along the x axis; strings are categories, which no line joins.
+        label: Of the x axis, with its unit; none if its categories explain themselves.
+        title: Above the axes.
+        log_x: Whether the x axis is logarithmic.
+        shaded: Range of x in the training views, which is shaded.
+    """
+
+    rows: pd.DataFrame
+    x: str
+    label: str = ""
+    title: str = ""
+    log_x: bool = False
+    shaded: tuple[float, float] | None = None
 
 
 @styled
-def error_per_landmark(
-    errors: Mapping[str, np.ndarray],
-    scheme: LandmarkScheme,
-    mean_shape: np.ndarray,
-    maps: Sequence[str] | None = None,
+def error_lines(
+    panels: Sequence[Panel],
+    quantity: str = "MSE of a face",
+    unit: float = 1e-4,
+    units: str = "squared normalised units",
+    *,
+    looks: Mapping[str, Look] = {},
+    n_columns: int | None = None,
 ) -> Figure:
-    """The face coloured by error for a few methods, above all methods' errors by region.
+    """Means against x on one logarithmic axis, a line a method, with 95 % confidence intervals.
 
     Args:
-        errors: Method id to `(L,)` root-mean-square distances to the truth in millimetres.
-        scheme: Landmark scheme, for its polylines and groups.
-        mean_shape: `(L, 3)` in any unit, where the landmarks are drawn.
-        maps: Method ids to draw as faces; None takes the first four.
+        panels: What is drawn.
+        quantity: That is on the y axis.
+        unit: Power of ten in which the y axis counts, of `units`.
+        units: Of `mean` in the rows of the panels.
+        looks: Of ids in `method` that are no methods of the tables.
+        n_columns: Of the grid of panels; None puts all in one row.
     """
-    maps = list(errors)[:_N_MAPS] if maps is None else list(maps)
-    figure = Figure(figsize=(7.2, 5.0), layout="constrained")
-    faces, regions = figure.subfigures(2, 1, height_ratios=(1, 1.4))
-
-    shown = np.concatenate([errors[method] for method in maps])
-    norm = LogNorm(shown.min(), shown.max())
-    colours = ScalarMappable(norm, "viridis_r")
-    points = front_view(mean_shape)
-    pad = 0.05 * np.ptp(points[:, 1])
-    extent = (
-        *(points[:, 0].min() - pad, points[:, 0].max() + pad),
-        *(points[:, 1].min() - pad, points[:, 1].max() + pad),
-    )
-    panels = faces.subplots(1, len(maps), squeeze=False)[0]
-    for axes, method in zip(panels, maps, strict=True):
-        bare(axes, extent)
-        draw_wireframe(axes, points, scheme.polylines, colour=TRUTH_COLOUR, dot_area=0)
-        axes.scatter(
-            *points.T,
-            s=15,
-            c=colours.to_rgba(errors[method]),
-            edgecolors=INK,
-            linewidths=0.3,
-            zorder=3,
-        )
-        axes.set_title("\n".join(textwrap.wrap(title(method), 14)))
-    bar = faces.colorbar(colours, ax=panels, shrink=0.8, pad=0.01, aspect=14, panchor=False)
-    bar.set_label("R.m.s. error (mm)")
-    _plain_log_ticks(bar.ax.yaxis)
-
-    axes = regions.subplots()
-    groups = np.asarray(scheme.groups)
-    by_group = pd.DataFrame(
-        {
-            method: {group: _rms(values[groups == group]) for group in dict.fromkeys(groups)}
-            for method, values in errors.items()
-        }
-    )
-    by_group = by_group.loc[np.log(by_group).mean(axis=1).sort_values().index]
-    # Methods of one region sit a little apart, so that equal errors do not hide each other.
-    offsets = np.linspace(0.3, -0.3, len(errors)) if len(errors) > 1 else [0.0]
-    for offset, method in zip(offsets, by_group, strict=True):
-        axes.plot(
-            by_group[method],
-            np.arange(len(by_group)) + offset,
-            linestyle="none",
-            marker=marker(method),
-            markersize=4.5,
-            markeredgewidth=0,
-            color=colour(method),
-            label=title(method),
-        )
-    for edge in np.arange(len(by_group) - 1) + 0.5:
-        axes.axhline(edge, color="#E3E3E3", linewidth=0.5)
-    sizes = pd.Series(groups).value_counts()
-    axes.set(
-        xscale="log",
-        xlabel="R.m.s. error over the landmarks of the region (mm)",
-        ylim=(-0.5, len(by_group) - 0.5),
-    )
-    axes.set_yticks(
-        range(len(by_group)),
-        [f"{group.replace('_', ' ')} ({sizes[group]})" for group in by_group.index],
-    )
-    axes.tick_params(axis="y", length=0)
-    _plain_log_ticks(axes.xaxis)
-    axes.grid(axis="x")
-    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.2)
+    n_columns = n_columns or len(panels)
+    n_rows = -(-len(panels) // n_columns)
+    figure = Figure(figsize=(7.2, 0.8 + 2.3 * n_rows), layout="constrained")
+    grid = figure.subplots(n_rows, n_columns, sharey=True, squeeze=False)
+    for axes, panel in zip(grid.flat, panels, strict=True):
+        _draw_panel(axes, panel, unit, looks)
+    power = "" if unit == 1 else f"$10^{{{np.log10(unit):.0f}}}$ "
+    for axes in grid[:, 0]:
+        axes.set_ylabel(f"{quantity}\n({power}{units})")
+    plain_log_ticks(grid[0, 0].yaxis)
+    methods = dict.fromkeys(method for panel in panels for method in panel.rows["method"])
+    shaded = any(panel.shaded for panel in panels)
+    more = [Patch(facecolor=_SHADE, label="training views")] if shaded else []
+    method_legend(figure, methods, more, looks)
     return figure
 
 
-@styled
+def _draw_panel(
+    axes: Axes, panel: Panel, unit: float = 1.0, looks: Mapping[str, Look] = {}
+) -> None:
+    """Draw all of a panel but its y label, y ticks and legend."""
+    if panel.shaded:
+        # Of one value it is as wide as a line.
+        axes.axvspan(*panel.shaded, facecolor=_SHADE, edgecolor=_SHADE, lw=2)
+    x = panel.rows[panel.x]
+    if is_numeric_dtype(x):
+        _draw_curves(axes, panel, unit, looks)
+        if panel.log_x:
+            axes.set_xscale("log")
+            axes.xaxis.set_minor_locator(ticker.NullLocator())
+        if x.nunique() <= _MOST_TICKS:
+            axes.set_xticks(sorted(x.unique()))
+        axes.margins(x=0.02)
+        axes.xaxis.set_major_formatter(_PLAIN)
+    else:
+        _draw_categories(axes, panel, unit, looks)
+    axes.set(yscale="log", xlabel=panel.label, title=panel.title)
+    axes.grid(axis="y")
+
+
+def _draw_curves(axes: Axes, panel: Panel, unit: float, looks: Mapping[str, Look]) -> None:
+    for method, rows in panel.rows.groupby("method", sort=False):
+        _, ink, shape, dashes = look(method, looks)
+        rows = rows.sort_values(panel.x)
+        x, (low, high) = rows[panel.x], _interval(rows)
+        axes.fill_between(x, low / unit, high / unit, color=ink, alpha=0.18, lw=0)
+        style = {"color": ink, "ls": dashes, "lw": 0.9, "marker": shape, "ms": 3.5, "mew": 0}
+        axes.plot(x, rows["mean"] / unit, **style)
+
+
+def _draw_categories(axes: Axes, panel: Panel, unit: float, looks: Mapping[str, Look]) -> None:
+    names = list(panel.rows[panel.x].unique())
+    methods = panel.rows.groupby("method", sort=False)
+    # Methods stand side by side, so that equal errors do not hide each other.
+    shifts = 0.64 * ((np.arange(len(methods)) + 0.5) / len(methods) - 0.5)
+    for shift, (method, rows) in zip(shifts, methods, strict=True):
+        _, ink, shape, _ = look(method, looks)
+        x, mean, (low, high) = rows[panel.x].map(names.index), rows["mean"], _interval(rows)
+        style = {"color": ink, "marker": shape, "ms": 4, "mew": 0, "ls": "none", "elinewidth": 0.7}
+        axes.errorbar(
+            x + shift, mean / unit, yerr=[(mean - low) / unit, (high - mean) / unit], **style
+        )
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.5, len(names) - 0.5)
+    axes.tick_params(axis="x", length=0)
+    for edge in np.arange(len(names) - 1) + 0.5:
+        axes.axvline(edge, color="#E3E3E3", lw=0.5)
+
+
+def _interval(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """Ends of the interval about each mean."""
+    if "low" in rows:
+        return rows["low"], rows["high"]
+    half = 1.96 * rows["sem"].fillna(0) if "sem" in rows else 0 * rows["mean"]
+    return rows["mean"] - half, rows["mean"] + half
+
+
+def plain_log_ticks(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each decade, or 1 where there are many."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5) if high < 1000 * low else (1,)))
+    axis.set_major_formatter(_PLAIN)
+    axis.set_minor_formatter(ticker.NullFormatter())
+
+
+def mean_errors(errors: pd.DataFrame, x: str) -> pd.DataFrame:
+    """Mean and standard error of `mse` by method and x, as a `Panel` draws them."""
+    return errors.groupby(["method", x], sort=False)["mse"].agg(["mean", "sem"]).reset_index()
+
+
 def error_per_pose(errors: pd.DataFrame) -> Figure:
-    """Mean error of a face against its pose, with 95 % confidence intervals of the mean.
+    """Mean error of a face against its pose.
 
     Args:
         errors: One row per face and method: `method` (id), `projection` (`"orthographic"` or
             `"perspective"`), `yaw` and `pitch` of the face in degrees as in
             `data_gen.views.projections.Cameras`, `mse` in squared normalised units.
     """
-    methods = list(dict.fromkeys(errors["method"]))
-    figure = Figure(figsize=(7.2, 3.3), layout="constrained")
-    kinds, yaw_panel, pitch_panel = figure.subplots(1, 3, sharey=True)
-
-    orthographic = errors[errors["projection"] == "orthographic"]
-    perspective = errors[errors["projection"] == "perspective"]
-    yaws = sorted(orthographic["yaw"].unique())
-    names = [f"{yaw:g}°".replace("-", "−") for yaw in yaws] + ["persp.\n(all)"]
-    offsets = np.linspace(-0.28, 0.28, len(methods)) if len(methods) > 1 else [0.0]
-    for offset, method in zip(offsets, methods, strict=True):
-        own = orthographic[orthographic["method"] == method]
-        cells = [own.loc[own["yaw"] == yaw, "mse"] for yaw in yaws]
-        cells.append(perspective.loc[perspective["method"] == method, "mse"])
-        kinds.errorbar(
-            np.arange(len(cells)) + offset,
-            [cell.mean() for cell in cells],
-            yerr=[_half_interval(cell) for cell in cells],
-            fmt=marker(method),
-            color=colour(method),
-            markersize=4,
-            markeredgewidth=0,
-            elinewidth=0.7,
-        )
-    kinds.axvline(len(yaws) - 0.5, color="#BBBBBB", linewidth=0.6, linestyle=":")
-    kinds.set_xticks(range(len(names)), names)
-    kinds.set(
-        title="Projection",
-        xlabel="Yaw (°), orthographic",
-        yscale="log",
-        xlim=(-0.5, len(yaws) + 0.5),
-    )
-    kinds.set_ylabel("MSE of a face\n(squared normalised units)")
-
-    for axes, angle in ((yaw_panel, "yaw"), (pitch_panel, "pitch")):
-        edges = np.linspace(perspective[angle].min(), perspective[angle].max(), _N_BINS + 1)
-        centres = (edges[:-1] + edges[1:]) / 2
-        bins = np.clip(np.digitize(perspective[angle], edges) - 1, 0, _N_BINS - 1)
-        binned = perspective.groupby(["method", bins])["mse"]
-        means, halves = binned.mean(), binned.agg(_half_interval)
-        for method in methods:
-            mean = means[method].reindex(range(_N_BINS)).to_numpy()
-            half = halves[method].reindex(range(_N_BINS)).to_numpy()
-            axes.plot(
-                centres,
-                mean,
-                color=colour(method),
-                marker=marker(method),
-                markersize=3.5,
-                markeredgewidth=0,
-                lw=0.9,
-            )
-            axes.fill_between(
-                centres, mean - half, mean + half, color=colour(method), alpha=0.18, lw=0
-            )
-        axes.set(title=f"Perspective, by {angle}", xlabel=f"{angle.capitalize()} of the face (°)")
-    for axes in (kinds, yaw_panel, pitch_panel):
-        axes.grid(axis="y")
-    figure.legend(
-        handles=[
-            Line2D([], [], color=colour(m), marker=marker(m), ms=4, mew=0, lw=0.9, label=title(m))
-            for m in methods
-        ],
-        loc="outside lower center",
-        ncols=4,
-        columnspacing=1.2,
-    )
-    return figure
-
-
-@styled
-def error_per_condition(errors: pd.DataFrame) -> Figure:
-    """Mean error of a face by what its scan shows, with 95 % confidence intervals of the mean.
-
-    Args:
-        errors: One row per face and method: `method` (id), `condition` (name), `mse` in squared
-            normalised units, NaN where the method found no face.
-    """
-    methods = list(dict.fromkeys(errors["method"]))
-    conditions = list(dict.fromkeys(errors["condition"]))
-    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
-    axes = figure.subplots()
-    groups = errors.dropna().groupby(["method", "condition"])["mse"]
-    means, halves = groups.mean(), groups.agg(_half_interval)
-    offsets = np.linspace(-0.32, 0.32, len(methods)) if len(methods) > 1 else [0.0]
-    for offset, method in zip(offsets, methods, strict=True):
-        axes.errorbar(
-            np.arange(len(conditions)) + offset,
-            means[method].reindex(conditions),
-            yerr=halves[method].reindex(conditions),
-            fmt=marker(method),
-            color=colour(method),
-            markersize=4,
-            markeredgewidth=0,
-            elinewidth=0.7,
-            label=title(method),
-        )
-    for edge in np.arange(len(conditions) - 1) + 0.5:
-        axes.axvline(edge, color="#E3E3E3", linewidth=0.5)
-    axes.set(yscale="log", xlim=(-0.5, len(conditions) - 0.5))
-    axes.set_ylabel("MSE of a face\n(squared normalised units)")
-    axes.set_xticks(range(len(conditions)), [name.replace("_", " ") for name in conditions])
-    axes.tick_params(axis="x", length=0)
-    axes.grid(axis="y")
-    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.2)
-    return figure
+    methods = pd.Categorical(errors["method"], errors["method"].unique())
+    errors = errors.assign(method=methods).sort_values(["method", "projection", "yaw"])
+    orthographic = errors["projection"] == "orthographic"
+    names = errors["yaw"].map(lambda yaw: minus(f"{yaw:g}°"))
+    kinds = errors.assign(kind=names.where(orthographic, "persp.\n(all)"))
+    panels = [Panel(mean_errors(kinds, "kind"), "kind", "Yaw (°), orthographic", "Projection")]
+    for angle in ("yaw", "pitch"):
+        rows = errors[~orthographic]
+        edges = np.linspace(rows[angle].min(), rows[angle].max(), _N_BINS + 1)
+        bins = np.clip(np.digitize(rows[angle], edges) - 1, 0, _N_BINS - 1)
+        binned = rows.assign(**{angle: (edges[:-1] + edges[1:])[bins] / 2})
+        label = f"{angle.capitalize()} of the face (°)"
+        panels.append(Panel(mean_errors(binned, angle), angle, label, f"Perspective, by {angle}"))
+    return error_lines(panels)
 
 
 @styled
@@ -239,29 +197,54 @@ def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
     """
     figure = Figure(figsize=(3.5, 2.6), layout="constrained")
     axes = figure.subplots()
-    shares = np.linspace(0, 1, _N_SHARES)
+    shares = np.linspace(0, 1, 501)
     for method, values in errors.items():
-        look = {"color": colour(method), "marker": marker(method), "markevery": 0.12, "ms": 4}
-        axes.plot(np.quantile(values, shares), shares, label=title(method), **look)
+        style = {"color": colour(method), "marker": marker(method), "markevery": 0.12, "ms": 4}
+        axes.plot(np.quantile(values, shares), shares, label=title(method), **style)
     axes.set_xscale("log")
     axes.set(xlabel="MSE (squared normalised units)", ylabel="Share of faces below", ylim=(0, 1))
-    axes.yaxis.set_major_formatter(PercentFormatter(1))
+    axes.yaxis.set_major_formatter(ticker.PercentFormatter(1))
     axes.grid()
     axes.legend()
     return figure
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+@styled
+def error_per_landmark(
+    errors: Mapping[str, np.ndarray],
+    scheme: LandmarkScheme,
+    mean_shape: np.ndarray,
+    maps: Sequence[str],
+) -> Figure:
+    """The face coloured by error for a few methods, above all methods' errors by region.
 
+    Args:
+        errors: Method id to `(L,)` root-mean-square distances to the truth in millimetres.
+        scheme: Landmark scheme, for its polylines and groups.
+        mean_shape: `(L, 3)` in any unit, where the landmarks are drawn.
+        maps: Method ids to draw as faces.
+    """
+    figure = Figure(figsize=(7.2, 4.8), layout="constrained")
+    faces, regions = figure.subfigures(2, 1, height_ratios=(1, 1.5))
+    shown = np.concatenate([errors[method] for method in maps])
+    colours = ScalarMappable(LogNorm(shown.min(), shown.max()), "viridis_r")
+    panels = faces.subplots(1, len(maps), squeeze=False)[0]
+    for axes, method in zip(panels, maps, strict=True):
+        draw_error_map(axes, mean_shape, scheme.polylines, errors[method], colours)
+        axes.set_title(textwrap.fill(title(method), 14))
+    bar = faces.colorbar(colours, ax=panels, shrink=0.8, pad=0.01, aspect=14, panchor=False)
+    bar.set_label("R.m.s. error (mm)")
+    plain_log_ticks(bar.ax.yaxis)
 
-def _half_interval(values: pd.Series) -> float:
-    """Half width of the 95 % confidence interval of the mean, by the normal approximation."""
-    return 1.96 * values.sem() if len(values) > 1 else 0.0
-
-
-def _plain_log_ticks(axis: Axis) -> None:
-    """Ticks at 1, 2 and 5 of each decade, written as plain numbers."""
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter(_PLAIN)
-    axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+    sizes = pd.Series(scheme.groups).value_counts()
+    names = [f"{name.replace('_', chr(10))}\n({sizes[name]})" for name in scheme.groups]
+    by_region = pd.DataFrame(errors).pow(2).groupby(names, sort=False).mean().pow(0.5)
+    easiest_first = by_region.loc[np.log(by_region).mean(axis=1).sort_values().index]
+    rows = easiest_first.rename_axis("region").reset_index()
+    rows = rows.melt("region", var_name="method", value_name="mean")
+    axes = regions.subplots()
+    _draw_panel(axes, Panel(rows, "region", "Region (landmarks)"))
+    axes.set_ylabel("R.m.s. error over\nthe region (mm)")
+    plain_log_ticks(axes.yaxis)
+    method_legend(regions, errors)
+    return figure

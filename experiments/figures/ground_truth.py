@@ -1,9 +1,8 @@
-"""Figure of the ground truth found on scans, and its distance from the true landmarks."""
+"""The ground truth taken from scans or photos, and its distance from the true landmarks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,127 +12,160 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.figures.style import INK, TRUTH_COLOUR, styled
-from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view
+from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
+from experiments.figures.wireframe import (
+    bare,
+    draw_error_map,
+    draw_photo,
+    draw_wireframe,
+    front_view,
+    side_view,
+)
+from experiments.methods import title
 
 if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
 
-_FITTED, _FOUND, _TRUE, _DETECTED = "#0072B2", "#D55E00", "#009E73", "#FFD000"
+_FIT_COLOUR = "#0072B2"
+# Landmarks of a scan to their legend entry and look; what lies beneath is larger and hollow.
+_MARKS = {
+    "detected": ("detected", {"color": DETECTED_COLOUR, "marker": "o", "ms": 1.6, "mew": 0}),
+    "truth": ("true landmark",
+              {"color": "#009E73", "marker": "o", "ms": 4, "mew": 0.8, "mfc": "none"}),
+    "landmarks": ("nearest point of the scan: the truth of the table",
+                  {"color": "#D55E00", "marker": "o", "ms": 2.2, "mew": 0}),
+    "fitted": ("fitted model", {"color": _FIT_COLOUR, "marker": "x", "ms": 3, "mew": 0.6}),
+}  # fmt: skip
 _PAD_MM = 14.0
 _CLOUD = 2000  # points of a scan that are drawn
 
 
-@dataclass(frozen=True, eq=False)
-class Example:
-    """One scan of the test set; 3D points in the frame of the face model, millimetres.
-
-    Attributes:
-        image: `(S, S, 3)` uint8 photo about the landmarks.
-        detected: `(L, 2)` pixels in it.
-        points: `(n, 3)` some points of the scan.
-        fitted: `(L, 3)` landmarks of the fitted model.
-        found: `(L, 3)` the points of the scan that are taken for the truth.
-        truth: `(L, 3)` true landmarks, or None.
-    """
-
-    image: np.ndarray
-    detected: np.ndarray
-    points: np.ndarray
-    fitted: np.ndarray
-    found: np.ndarray
-    truth: np.ndarray | None
-
-
 @styled
 def ground_truth(
-    examples: Sequence[Example],
+    scans: Mapping[str, np.ndarray],
+    shown: np.ndarray,
+    images: np.ndarray,
+    detected: np.ndarray,
     scheme: LandmarkScheme,
-    found: np.ndarray,
-    truth: np.ndarray | None,
 ) -> Figure:
     """Photo, scan and landmarks of some scans; below, the error of the truth by landmark.
 
     Args:
-        examples: Drawn a column each.
+        scans: Table of `tracks.scans`: `fitted`, `landmarks` and perhaps `truth`, `(n, L, 3)`
+            millimetres, and `example_points`, `(k, m, 3)`, in one frame. Without the truth there
+            are no errors.
+        shown: `(k,)` faces that are drawn, a column each.
+        images: `(k, S, S, 3)` uint8 photos about their landmarks.
+        detected: `(k, L, 2)` pixels in these.
         scheme: Landmark scheme, for its polylines.
-        found: `(n, L, 3)` landmarks found on the scans, millimetres.
-        truth: `(n, L, 3)` true ones, or None, which leaves the errors out.
     """
-    # Places are given: a layout that is solved for differs in the last digit from run to run.
-    figure = Figure(figsize=(7.2, 5.8 if truth is None else 8.0))
-    low = 0.01 if truth is None else 0.29
+    # Fixed places: those that a layout solves for differ in the last digit from run to run.
+    marks = {name: mark for name, mark in _MARKS.items() if name in {"detected", *scans}}
+    figure = Figure(figsize=(7.2, 8.0 if "truth" in scans else 5.8))
+    low = 0.29 if "truth" in scans else 0.01
     grid = {"left": 0.01, "right": 0.99, "bottom": low, "top": 0.95, "wspace": 0.02, "hspace": 0.02}
-    panels = figure.subplots(3, len(examples), squeeze=False, gridspec_kw=grid)
-    if truth is not None:
-        _errors(figure, scheme, np.linalg.norm(found - truth, axis=2), truth.mean(0))
-    for column, example in zip(panels.T, examples, strict=True):
-        _photo(column[0], example)
-        _scan(column[1], example, front_view)
-        _scan(column[2], example, side_view)
-    marks = {
-        "detected": _DETECTED,
-        "fitted model": _FITTED,
-        "nearest point of the scan: the truth of the table": _FOUND,
-    }
-    if truth is not None:
-        marks["true landmark"] = _TRUE
-    handles = [
-        Line2D([], [], color=ink, marker="o", ls="none", ms=3.5, mew=0, label=label)
-        for label, ink in marks.items()
-    ]
-    figure.legend(handles=handles, loc="upper center", ncols=4, handletextpad=0.1)
+    panels = figure.subplots(3, len(shown), squeeze=False, gridspec_kw=grid)
+    for number, (photo, *views) in enumerate(panels.T):
+        draw_photo(photo, images[number])
+        photo.plot(*detected[number].T, ls="none", **marks["detected"][1])
+        found = {name: scans[name][shown[number]] for name in marks if name != "detected"}
+        for axes, view in zip(views, (front_view, side_view), strict=True):
+            _draw_scan(axes, scans["example_points"][number], found, view)
+    handles = [Line2D([], [], ls="none", label=label, **look) for label, look in marks.values()]
+    figure.legend(handles=handles, loc="upper center", ncols=4, handletextpad=0.1, markerscale=1.5)
+    if "truth" in scans:
+        _draw_errors(figure, scheme, scans["landmarks"], scans["truth"])
     return figure
 
 
-def _photo(axes: Axes, example: Example) -> None:
-    size = len(example.image)
-    axes.imshow(example.image, extent=(0, size, size, 0), interpolation="none")
-    axes.plot(*example.detected.T, "o", color=_DETECTED, ms=1.6, mew=0)
-    axes.set(xlim=(0, size), ylim=(size, 0))
-    axes.set_axis_off()
-
-
-def _scan(axes: Axes, example: Example, see) -> None:
-    marks = [example.fitted, example.found]
-    marks += [] if example.truth is None else [example.truth]
-    inside = np.concatenate([see(points) for points in marks])
+def _draw_scan(
+    axes: Axes,
+    points: np.ndarray,
+    found: Mapping[str, np.ndarray],
+    view: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    inside = view(np.concatenate([*found.values()]))
     low, high = inside.min(0) - _PAD_MM, inside.max(0) + _PAD_MM
     bare(axes, (low[0], high[0], low[1], high[1]))
-    cloud = see(example.points)
+    cloud = view(points)
     cloud = cloud[((cloud > low) & (cloud < high)).all(1)][:_CLOUD]
     axes.plot(*cloud.T, ".", color=TRUTH_COLOUR, ms=1, mew=0, zorder=1)
-    for points, ink in zip(marks, (_FITTED, _FOUND, _TRUE), strict=False):
-        axes.plot(*see(points).T, "o", color=ink, ms=2, mew=0, zorder=2)
+    for name, landmarks in found.items():
+        axes.plot(*view(landmarks).T, ls="none", **_MARKS[name][1])
 
 
-def _errors(figure: Figure, scheme: LandmarkScheme, distance: np.ndarray, mean: np.ndarray) -> None:
+def _draw_errors(
+    figure: Figure, scheme: LandmarkScheme, found: np.ndarray, truth: np.ndarray
+) -> None:
     """The face coloured by the median distance, beside the distances of all landmarks."""
-    axes = figure.add_axes((0.02, 0.02, 0.3, 0.24))
-    shares = figure.add_axes((0.55, 0.06, 0.43, 0.19))
-    points = front_view(mean)
-    low, high = points.min(0) - 4, points.max(0) + 4
-    bare(axes, (low[0], high[0], low[1], high[1]))
-    draw_wireframe(axes, points, scheme.polylines, colour=TRUTH_COLOUR, dot_area=0)
+    distance = np.linalg.norm(found - truth, axis=2)
     median = np.median(distance, axis=0)
     colours = ScalarMappable(Normalize(0, median.max()), "viridis_r")
-    axes.scatter(
-        *points.T, s=16, c=colours.to_rgba(median), edgecolors=INK, linewidths=0.3, zorder=3
-    )
+    face = figure.add_axes((0.02, 0.02, 0.3, 0.24))
+    draw_error_map(face, truth.mean(0), scheme.polylines, median, colours)
     bar = figure.colorbar(colours, cax=figure.add_axes((0.34, 0.05, 0.012, 0.18)))
-    bar.set_label("median distance\nto the truth (mm)")
+    bar.set_label("Median distance\nto the truth (mm)")
+    axes = figure.add_axes((0.55, 0.06, 0.43, 0.19))
     for values, label, ink in (
-        (distance.ravel(), "landmarks", _FOUND),
+        (distance.ravel(), "landmarks", _MARKS["landmarks"][1]["color"]),
         (distance.mean(1), "means of a face", INK),
     ):
-        share = np.arange(1, values.size + 1) / values.size
-        step = max(values.size // 2000, 1)
-        shares.plot(np.sort(values)[::step], 100 * share[::step], color=ink, label=label)
-    shares.set(
-        xlabel="distance of the found landmark from the true one (mm)",
-        ylabel="share within (%)",
+        share = np.linspace(0, 1, 501)
+        axes.plot(np.quantile(values, share), 100 * share, color=ink, label=label)
+    axes.set(
+        xlabel="Distance of the nearest point from the true landmark (mm)",
+        ylabel="Share within (%)",
         xlim=(0, np.quantile(distance, 0.995)),
         ylim=(0, 100),
     )
-    shares.grid()
-    shares.legend(loc="lower right")
+    axes.grid()
+    axes.legend(loc="lower right")
+
+
+@styled
+def fits(
+    images: Sequence[np.ndarray],
+    detected: np.ndarray,
+    fitted: np.ndarray,
+    scheme: LandmarkScheme,
+    distances: Mapping[str, np.ndarray],
+) -> Figure:
+    """Photos with detected and fitted landmarks, and a histogram of distances from the truth.
+
+    Args:
+        images: Photos, `(H, W, 3)` uint8, a column each.
+        detected: `(n, D, 2)` landmarks of the detector, pixels.
+        fitted: `(n, L, 2)` landmarks of the fitted model, pixels.
+        scheme: Landmark scheme, for its polylines.
+        distances: Of the fit and of another method, by id, the root mean square distance of each
+            test face's landmarks from the truth, millimetres; empty where that is unknown.
+    """
+    below = 1.75 if distances else 0
+    height = 2.1 + below
+    figure = Figure(figsize=(max(1.35 * len(images), 4.2), height))
+    grid = {
+        "left": 0,
+        "right": 1,
+        "wspace": 0.05,
+        "bottom": below / height,
+        "top": 1 - 0.25 / height,
+    }
+    panels = figure.subplots(1, len(images), squeeze=False, gridspec_kw=grid)[0]
+    for axes, image, model, points in zip(panels, images, fitted, detected, strict=True):
+        draw_photo(axes, image)
+        blue = {"colour": _FIT_COLOUR, "linewidth": 0.7, "dot_area": 1}
+        draw_wireframe(axes, model, scheme.polylines, **blue)
+        axes.scatter(*points.T, s=1.5, c=DETECTED_COLOUR, linewidths=0, zorder=3)
+    legend = "Photos: landmarks detected (yellow), model fitted (blue)."
+    figure.text(0.02, 1 - 0.08 / height, legend, va="top", size=6.5, color=INK)
+    if distances:
+        axes = figure.add_axes((0.13, 0.42 / height, 0.84, (below - 0.5) / height))
+        bins = np.linspace(0, np.quantile(np.concatenate([*distances.values()]), 0.995), 50)
+        for method, values in distances.items():
+            label = f"{title(method)}: median {np.median(values):.1f} mm"
+            axes.hist(values, bins, histtype="step", color=colour(method), label=label)
+        axes.set_xlabel("Root mean square distance from the true landmarks (mm)")
+        axes.set_ylabel("Test faces")
+        axes.margins(y=0.4)
+        axes.legend(loc="upper right")
+    return figure

@@ -1,47 +1,56 @@
-"""One look for every figure: type sizes, a fixed colour and marker a method, and the writer."""
+"""One look for every figure, with a fixed colour and marker a method, and the writer."""
 
 from __future__ import annotations
 
-import functools
 import io
-from collections.abc import Callable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-import matplotlib
+import matplotlib.style
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from PIL import Image
 
 from deepmds_keras.io.atomic import write_bytes
-from experiments.methods import METHODS
-from experiments.presets import PRESETS
+from experiments.methods import METHODS, title
 
-RC = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
-    "font.size": 7.5,
-    "axes.titlesize": 8,
-    "axes.labelsize": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "#E3E3E3",
-    "grid.linewidth": 0.5,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "lines.linewidth": 1.2,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "pdf.fonttype": 42,  # TrueType: text stays text in the report's PDF
-}
+# Decorates a function so that it draws in this style, whatever the settings of its caller are.
+styled = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"))
 
 TRUTH_COLOUR = "#B4B4B4"
 INK = "#333333"
-PNG_DPI = 160
+DETECTED_COLOUR = "#FFD000"  # landmarks detected in a photo
+_DPI = 160
 _LARGEST = 300_000  # bytes of a picture that is committed
+_BOUND = "limit"  # no method: a dashed line without markers
+
+
+class Look(NamedTuple):
+    """How a method is drawn and what the legend calls it."""
+
+    title: str
+    colour: str
+    marker: str
+    dashes: str | tuple = "-"
+
+
+def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
+    """Look of a method id, the same in every figure.
+
+    Args:
+        method: Its id.
+        looks: Of ids that are no methods of the tables, such as parts of one.
+
+    Raises:
+        InputError: The id is in neither.
+    """
+    if method in looks:
+        return looks[method]
+    if method == _BOUND:
+        return Look(title(method), colour(method), "", (0, (4, 2)))
+    return Look(title(method), colour(method), marker(method))
 
 
 def colour(method: str) -> str:
@@ -54,62 +63,65 @@ def marker(method: str) -> str:
     return METHODS[method].marker if method in METHODS else "o"
 
 
-def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """Decorate a function so that it draws with `RC`, whatever the caller's settings are."""
+def method_legend(
+    figure: Figure,
+    methods: Iterable[str],
+    more: Sequence[Artist] = (),
+    looks: Mapping[str, Look] = {},
+) -> None:
+    """Add a legend of methods below the panels of a figure with a constrained layout.
 
-    @functools.wraps(draw)
-    def wrapper(*args, **kwargs):
-        with matplotlib.rc_context(RC):
-            return draw(*args, **kwargs)
+    Args:
+        figure: The figure.
+        methods: Ids in the order of the legend.
+        more: Handles of further entries.
+        looks: As for `look`.
+    """
+    handles = [
+        Line2D([], [], color=ink, marker=shape, ls=dashes, ms=4, mew=0, lw=0.9, label=name)
+        for name, ink, shape, dashes in (look(method, looks) for method in methods)
+    ]
+    place = {"loc": "outside lower center", "ncols": 4, "columnspacing": 1.2}
+    figure.legend(handles=[*handles, *more], **place)
 
-    return wrapper
 
-
-def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
+@styled
+def save(figure: Figure, folder: str | Path, name: str, caution: str = "") -> None:
     """Write `name.png` and `name.pdf`; equal figures give equal bytes.
 
     Each file appears whole or not at all. The metadata hold no date.
 
     Args:
         figure: As returned by the functions of this package.
-        folder: Made if it is missing. On figures of results of a small preset stands its caution.
+        folder: Created if it is missing.
         name: File name without its ending.
-
-    Returns:
-        The paths of the png and of the pdf.
+        caution: Written across the figure, `run.preset.caution`: too small a run means nothing.
     """
-    folder = Path(folder)
-    for caution in {p.caution for p in PRESETS.values() if p.name in folder.parts and p.caution}:
+    if caution:
         figure.text(0.5, 0.5, caution, ha="center", va="center", size=12, color="red", alpha=0.6)
-    png, pdf = folder / f"{name}.png", folder / f"{name}.pdf"
-    with matplotlib.rc_context(RC):
-        write_bytes(png, _small_png(figure))
-        figure.set_layout_engine("none")  # what is laid out once need not be for the second file
-        write_bytes(pdf, _render(figure, "pdf", metadata={"CreationDate": None}))
-    return png, pdf
-
-
-def _render(figure: Figure, kind: str, **options) -> bytes:
+    write_bytes(Path(folder) / f"{name}.png", _small_png(figure))
+    figure.set_layout_engine("none")  # the second file reuses the layout of the first
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, **options)
-    return buffer.getvalue()
+    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
+    write_bytes(Path(folder) / f"{name}.pdf", buffer.getvalue())
 
 
 def _small_png(figure: Figure) -> bytes:
-    # A palette of 256 colours looks the same for line drawings and takes a third of the room.
-    full = _render(figure, "png", dpi=PNG_DPI, metadata={"Software": None})
-    image = Image.open(io.BytesIO(full)).convert("RGB")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    image = Image.open(buffer).convert("RGB")
     if not any(axes.images for axes in figure.axes):
-        image = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-        return _encoded(image)
+        # A palette of 256 colours looks the same for line drawings and takes a third of the room.
+        palette = {"method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
+        return _encoded(image.quantize(256, **palette))
     # Photographs keep their colours, unless among many lines that makes the file large.
     content = _encoded(image)
-    if len(content) > _LARGEST:
-        content = _encoded(image.quantize(256, method=Image.Quantize.FASTOCTREE))
-    return content
+    if len(content) <= _LARGEST:
+        return content
+    return _encoded(image.quantize(256, method=Image.Quantize.FASTOCTREE))
 
 
 def _encoded(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, format="png", optimize=True, dpi=(PNG_DPI, PNG_DPI))
+    image.save(buffer, format="png", optimize=True, dpi=(_DPI, _DPI))
     return buffer.getvalue()

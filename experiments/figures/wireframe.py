@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
+
+from experiments.figures.style import INK, TRUTH_COLOUR
+
+Polylines = Sequence[Sequence[int]]
 
 
 def front_view(shape: np.ndarray) -> np.ndarray:
@@ -23,12 +30,11 @@ def side_view(shape: np.ndarray) -> np.ndarray:
 def draw_wireframe(
     axes: Axes,
     points: np.ndarray,
-    polylines: tuple[tuple[int, ...], ...],
+    polylines: Polylines,
     *,
     colour: str,
     linewidth: float = 0.6,
     dot_area: float = 1.6,
-    zorder: float = 2,
 ) -> None:
     """Draw one face into `axes`, in data units.
 
@@ -37,23 +43,42 @@ def draw_wireframe(
         points: `(L, 2)`, as given by `front_view` or `side_view`.
         polylines: 0-based landmark numbers of every line, `scheme.polylines`.
         colour: Of lines and dots.
-        linewidth: In points; 0 leaves the lines out.
+        linewidth: In points.
         dot_area: In points squared; 0 leaves the dots out.
-        zorder: Higher is drawn later.
     """
-    if linewidth:
-        axes.add_collection(
-            LineCollection(
-                [points[list(line)] for line in polylines],
-                colors=colour,
-                linewidths=linewidth,
-                capstyle="round",
-                joinstyle="round",
-                zorder=zorder,
-            )
-        )
+    lines = [points[list(line)] for line in polylines]
+    style = {"colors": colour, "linewidths": linewidth, "zorder": 2}
+    axes.add_collection(LineCollection(lines, capstyle="round", joinstyle="round", **style))
     if dot_area:
-        axes.scatter(*points.T, s=dot_area, c=colour, linewidths=0, zorder=zorder)
+        axes.scatter(*points.T, s=dot_area, c=colour, linewidths=0, zorder=2)
+
+
+def draw_error_map(
+    axes: Axes, shape: np.ndarray, polylines: Polylines, errors: np.ndarray, colours: ScalarMappable
+) -> None:
+    """Draw a face from the front, each landmark coloured by its error.
+
+    Args:
+        axes: Limited to the face.
+        shape: `(L, 3)` in any unit, where the landmarks are drawn.
+        polylines: As for `draw_wireframe`.
+        errors: `(L,)`.
+        colours: From errors to colours.
+    """
+    points = front_view(shape)
+    pad = 0.05 * np.ptp(points[:, 1])
+    (left, bottom), (right, top) = points.min(0) - pad, points.max(0) + pad
+    bare(axes, (left, right, bottom, top))
+    draw_wireframe(axes, points, polylines, colour=TRUTH_COLOUR, dot_area=0)
+    ink = {"c": colours.to_rgba(errors), "edgecolors": INK, "linewidths": 0.3}
+    axes.scatter(*points.T, s=15, zorder=3, **ink)
+
+
+def draw_photo(axes: Axes, image: np.ndarray) -> None:
+    """Draw a photo `(H, W, 3)` in pixels, x right and y down from the left upper corner."""
+    height, width = image.shape[:2]
+    axes.imshow(image, extent=(0, width, height, 0), interpolation="none")
+    bare(axes, (0, width, height, 0))
 
 
 def bare(axes: Axes, extent: tuple[float, float, float, float]) -> None:

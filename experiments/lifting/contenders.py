@@ -1,120 +1,171 @@
-"""Methods of the protocol `hard` that learn in closed form or are given the face model."""
+"""What networks are compared with on hard views: methods without one, and the limit of any method.
+
+The limit is the error that is left to a method which knows the camera and the face model.
+Coefficients of the face model are standard normal, and the view is nearly linear in them. With the
+camera known but for the place and size of the face in the image, their posterior is Gaussian:
+its precision is `A A^T / sd^2 + I`, where A is the Jacobian of the view at the true shape with a
+flat prior on translation and scale. The view cannot tell draws from it apart.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from data_gen.fitting.landmark_fitting import LandmarkFitter
+from data_gen.views.projections import project
+from deepmds_keras.alignment import align
 from deepmds_keras.baselines.aldrian import Aldrian
 from deepmds_keras.baselines.linear import Linear
-from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.camera import affine_cameras, orthographic_cameras
+from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import normalise
-from experiments.lifting.views import (
-    Condition,
-    HardFaces,
-    landmark_model,
-    training_faces,
-)
+from experiments.lifting.views import Condition, Views, landmark_model, training_views
 from experiments.run import Run
 
 _CHUNK = 500  # faces whose views are filled together
 _SEEN_SD_MM = 0.1  # by which the regression of missing coordinates trusts the others
 _MISFIT_FACES = 1000
 _LEAST_VIEW_NOISE = 3.5e-3  # Aldrian's default
+DRAWS = 8  # from the posterior of a face
+_FACES = 20  # at a time, each with a view for every coefficient
+_STEP = 1e-3  # of a coefficient, by which the view is differentiated
+_LEAST_SD_MM = 1e-3  # of exact landmarks
 
 
-def predict_mean(run: Run, condition: Condition, faces: HardFaces) -> np.ndarray:
-    """Mean of the training shapes."""
-    train = training_faces(run, condition)
-    shape = MeanShape().fit(normalise(train.shapes[..., :2]), normalise(train.shapes)).mean_
-    return np.broadcast_to(shape, faces.shapes.shape)
-
-
-def predict_linear(run: Run, condition: Condition, faces: HardFaces) -> np.ndarray:
-    """Ridge regression; in training and test alike, missing coordinates are filled in first."""
-    train = training_faces(run, condition)
-    fill = filler(run, condition)
-    ridge = Linear().fit(normalise(fill(train.views)), normalise(train.shapes))
-    return ridge.predict(normalise(fill(faces.views)))
-
-
-def predict_aldrian(run: Run, condition: Condition, faces: HardFaces) -> np.ndarray:
-    """Fit by Aldrian and Smith, told the noise; missing coordinates are filled in first."""
-    landmarks = landmark_model(run)
-    views = filler(run, condition)(faces.views)
-    noise = misfit(run, condition, "affine") / np.ptp(views, axis=1).max(1).mean()
-    model = landmarks.mean, landmarks.identity_basis_times_sd
-    return Aldrian(*model, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
-
-
-def predict_fit(run: Run, condition: Condition, faces: HardFaces) -> np.ndarray:
-    """The project's fit of the face model to landmarks, told the noise, of those that are seen."""
-    landmarks, sd = landmark_model(run), misfit(run, condition, "orthographic")
-    found = []
-    for view in faces.views:
-        seen = np.flatnonzero(np.isfinite(view).all(-1))
-        part = replace(landmarks, landmarks={"seen": seen})
-        options = {"n_identity": landmarks.n_identity, "n_expression": 0, "landmark_sd": sd}
-        found.append(LandmarkFitter(part, "seen", **options).fit(view[seen]).identity)
-    return landmarks.shape(np.array(found))
-
-
-def filler(run: Run, condition: Condition) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what puts missing coordinates where a regression on the others expects them.
-
-    That is their mean given the others, if views are Gaussian as those of training are.
-    """
-    train = training_faces(run, replace(condition, missing=0))
-    flat = train.views.reshape(len(train), -1)
-    mean, covariance = flat.mean(0), np.cov(flat, rowvar=False)
-
-    def fill(views: np.ndarray) -> np.ndarray:
-        if np.isfinite(views).all():
-            return views
-        starts = range(0, len(views), _CHUNK)
-        return np.concatenate([_filled(views[s : s + _CHUNK], mean, covariance) for s in starts])
-
-    return fill
-
-
-def _filled(views, mean, covariance):
-    flat = views.reshape(len(views), -1)
-    seen = np.isfinite(flat)
-    offsets = np.where(seen, flat - mean, 0)
-    # Rows and columns of what is missing are those of the unit matrix: it takes part in nothing.
-    among = np.where(seen[:, :, None] & seen[:, None], covariance, 0)
-    among[:, range(len(mean)), range(len(mean))] += np.where(seen, _SEEN_SD_MM**2, 1)
-    expected = mean + np.linalg.solve(among, offsets[..., None])[..., 0] @ covariance
-    return np.where(seen, flat, expected).reshape(views.shape)
-
-
-def misfit(run: Run, condition: Condition, camera: str) -> float:
-    """R.m.s. distance of a coordinate from where a kind of camera sees the true landmarks, mm.
-
-    A method with that camera takes it all for noise: the errors of the landmarks, and perspective.
+class Contenders:
+    """Methods of the protocol `hard` without a network: `Views` to shapes `(n, L, 3)`.
 
     Args:
-        run, condition: Whose training views.
-        camera: `"affine"` or `"orthographic"`.
+        run: The run.
+        condition: Whose training views they learn from, and whose noise the fits are given.
     """
-    faces = training_faces(run, replace(condition, missing=0))[:_MISFIT_FACES]
-    if camera == "affine":
-        fitted = affine_cameras(faces.views, faces.shapes)
-        linear, shift = fitted[..., :3], fitted[..., 3]
-    else:
-        rotations, scales, shift = orthographic_cameras(faces.views, faces.shapes)
-        linear = scales[:, None, None] * rotations[:, :2]
-    seen = faces.shapes @ np.swapaxes(linear, 1, 2) + shift[:, None]
-    return float(np.sqrt(np.mean((faces.views - seen) ** 2)))
+
+    def __init__(self, run: Run, condition: Condition):
+        self._landmarks = landmark_model(run)
+        self._train = training_views(run, condition)
+        self._whole = training_views(run, replace(condition, missing=0.0))
+        flat = self._whole.views.reshape(len(self._whole), -1)
+        self._mean, self._covariance = flat.mean(0), np.cov(flat, rowvar=False)
+
+    def mean_shape(self, faces: Views) -> np.ndarray:
+        """Mean of the training shapes."""
+        mean = normalise(self._train.shapes).mean(0)
+        return np.broadcast_to(mean, faces.shapes.shape)
+
+    def linear(self, faces: Views) -> np.ndarray:
+        """Ridge regression; in training and test alike, missing coordinates are filled in first."""
+        views = normalise(self.fill(self._train.views))
+        ridge = Linear().fit(views, normalise(self._train.shapes))
+        return ridge.predict(normalise(self.fill(faces.views)))
+
+    def aldrian(self, faces: Views) -> np.ndarray:
+        """Fit by Aldrian and Smith, given the noise; missing coordinates are filled in first."""
+        model = self._landmarks.mean, self._landmarks.identity_basis_times_sd
+        return fit_aldrian(*model, self.fill(faces.views), self._misfit("affine"))
+
+    def model_fit(self, faces: Views) -> np.ndarray:
+        """The project's fit of the face model to the visible landmarks, given the noise."""
+        sd, landmarks = self._misfit("orthographic"), self._landmarks
+        options = {"n_identity": landmarks.n_identity, "n_expression": 0, "landmark_sd": sd}
+        identity = []
+        for view in faces.views:
+            visible = np.flatnonzero(np.isfinite(view).all(-1))
+            part = replace(landmarks, landmarks={"visible": visible})
+            identity.append(LandmarkFitter(part, "visible", **options).fit(view[visible]).identity)
+        return landmarks.shape(np.array(identity))
+
+    def fill(self, views: np.ndarray) -> np.ndarray:
+        """Put missing coordinates of `(n, L, 2)` where a regression on the others expects them.
+
+        That is their mean given the others, if views are Gaussian as those of training are.
+        """
+        if np.isfinite(views).all():
+            return views
+        filled = []
+        for start in range(0, len(views), _CHUNK):
+            flat = views[start : start + _CHUNK].reshape(-1, len(self._mean))
+            known, places = np.isfinite(flat), range(len(self._mean))
+            offsets = np.where(known, flat - self._mean, 0)
+            # Rows and columns of what is missing are those of the unit matrix: no influence.
+            among = np.where(known[:, :, None] & known[:, None], self._covariance, 0)
+            among[:, places, places] += np.where(known, _SEEN_SD_MM**2, 1)
+            weights = np.linalg.solve(among, offsets[..., None])[..., 0]
+            filled.append(np.where(known, flat, self._mean + weights @ self._covariance))
+        return np.concatenate(filled).reshape(views.shape)
+
+    def _misfit(self, camera: str) -> float:
+        """R.m.s. distance of a coordinate from where a kind of camera sees the true landmarks, mm.
+
+        A method with that camera takes it all for noise: the errors of the landmarks, and
+        perspective.
+        """
+        faces = self._whole[:_MISFIT_FACES]
+        if camera == "affine":
+            cameras = affine_cameras(faces.views, faces.shapes)
+            linear, shift = cameras[..., :3], cameras[..., 3]
+        else:
+            rotations, scales, shift = orthographic_cameras(faces.views, faces.shapes)
+            linear = scales[:, None, None] * rotations[:, :2]
+        projected = faces.shapes @ np.swapaxes(linear, 1, 2) + shift[:, None]
+        return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
 
 
-PREDICT = {
-    "mean_shape": predict_mean,
-    "linear": predict_linear,
-    "aldrian": predict_aldrian,
-    "model_fit": predict_fit,
-}
+def fit_aldrian(mean: np.ndarray, basis: np.ndarray, views: np.ndarray, sd_mm: float) -> np.ndarray:
+    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of an s.d., in mm.
+
+    The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`.
+    """
+    noise = sd_mm / np.ptp(views, axis=1).max(1).mean()
+    # With less than its default the first, wrong cameras would be fitted too closely.
+    return Aldrian(mean, basis, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
+
+
+def limit(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
+    """Mean squared error of draws from the posterior, after alignment to the ground truth: `(n,)`.
+
+    A missing landmark contributes nothing. The unit is that of `normalise`, squared.
+    """
+    basis = landmark_model(run).identity_basis_times_sd
+    errors = []
+    for start in range(0, len(faces), _FACES):
+        part = faces[start : start + _FACES]
+        exact = project(part.shapes, part.cameras)
+        # By differences, since the camera is set up by the landmarks that it sees.
+        moved = part.shapes[:, None] + _STEP * basis
+        cameras = part.cameras[np.repeat(np.arange(len(part)), len(basis))]
+        views = project(moved.reshape(-1, *moved.shape[2:]), cameras)
+        jacobian = (views.reshape(*moved.shape[:3], 2) - exact[:, None]) / _STEP
+        sd = np.maximum(part.sd_mm, _LEAST_SD_MM)
+        certainty = np.isfinite(part.views).all(-1) / sd[:, None]
+        offsets = posterior_draws(jacobian, exact, certainty, rng)
+        shapes = part.shapes[:, None] + np.tensordot(offsets, basis, 1)
+        truth = np.repeat(normalise(part.shapes), DRAWS, axis=0)
+        errors.append(mse(align(shapes.reshape(truth.shape), truth), truth))
+    return np.concatenate(errors).reshape(-1, DRAWS).mean(1)
+
+
+def posterior_draws(
+    jacobian: np.ndarray, views: np.ndarray, certainty: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw coefficients from their posterior about its mean, `(n, DRAWS, K)`.
+
+    Args:
+        jacobian: `(n, K, L, 2)` derivatives of the views by standard-normal coefficients.
+        views: `(n, L, 2)`, whose translation and scale are not known.
+        certainty: `(n, L)` one over the standard deviation of the errors of a landmark; 0 for one
+            that is missing.
+        rng: Source of the draws.
+    """
+    n, k = jacobian.shape[:2]
+    shifts = np.broadcast_to(np.eye(2)[:, None], (n, 2, *views.shape[1:]))
+    scale = views - views.mean(1, keepdims=True)
+    rows = np.concatenate([jacobian, scale[:, None], shifts], 1) * certainty[:, None, :, None]
+    rows = rows.reshape(n, k + 3, -1)
+    precision = rows @ np.swapaxes(rows, 1, 2)
+    precision[:, range(k), range(k)] += 1
+    factor = np.linalg.cholesky(precision)
+    normal = rng.standard_normal((n, k + 3, DRAWS))
+    draws = np.linalg.solve(np.swapaxes(factor, 1, 2), normal)
+    return np.swapaxes(draws[:, :k], 1, 2)

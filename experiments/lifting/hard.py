@@ -1,182 +1,145 @@
-"""Views far from the paper's: turned, near, noisy and incomplete, against the limit of any method.
+"""Step: views far from the paper's, turned, near, noisy and incomplete, against the limit.
 
 Every condition is a column of the table. Methods that are trained are trained for each, on faces of
-one sampler; the large lifting network is trained once, for all.
+one sampler.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from deepmds_keras.alignment import align
-from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import centre, normalise
-from experiments.arguments import parse_run
-from experiments.build_key import is_done
-from experiments.figures.lifting_curves import errors_by_condition, errors_by_yaw, reliability
-from experiments.figures.style import save
-from experiments.lifting.calibration import coverage
-from experiments.lifting.contenders import PREDICT
-from experiments.lifting.hard_networks import (
-    DEEP_MDS,
-    LIFTERS,
-    SEEDED,
-    Cell,
-    describe_networks,
-    load_network,
-    seeds_of,
-    train,
-    training_of,
-)
-from experiments.lifting.hard_tables import (
-    LIMIT,
-    by_cell,
-    by_yaw,
-    calibration,
-    latex,
-    summarise,
-    text,
-)
-from experiments.lifting.limit import limit
-from experiments.lifting.views import (
-    CONDITIONS,
-    HIDDEN,
-    Condition,
-    HardFaces,
-    face_model,
-    find_hidden,
-    hard_faces,
-    landmark_model,
-)
-from experiments.manifest import MANIFEST, clear_results, records_of, write_manifest
+from experiments.figures.errors import Panel, error_lines
+from experiments.lifting.contenders import Contenders, limit
+from experiments.lifting.train import DEEP_MDS, LIFTING, SEEDED, hard_file, hard_seeds, load_network
+from experiments.lifting.views import CONDITIONS, MOST_MISSING, Condition, Views, hard_views
+from experiments.methods import title
 from experiments.progress import Bar
-from experiments.records import write_text
 from experiments.run import Run
-from experiments.running import stage
-from experiments.scoring.tables import write_csv
 from experiments.streams import Stream
+from experiments.studies.study_results import grid, write_results
 from experiments.tasks import unordered
 
-FOLDER = "lifting/hard"
-# Fits of a face model, which take long, see only so many of the test faces.
-_FITS = ("aldrian", "model_fit")
-# Axes of a figure, and where on them conditions stand.
-_SWEEPS = {
-    "Noise (% of 90 mm)": {
-        c.id: c.noise for c in CONDITIONS if c.protocol == "hard" and not c.missing
-    },
-    "Missing landmarks (%), noise 1 %": {
-        c.id: 100 * c.missing for c in CONDITIONS if c.noise == 1 and c.missing != HIDDEN
-    },
+METRICS = ["mse", "times_limit", "within_1_sd", "within_2_sd"]
+_UNIT = 1e-6
+_FITS = ("aldrian", "model_fit")  # take long: tested on `fitted_faces` of the test faces
+_YAW_STEP = 10.0  # degrees
+_ABOUT = (
+    "MSE: mean square over coordinates in 10⁻⁶ of the squared min-max unit, after Procrustes "
+    "alignment with scale and reflection, ± its standard error over the test faces. Of several "
+    "seeds it is the mean."
+)
+_FILLED = "missing coordinates are put where a regression on those that are seen expects them"
+_TOLD = "told the noise together with what its camera cannot express of the perspective"
+NOTES = {
+    "linear": f"trained for each column; {_FILLED}",
+    "aldrian": f"{_TOLD}; {_FILLED}",
+    "model_fit": _TOLD,
+    DEEP_MDS: "trained for each column; it has no way to leave a landmark out",
+    LIFTING: "trained for each column, for all with missing landmarks once, on views that miss "
+    f"up to {MOST_MISSING:.0%}",
+    "limit": "what a single view leaves open to a method that knows the face model and the camera",
 }
+METHODS = ["mean_shape", *NOTES]
 
 
-def cells(run: Run) -> Iterator[Cell]:
-    """Every method, condition that it is measured in, and seed."""
-    for condition in CONDITIONS:
-        for method in (*PREDICT, DEEP_MDS, *LIFTERS, LIMIT):
-            if method == DEEP_MDS and training_of(method, condition, run.seed) is None:
-                continue
-            for seed in seeds_of(run, method, condition):
-                yield method, condition, seed
+def measure(run: Run, condition: Condition) -> pd.DataFrame:
+    """Errors of every method on the test faces of a condition.
+
+    Returns:
+        A row a face: `condition`, `method`, `seed`, `yaw` to either side in degrees, and `METRICS`,
+        of which the last two are NaN but for lifting.
+    """
+    parts = []
+    faces, contenders = hard_views(run, condition), Contenders(run, condition)
+    best = limit(run, faces, np.random.default_rng([run.seed, Stream.HARD_LIMIT]))
+
+    def add(method: str, seed: int, errors: np.ndarray, **metrics: np.ndarray) -> None:
+        bound = best[: len(errors)]
+        ratio = errors.mean() / bound.mean()
+        # Of a ratio of means, to first order, so that its standard error is that of their mean.
+        ratios = ratio + (errors - ratio * bound) / bound.mean()
+        rows = pd.DataFrame({"mse": errors, "times_limit": ratios} | metrics)
+        yaw = np.abs(faces.cameras.yaw[: len(errors)])
+        parts.append(rows.assign(condition=condition.id, method=method, seed=seed, yaw=yaw))
+
+    for method in ("mean_shape", "linear", "aldrian", "model_fit"):
+        tested = faces[: run.preset.fitted_faces] if method in _FITS else faces
+        add(method, run.seed, _errors(getattr(contenders, method)(tested), tested))
+    if not condition.missing:
+        net = load_network(hard_file(run, DEEP_MDS, condition, run.seed))
+        add(DEEP_MDS, run.seed, _errors(net.predict(faces.views), faces))
+    for seed in hard_seeds(run, condition):
+        lifter = load_network(hard_file(run, LIFTING, condition, seed))
+        shapes, sd = lifter.predict(faces.views, landmark_sd=faces.sd_mm, return_std=True)
+        off = np.abs(shapes - centre(normalise(faces.shapes))) / sd
+        within = {f"within_{n}_sd": (off <= n).mean((1, 2)) for n in (1, 2)}
+        add(LIFTING, seed, _errors(shapes, faces), **within)
+    add("limit", run.seed, best)
+    return pd.concat(parts)
 
 
-def cell_file(run: Run, method: str, condition: Condition, seed: int) -> Path:
-    """Errors of a method on the test faces, and how they are covered."""
-    return run.work / "hard" / "errors" / condition.id / f"{method}-seed{seed}.npz"
-
-
-def measure(run: Run, method: str, condition: Condition, seed: int) -> None:
-    """Write a method's errors on the test faces of a condition."""
-    faces = hard_faces(run, condition)
-    if method in _FITS:
-        faces = faces[: run.preset.fitted_faces]
-    if method == LIMIT:
-        rng = np.random.default_rng([run.seed, Stream.HARD_LIMIT])
-        arrays = {"mse": limit(landmark_model(run), faces, rng)}
-    elif method in LIFTERS:
-        network = load_network(run, training_of(method, condition, seed))
-        shapes, sd = network.predict(faces.views, landmark_sd=faces.sd_mm, return_std=True)
-        truth = centre(normalise(faces.shapes))
-        arrays = {"mse": _errors(shapes, faces), "coverage": coverage(shapes - truth, sd)}
-    elif method == DEEP_MDS:
-        network = load_network(run, training_of(method, condition, seed))
-        arrays = {"mse": _errors(network.predict(faces.views), faces)}
-    else:
-        arrays = {"mse": _errors(PREDICT[method](run, condition, faces), faces)}
-    described = {"method": method, "condition": condition.id, "seed": seed}
-    write_arrays(cell_file(run, method, condition, seed), arrays, described)
-
-
-def _errors(shapes: np.ndarray, faces: HardFaces) -> np.ndarray:
+def _errors(shapes: np.ndarray, faces: Views) -> np.ndarray:
     truth = normalise(faces.shapes)
     return mse(align(shapes, truth), truth)
 
 
-def measure_all(run: Run) -> None:
-    """Measure what is not measured yet."""
-    todo = [(run, *cell) for cell in cells(run) if not cell_file(run, *cell).exists()]
-    with Bar(total=len(todo), desc="methods by conditions", unit="cell") as bar:
-        for _ in unordered(run.jobs, measure, todo):
-            bar.update()
+def summarise(errors: pd.DataFrame) -> pd.DataFrame:
+    """Mean of every method in every condition, empty where it cannot be used.
+
+    `standard_error` is over the faces, and like `mean` a mean over seeds; `std` is over seeds.
+    """
+    cell = ["method", "condition", "metric"]
+    values = errors.melt(["method", "condition", "seed"], METRICS, "metric").dropna()
+    seeds = values.groupby([*cell, "seed"])["value"].agg(["mean", "sem", "count"])
+    table = seeds.groupby(level=cell).agg(
+        mean=("mean", "mean"),
+        standard_error=("sem", "mean"),
+        std=("mean", "std"),
+        n_seeds=("mean", "count"),
+        n_faces=("count", "first"),
+    )
+    methods = [method for method in METHODS if (errors["method"] == method).any()]
+    conditions = sorted(condition.id for condition in CONDITIONS)
+    rows = pd.MultiIndex.from_product([methods, conditions, METRICS], names=cell)
+    table = table.astype({"n_seeds": "Int64", "n_faces": "Int64"}).reindex(rows).reset_index()
+    table = table[table["mean"].notna() | (table["metric"] == "mse")]
+    return table.assign(note=table["method"].map(NOTES))
 
 
-def write(run: Run, folder: Path) -> None:
-    """Write the tables and figures of all that was measured."""
-    measured = {cell: read_arrays(cell_file(run, *cell))[0] for cell in cells(run)}
-    errors = {cell: arrays["mse"] for cell, arrays in measured.items()}
-    covered = {cell: own["coverage"] for cell, own in measured.items() if "coverage" in own}
-    yaw = {condition.id: hard_faces(run, condition).cameras.yaw for condition in CONDITIONS}
-    metrics, curves, levels = by_cell(errors, covered), by_yaw(errors, yaw), calibration(covered)
-    table = summarise(metrics)
-    clear_results(folder)
-    for name, rows in (
-        ("metrics", metrics),
-        ("table", table),
-        ("by_yaw", curves),
-        ("calibration", levels),
-    ):
-        write_csv(folder / f"{name}.csv", rows)
-    write_text(folder / "table.tex", latex(table))
-    draw(table, curves, levels, folder / "figures")
+def by_yaw(errors: pd.DataFrame) -> pd.DataFrame:
+    """Errors in hard conditions by yaw (the middle of a bin), of the first seed of each method."""
+    first = errors["seed"] == errors["seed"].min()
+    rows = errors[first & errors["condition"].str.startswith("hard")]
+    rows = rows.assign(
+        yaw=(rows["yaw"] // _YAW_STEP + 0.5) * _YAW_STEP,
+        condition=pd.Categorical(rows["condition"], [condition.id for condition in CONDITIONS]),
+        method=pd.Categorical(rows["method"], METHODS),
+    )
+    bins = rows.groupby(["condition", "method", "yaw"], observed=True)["mse"]
+    table = bins.agg(mean="mean", standard_error="sem", n_faces="count").reset_index()
+    columns = ["method", "condition", "yaw", "mean", "standard_error", "n_faces"]
+    return table.loc[table["n_faces"] > 1, columns]
 
 
-def draw(table: pd.DataFrame, curves: pd.DataFrame, levels: pd.DataFrame, folder: Path) -> None:
-    """Write the figures of the tables."""
-    save(errors_by_yaw(curves[curves["condition"] == SEEDED]), folder, "errors_by_yaw")
-    known = table[(table["metric"] == "mse") & table["mean"].notna()]
-    sweeps = {
-        label: known[known["condition"].isin(values)].assign(
-            value=lambda rows, values=values: rows["condition"].map(values)
-        )
-        for label, values in _SWEEPS.items()
-    }
-    save(errors_by_condition(sweeps), folder, "errors_by_condition")
-    first = levels[levels["seed"] == levels["seed"].min()]
-    titles = {condition.id: condition.title for condition in CONDITIONS}
-    save(reliability(first.assign(condition=first["condition"].map(titles))), folder, "reliability")
+def cells(table: pd.DataFrame) -> pd.DataFrame:
+    """Errors ± standard errors of a table from `summarise`, methods by conditions."""
+    rows = table[table["metric"] == "mse"].rename(columns={"mean": "mse", "standard_error": "sem"})
+    texts = grid(rows, "method", "condition", _UNIT)[[c.id for c in CONDITIONS]]
+    texts.columns = [c.title for c in CONDITIONS]
+    return texts.rename(index=title).rename_axis("Method")
 
 
-def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
-    folder = run.experiment_results(FOLDER)
-    if not is_done(run, "hard"):
-        with stage(run, "hard") as record:
-            model = face_model(run)
-            record |= {"model": model.name, "model_sha256": model.sha256}
-            record["processes_mb"] = train(run)
-            record |= describe_networks(run)
-            find_hidden(run)
-            measure_all(run)
-            clear_results(folder)  # of an earlier run
-    if not (folder / MANIFEST).exists():
-        write(run, folder)
-        write_manifest(run, "lifting", records_of(run, "hard"), folder)
-    print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}\n")
-    print(text(pd.read_csv(folder / "table.csv")))
-    print(f"\nTables, figures and manifest: {folder}/")
+def main(run: Run) -> dict:
+    tasks = [(run, condition) for condition in CONDITIONS]
+    parts = Bar(unordered(run.jobs, measure, tasks), total=len(tasks), desc="conditions")
+    errors = pd.concat(parts)
+    table, curves = summarise(errors), by_yaw(errors)
+    rows = curves[curves["condition"] == SEEDED].rename(columns={"standard_error": "sem"})
+    figure = error_lines([Panel(rows, "yaw", "Yaw to either side (degrees)")], unit=_UNIT)
+    tables, figures = {"table": table, "by_yaw": curves}, {"errors_by_yaw": figure}
+    notes = [_ABOUT, *(f"{title(method)}: {note}." for method, note in NOTES.items())]
+    return write_results(run, "lifting/hard", tables, cells(table), notes, figures)

@@ -1,44 +1,269 @@
-"""Write the report of a face model's results: `index.html` and `report.md`."""
+"""Write the report of a face model, `results/<model>/report/report.md`, from its results alone."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
-from data_gen.models.registry import MODELS
-from experiments.presets import PRESETS
-from experiments.records import write_text
-from experiments.report.experiment import REPORT, load_experiments, result_folders
-from experiments.report.overview import reports_elsewhere
-from experiments.report.page import page
-from experiments.report.sections import colour_of, faces, report
-from experiments.report.staleness import stale
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from deepmds_keras.io.errors import InputError
+from experiments.face_models import TITLES
+from experiments.methods import METHODS, title
+from experiments.metrics import METRICS
+from experiments.progress import duration
+from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, write_text
+from experiments.run import SCHEMES, Run
+from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
+from experiments.scoring.typesetting import cells, head_of, remarks
+
+# Folder of results to its title and the target of `make` that writes it, in the report's order.
+# Words on folders and figures are in the template.
+RESULTS = {
+    "bfm": ("The paper's BFM table", "reproduce-bfm"),
+    "bfm-evaluator-released": ("BFM, authors' evaluator", "reproduce-bfm EVALUATOR=released"),
+    "flame": ("The paper's CASIA-3D table", "reproduce-flame"),
+    "flame-true-landmarks": ("CASIA-3D, against the true landmarks", "reproduce-flame"),
+    "celeba": ("The paper's CelebA table", "reproduce-celeba"),
+    "celeba-true-landmarks": ("CelebA, against the true landmarks", "reproduce-celeba"),
+    "celeba-flame": ("The paper's CelebA faces with 51 landmarks", "reproduce-celeba TF_FLAME=dir"),
+    "celeba-flame-stand-in": ("Rendered photos with 51 landmarks", "reproduce-flame"),
+    "audit": ("Claims of the paper", "audit"),
+    "parameters": ("Parameters and time", "reproduce-bfm"),
+    "ablation": ("Ablation", "ablation"),
+    "seeds": ("Seed variance", "seeds"),
+    "rounding": ("The same seed, rounded otherwise", ""),  # its step is gone, its results stay
+    "stream": ("Many faces: the tails of the errors", "stream"),
+    "pretrained": ("The weights that ship with the package", "pretrained"),
+    "lifting/hard": ("Hard views, against the lower bound", "lifting"),
+    "lifting/anatomy": ("Anatomy of Deep-MDS", "lifting"),
+    "lifting/transfer": ("Transfer between face models", "lifting"),
+}
+_MACHINE = ("platform", "processor", "python")
+_LONG = 40  # rows; a longer table gets a column for each metric instead of a row
+# `code`, **strong** words and links are kept; other characters are shown as they are.
+_MARKUP = re.compile(r"`[^`]+`|\*\*|\]\([^)]+\)|([\\`*_{}<>|#~]|&(?=#?\w+;))")
+_NUMBER = r"[-−+<>×]? ?[\d(].*|–"
 
 
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    add = parser.add_argument
-    add("--model", choices=MODELS, default="openhead", help="face model of the results")
-    add("--preset", choices=tuple(PRESETS), default="paper", help="sizes of the experiments")
-    add("--results", type=Path, default=Path("results"), help="folder of all results")
-    asked = parser.parse_args(arguments)
-    root = asked.results if asked.preset == "paper" else asked.results / asked.preset
-    folder = root / asked.model
-    problems = stale(folder)
-    if not result_folders(folder):
-        problems.append(
-            f"{folder} must hold results of experiments. Received none; run: "
-            f"make reproduce-bfm MODEL={asked.model} PRESET={asked.preset}"
+def main(run: Run) -> None:
+    path = run.model_results / "report" / "report.md"
+    write_text(path, report(run, load_results(run.model_results)))
+    print(f"Report: {path}")
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A folder of `results/<model>` and its manifest."""
+
+    name: str
+    folder: Path
+    manifest: dict
+
+    @property
+    def base(self) -> str:
+        """The longest of `RESULTS` that its name begins with: other seeds and so on follow."""
+        bases = [base for base in RESULTS if f"{self.name}-".startswith(f"{base}-")]
+        return max(bases, key=len, default=self.name)
+
+    @property
+    def title(self) -> str:
+        """Title, with what is not the default in brackets."""
+        variant = self.name[len(self.base) :].strip("-").replace("-", " ")
+        name = RESULTS.get(self.base, (self.name,))[0]
+        return f"{name} ({variant})" if variant else name
+
+    @property
+    def steps(self) -> list[dict]:
+        """Records of the steps behind it."""
+        return steps_of(self.manifest)
+
+    @property
+    def track(self) -> str | None:
+        """Which of the paper's tables of methods it stands beside, if any."""
+        track = self.base.split("-")[0]
+        return track if track in SCHEMES and "table.csv" in self.manifest["files"] else None
+
+
+def load_results(folder: Path) -> list[Result]:
+    """Results in `results/<model>` that have a manifest, in the order of `RESULTS`.
+
+    Raises:
+        InputError: There are none, or a manifest is damaged.
+    """
+    folders = [path.parent for path in sorted(folder.rglob(MANIFEST))]
+    if not folders:
+        raise InputError(
+            f"{folder} must hold results of experiments. Received none; run make reproduce-bfm "
+            f"MODEL={folder.name}."
         )
-    if problems:
-        for problem in problems:
-            print(f"error: {problem}", file=sys.stderr)
-        raise SystemExit(2)
-    experiments, folder = load_experiments(folder), folder / REPORT
-    text = report(asked.model, experiments, reports_elsewhere(root))
-    write_text(folder / "report.md", text)
-    write_text(folder / "index.html", page(text, folder, faces(experiments), colour_of))
-    print(f"Report: {folder / 'index.html'}")
+    results = [Result(f.relative_to(folder).as_posix(), f, read_manifest(f)) for f in folders]
+    order = {base: place for place, base in enumerate(RESULTS)}
+    return sorted(results, key=lambda result: order.get(result.base, len(order)))
+
+
+def report(run: Run, results: list[Result]) -> str:
+    """The report of a face model's results at a preset, in GitHub's Markdown."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"md": escaped, "table": markdown_table, "duration": duration}
+    environment.filters["commits"] = commits_of
+    steps = [step for result in results for step in result.steps]
+    present = {result.base for result in results}
+    given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "paper")
+    text = environment.get_template("report.md.j2").render(
+        given=given,
+        title=TITLES[run.model],
+        results=results,
+        tables=_tables,
+        glance=pd.DataFrame(_glance(result) for result in results if result.track),
+        missing=[
+            (name, base, f"make {target} {given}")
+            for base, (name, target) in RESULTS.items()
+            if target and base not in present
+        ],
+        steps_of=_steps,
+        preset=_facts([step["preset"] for step in steps]),
+        versions=_facts([{key: s[key] for key in _MACHINE} | s["packages"] for s in steps]),
+    )
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"
+
+
+def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
+    """Title, texts and remarks of the tables of a result; the first needs no title."""
+    if result.track:
+        table = pd.read_csv(result.folder / "table.csv")
+        of = table, result.track, "terminal"
+        yield "", cells(*of), remarks(*of)
+        tests = pd.read_csv(result.folder / "wilcoxon.csv").query("metric == 'mse'")
+        tests = tests[(tests[["method_a", "method_b"]] == "ours").any(axis=1)]
+        columns = ["over", "method_a", "method_b", "n", "median_difference", "p_value"]
+        yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
+    elif result.base == "audit":
+        of_all_models = result.folder.parents[1] / "audit"
+        paths = (folder / "claims.csv" for folder in (result.folder, of_all_models))
+        if path := next(filter(Path.is_file, paths), None):
+            claims = pd.read_csv(path)
+            if "model" in claims:
+                claims = claims[claims["model"] == result.folder.parent.name]
+            counts = claims["verdict"].value_counts() if "verdict" in claims else {}
+            texts = readable(claims.drop(columns=["id", "model"], errors="ignore"))
+            yield "", texts, [f"{verdict}: {n} claims" for verdict, n in counts.items()]
+    elif "table.csv" in result.manifest["files"]:
+        yield "", readable(pd.read_csv(result.folder / "table.csv")), []
+
+
+def _glance(result: Result) -> dict[str, str]:
+    """Error of the paper's method, and of two that know less, in an experiment."""
+    head = head_of(METRICS["mse"], result.track)
+    table = pd.read_csv(result.folder / "table.csv")
+    errors = cells(table, result.track, "terminal")[head].T.to_dict()
+    row = {"Experiment": f"[{result.title}](#{result.name})", "Error": head}
+    for method, column in (("ours", "paper"), ("ours", "here"), ("ours", "seeds"),
+                           ("mean_shape", "here"), ("linear", "here")):  # fmt: skip
+        row[f"{title(method)}: {column}"] = errors.get(title(method), {}).get(column, NOTHING)
+    return row
+
+
+def _steps(result: Result) -> pd.DataFrame:
+    """Time, memory and commit of the steps behind a result, and what became of scans and photos."""
+    return pd.DataFrame(
+        {
+            "Step": step.get("step") or step["stage"],
+            "Took": duration(step["seconds"]),
+            "Memory (MB)": _text(step["peak_memory_mb"]),
+            "Commit": step["commit"] or "unknown",
+            "Scans or photos": "; ".join(
+                f"{status}: {n:,}"
+                for kind in ("scans", "photos")
+                for status, n in step.get(kind, {}).items()
+            ),
+        }
+        for step in result.steps
+    )
+
+
+def _facts(records: list[dict]) -> pd.DataFrame:
+    """Names and values of records, all values where they differ."""
+    names = dict.fromkeys(name for record in records for name in record)
+    values = {n: dict.fromkeys(_text(r[n]) for r in records if r.get(n, "") != "") for n in names}
+    rows = [(_head(name), "; ".join(texts)) for name, texts in values.items() if texts]
+    return pd.DataFrame(rows, columns=["Name", "Value"])
+
+
+def readable(table: pd.DataFrame) -> pd.DataFrame:
+    """Texts of a table of names and numbers; a long one of metrics gets a column for each."""
+    if len(table) > _LONG and {"metric", "mean"} <= {*table}:
+        table = _by_metric(table)
+    return table.convert_dtypes().map(_text).rename(columns=_head)
+
+
+def _by_metric(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean ± spread of each metric; what stands left of the metric names a row."""
+    keys = [*table.columns[: table.columns.get_loc("metric")]]
+    spread = table["standard_error" if "standard_error" in table else "std"]
+    typical = table["mean"].abs().groupby(table["metric"]).transform("median")
+    small = (typical > 0) & (typical < 0.01)
+    units = 10.0 ** np.floor(np.log10(typical.where(small, 1.0)))
+    heads = map(_head, table["metric"])
+    table = table[keys].assign(
+        head=[f"{h} ({power(u)})" if u < 1 else h for h, u in zip(heads, units, strict=True)],
+        text=[*map(plus_minus, table["mean"], spread, units)],
+    )
+    rows, columns = table[keys].drop_duplicates(), table["head"].unique()
+    wide = table.pivot(index=keys, columns="head", values="text")[columns].rename_axis(columns=None)
+    return rows.merge(wide, left_on=keys, right_index=True)
+
+
+def _head(name: str) -> str:
+    """A name of a column, metric or entry as it is read."""
+    return METRICS[name].head if name in METRICS else name.replace("_", " ")
+
+
+def _text(value: object) -> str:
+    """A cell: names of methods and metrics as in all tables, numbers to four digits."""
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    if pd.isna(value) or value == "":
+        return NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Real):
+        return minus(f"{value:,.0f}") if float(value).is_integer() else scientific(value)
+    if value in METHODS:
+        return title(value)
+    return _head(value) if value.isidentifier() else value
+
+
+def escaped(text: object) -> str:
+    """Text that Markdown shows as it is, but for what `_MARKUP` keeps."""
+    return _MARKUP.sub(lambda mark: f"\\{mark[1]}" if mark[1] else mark[0], str(text))
+
+
+def markdown_table(texts: pd.DataFrame) -> str:
+    """A table in GitHub's Markdown; a lower head is shown where its upper one has several.
+
+    Args:
+        texts: A named index becomes the first column.
+    """
+    if texts.columns.nlevels > 1:
+        groups = texts.columns.get_level_values(0).value_counts()
+        texts = texts.set_axis(
+            [f"{head}: {of}" if groups[head] > 1 else head for head, of in texts], axis=1
+        )
+    texts = texts.reset_index(drop=texts.index.name is None)
+    numbers = [texts[name].str.fullmatch(_NUMBER).all() for name in texts]
+    rules = ["--:" if k and number else ":--" for k, number in enumerate(numbers)]
+    rows = [[*texts], rules, *texts.to_numpy().tolist()]
+    # A bar would end a cell, even in code.
+    lines = (" | ".join(re.sub(r"(?<!\\)\|", r"\|", escaped(c)) for c in row) for row in rows)
+    return "\n".join(f"| {line} |" for line in lines)

@@ -10,44 +10,32 @@ import pandas as pd
 from experiments.scoring.numbers import scientific
 
 _CHARACTERS = {c: rf"\{c}" for c in "&%$#_{}"} | {
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "\\": r"\textbackslash{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "−": "$-$",
-    "–": "--",
-}
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}",
+    "<": r"\textless{}", ">": r"\textgreater{}",
+    "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "–": "--",
+}  # fmt: skip
 _SUPERSCRIPTS = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
 _AS_DIGITS = str.maketrans(_SUPERSCRIPTS, "-0123456789")
 
 
-def tabular(
-    cells: pd.DataFrame, columns: str, notes: Sequence[str] = (), *, over_pages: bool = False
-) -> str:
-    r"""A table in small type, with booktabs' rules.
+def tabular(cells: pd.DataFrame, columns: str, notes: Sequence[str] = ()) -> str:
+    r"""A `tabular` in small type, with booktabs' rules.
 
     Args:
         cells: Texts. Where its columns have two levels, the upper ones are heads of groups.
         columns: Types of the columns, as `tabular` takes them.
-        notes: To stand below a table of one page, a paragraph each.
-        over_pages: Whether it is a `longtable`, which may be broken.
+        notes: To stand below the table, a paragraph each.
     """
     styler = cells.style.format(tex).format_index(tex, axis=1).hide(axis=0)
     body = styler.to_latex(
-        column_format=f"@{{}}{columns}@{{}}",
-        hrules=True,
-        multicol_align="c",
-        environment="longtable" if over_pages else None,
-    )
+        column_format=f"@{{}}{columns}@{{}}", hrules=True, multicol_align="c"
+    ).rstrip()
     if cells.columns.nlevels > 1:  # Styler has no rules below the heads of groups
         body = body.replace("\\\\\n", f"\\\\\n{_rules(cells.columns)}\n", 1)
     below = rf"\multicolumn{{{cells.shape[1]}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{%s}} \\"
     rows = "".join(f"{below % tex(note)}\n" for note in notes)
     body = body.replace(r"\end{tabular}", rf"{rows}\end{{tabular}}")
-    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body.rstrip()}}}\n"
+    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body}}}\n"
 
 
 def plain_tabular(table: pd.DataFrame) -> str:
@@ -56,12 +44,12 @@ def plain_tabular(table: pd.DataFrame) -> str:
     Args:
         table: Its columns' names become the heads; NaN and empty cells stay empty.
     """
-    cells = {name.replace("_", " "): [*map(_plain, table[name])] for name in table}
-    numbers = [pd.api.types.is_numeric_dtype(table[name]) for name in table]
-    return tabular(pd.DataFrame(cells), "".join("r" if own else "l" for own in numbers))
+    numeric = {*table.select_dtypes("number")}
+    cells = table.map(_plain).rename(columns=lambda name: name.replace("_", " "))
+    return tabular(cells, "".join("r" if name in numeric else "l" for name in table))
 
 
-def _plain(value) -> str:
+def _plain(value: object) -> str:
     if pd.isna(value):
         return ""
     return scientific(value, 5) if isinstance(value, float) else str(value)
@@ -78,6 +66,8 @@ def tex(string: str) -> str:
 
 def _rules(columns: pd.MultiIndex) -> str:
     """A rule below each head of a group."""
-    heads = [*columns.get_level_values(0)]
-    places = {head: [k for k, other in enumerate(heads, 1) if other == head] for head in heads}
-    return "".join(rf"\cmidrule(lr){{{k[0]}-{k[-1]}}}" for head, k in places.items() if head)
+    places = pd.Series(range(1, len(columns) + 1)).groupby(columns.get_level_values(0), sort=False)
+    groups = places.agg(["min", "max"]).drop("", errors="ignore")
+    return "".join(
+        rf"\cmidrule(lr){{{first}-{last}}}" for first, last in groups.itertuples(index=False)
+    )

@@ -1,8 +1,7 @@
-"""Numbers and times as they are read."""
+"""Numbers and times as text."""
 
 from __future__ import annotations
 
-import datetime
 import math
 
 from experiments.published import as_printed
@@ -53,59 +52,11 @@ def as_quoted(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
     return minus(" ± ".join(digits)) or NOTHING
 
 
-def difference(ours: float, theirs: float, unit: float = 1.0) -> str:
-    """Difference of ours from theirs, and in brackets the ratio."""
-    if math.isnan(ours) or math.isnan(theirs):
-        return NOTHING
-    return minus(f"{(ours - theirs) / unit:+.3g} (×{factor(ours / theirs)})")
-
-
-def factor(ratio: float) -> str:
-    """Ratio to two or three digits; more where it is about 1."""
-    if abs(ratio - 1) < 0.01:
-        return f"{ratio:.4f}"
-    if ratio >= 100:
-        return f"{ratio:,.0f}"
-    return f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
-
-
 def power(unit: float) -> str:
     """10⁻⁴ for 1e-4."""
     return "10" + str(round(math.log10(unit))).translate(_SUPERSCRIPTS)
 
 
-def duration(seconds: float) -> str:
-    """In the two largest units."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes} min"
-    if minutes:
-        return f"{minutes} min {rest} s"
-    return f"{seconds:.3g} s"
-
-
-def size(value: int | str | list[int]) -> str:
-    """A size of a preset, of which some are several."""
-    if isinstance(value, list):
-        return enumeration([*map(size, value)])
-    return f"{value:,}" if isinstance(value, int) else value
-
-
-def moment(iso: str) -> str:
-    """Date and time of day in UTC, of one that `running.stage` records."""
-    then = datetime.datetime.fromisoformat(iso).astimezone(datetime.timezone.utc)
-    return f"{then:%Y-%m-%d %H:%M}"
-
-
 def minus(text: str) -> str:
     """With true minus signs."""
     return text.replace("-", "−")
-
-
-def enumeration(words: list[str]) -> str:
-    """Words as a sentence lists them; semicolons between those that hold commas."""
-    if len(words) < 2:
-        return "".join(words)
-    comma = "; " if any("," in word for word in words) else ", "
-    return f"{comma.join(words[:-1])}{comma.strip() if comma == '; ' else ''} and {words[-1]}"

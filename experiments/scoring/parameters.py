@@ -8,18 +8,17 @@ from experiments.inputs import load_landmark_model
 from experiments.methods import METHODS, title
 from experiments.metrics import METRICS
 from experiments.published import printed
-from experiments.records import write_text
+from experiments.records import write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import NOTHING
-from experiments.scoring.tables import write_csv
 
 _LEGEND = (
     "Paper: quoted from Kamyab and Azimifar. Total: with the moving "
     "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
     f"model. {NOTHING}: not measured here, or not in the paper."
 )
-
+_TIMES = ("ms_per_face", "ms_per_face_lowest", "ms_per_face_highest")
 HEADS = {
     "method": "Method",
     "trainable": "Trainable",
@@ -27,9 +26,8 @@ HEADS = {
     "paper": "Trainable (paper)",
     "complexity_paper": "Complexity (paper)",
     "complexity": "Complexity",
-    **{name: METRICS[name].head
-       for name in ("ms_per_face", "ms_per_face_lowest", "ms_per_face_highest")},
-}  # fmt: skip
+    **{metric: METRICS[metric].head for metric in _TIMES},
+}
 
 
 def parameter_table(
@@ -48,32 +46,28 @@ def parameter_table(
     """
     from deepmds_keras.networks import count_trainable  # who only prints a table has no Keras
 
-    counts = _values(metrics, "n_parameters")
-    times = {name: _values(metrics, name) for name in HEADS if name.startswith("ms_per_face")}
+    measured = metrics[metrics["subset"].isna()].set_index(["method", "metric"])["value"]
     quoted = printed("parameters", "n_parameters")
     quoted_times = printed("parameters", "time_complexity")
     rows = []
     for method in METHODS.values():
         if method.complexity is None:
             continue
-        trainable = total = counts.get(method.id)
+        trainable = total = measured.get((method.id, "n_parameters"))
         if method.networks:
-            nets = method.networks(n_landmarks, n_coefficients)
-            total = sum(net.count_params() for net in nets)
-            trainable = count_trainable(*nets)
+            networks = method.networks(n_landmarks, n_coefficients)
+            trainable = count_trainable(*networks)
+            total = sum(network.count_params() for network in networks)
+        times = [measured.get((method.id, metric)) for metric in _TIMES]
         rows.append(
-            {
-                "method": method.id,
-                "trainable": "" if trainable is None else f"{trainable:.0f}",
-                "total": "" if total is None else f"{total:.0f}",
-                "paper": quoted.get(method.paper, ""),
-                "complexity_paper": quoted_times.get(method.paper, ""),
-                "complexity": method.complexity,
-                **{
-                    name: f"{own[method.id]:.3g}" if method.id in own else ""
-                    for name, own in times.items()
-                },
-            }
+            (
+                method.id,
+                *("" if count is None else f"{count:.0f}" for count in (trainable, total)),
+                quoted.get(method.paper, ""),
+                quoted_times.get(method.paper, ""),
+                method.complexity,
+                *("" if time is None else f"{time:.3g}" for time in times),
+            )
         )
     return pd.DataFrame(rows, columns=[*HEADS])
 
@@ -90,8 +84,3 @@ def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
     table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table))
-
-
-def _values(metrics: pd.DataFrame, metric: str) -> dict[str, float]:
-    rows = metrics[metrics["metric"] == metric]
-    return dict(zip(rows["method"], rows["value"], strict=True))

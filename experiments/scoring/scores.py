@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -14,28 +14,30 @@ from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.io.errors import InputError
 from experiments.inputs import Faces
-from experiments.methods import METHODS
-from experiments.metrics import METRICS
+from experiments.metrics import METRICS, Metric
 from experiments.records import load_record
 from experiments.run import Run
 from experiments.streams import Stream
 
 
-def load_predictions(run: Run) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
-    """Arrays and description of the predictions of every method whose stage is complete."""
-    record = load_record(run, "predictions")
-    methods, times = record["methods"], record.get("times", {})
-    others = {method.stage for method in METHODS.values()} - {"predictions", None}
-    for name in sorted(others):
-        name = run.ringnet_stage if name == "ringnet" else name
-        if (run.work / f"{name}.json").exists():
-            methods = methods + load_record(run, name).get("methods", [name])
-    found = {method: load_prediction(run, method) for method in methods}
-    return {m: (arrays, told | times.get(m, {})) for m, (arrays, told) in found.items()}
+def load_predictions(
+    run: Run, methods: Iterable[str]
+) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
+    """Arrays and description of methods' predictions, with times measured together if there are.
+
+    Raises:
+        InputError: The file of a method is missing or damaged.
+    """
+    times = load_record(run, "times")["times"] if run.record_file("times").exists() else {}
+    predictions = {method: load_prediction(run, method) for method in methods}
+    return {
+        method: (arrays, description | times.get(method, {}))
+        for method, (arrays, description) in predictions.items()
+    }
 
 
 def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]:
-    """Arrays and description of a method's predictions."""
+    """Arrays and description of one method's predictions."""
     return read_arrays(run.prediction_file(method))
 
 
@@ -45,30 +47,19 @@ def runs_by_seed(run: Run) -> list[Run]:
 
 
 def metrics_by_seed(run: Run) -> pd.DataFrame | None:
-    """Rows of `method, seed, metric, value` of the seeds that were trained; None: its own alone.
+    """Rows of `method, seed, metric, value` of the seeds that a run asks for; None: no others.
 
-    How many there are the stage tells that trained them, whatever the run asks for now.
+    Raises:
+        InputError: A seed was not trained.
     """
-    if not run.record_file("seeds").exists():
+    if run.seeds is None:
         return None
-    trained = replace(run, seeds=load_record(run, "seeds")["n_seeds"])
     rows = [
-        (method, own.seed, metric, value)
-        for own in runs_by_seed(trained)
-        for method, metric, value in load_record(own, "seed")["rows"]
+        (method, seeded.seed, metric, value)
+        for seeded in runs_by_seed(run)
+        for method, metric, value in load_record(seeded, "seed")["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
-
-
-def costs(descriptions: dict[str, dict]) -> pd.DataFrame:
-    """Long table `method, metric, value` of what the stages that predict measured."""
-    rows = [
-        (method, metric.id, described[metric.id])
-        for method, described in descriptions.items()
-        for metric in METRICS.values()
-        if metric.is_cost and metric.id in described
-    ]
-    return pd.DataFrame(rows, columns=["method", "metric", "value"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +80,7 @@ class Scores:
     unit_mm: np.ndarray
     mirrored: np.ndarray
 
-    def __getitem__(self, faces) -> Scores:
+    def __getitem__(self, faces: slice | np.ndarray | list[int]) -> Scores:
         """Some of the faces, by a slice, a mask or their numbers."""
         return Scores(*(getattr(self, field.name)[faces] for field in fields(self)))
 
@@ -107,6 +98,11 @@ class Scores:
     def depth_corr(self) -> np.ndarray:
         """`(n,)` trace depth correlation, at most L."""
         return self._of_found(metrics.depth_corr)
+
+    @property
+    def depth_corr_across_faces(self) -> float:
+        """Sum over landmarks of the correlation of depth across all faces, at most L."""
+        return metrics.depth_corr_across_faces(self.aligned, self.truth)
 
     @cached_property
     def distances_mm(self) -> np.ndarray:
@@ -138,24 +134,35 @@ def evaluate(
         run: The run.
         test: Test faces.
         shapes: Method to `(n, L, 3)` predictions; NaN for a face that it did not find.
-        descriptions: Method to what its prediction's stage wrote of it.
+        descriptions: Method to the description beside its predictions.
 
     Returns:
         Long table as in `metrics.csv`, and scores by method.
     """
     chosen = subsets(run, len(test.views))
-    scores = {method: score(own, test) for method, own in shapes.items()}
-    rows = [subset_metrics(method, own, chosen, run.track) for method, own in scores.items()]
-    table = pd.concat([*rows, costs(descriptions)], ignore_index=True)
-    table["subset"] = table["subset"].astype("Int64")
-    return table, scores
+    scores = {method: score(predicted, test) for method, predicted in shapes.items()}
+    rows = [
+        (method, metric.id, subset, value)
+        for method in scores
+        for metric in METRICS.values()
+        if metric.is_of(run.track) and (metric.per_face or metric.per_subset)
+        for subset, value in enumerate(_by_subset(metric, scores[method], chosen))
+    ]
+    rows += [
+        (method, metric.id, None, description[metric.id])
+        for method, description in descriptions.items()
+        for metric in METRICS.values()
+        if metric.is_cost and metric.id in description
+    ]
+    table = pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
+    return table.astype({"subset": "Int64"}), scores
 
 
 def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
     """The paper's metrics to method to its values on the faces that every method found."""
-    found = np.all([own.found for own in scores.values()], axis=0)
+    found = np.all([of_method.found for of_method in scores.values()], axis=0)
     return {
-        metric.id: {method: metric.per_face(own)[found] for method, own in scores.items()}
+        metric.id: {method: metric.per_face(scores[method])[found] for method in scores}
         for metric in METRICS.values()
         if metric.in_paper
     }
@@ -167,7 +174,13 @@ def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:
 
 
 def subsets(run: Run, n: int) -> np.ndarray:
-    """Random ones of n test faces, `(n_subsets, subset_size)`, none twice in a subset."""
+    """Random subsets of n test faces, `(n_subsets, subset_size)` of their numbers.
+
+    No face is twice in a subset.
+
+    Raises:
+        InputError: There are fewer faces than a subset has.
+    """
     rng, preset = np.random.default_rng([run.seed, Stream.SUBSETS]), run.preset
     if n < preset.subset_size:
         raise InputError(
@@ -177,26 +190,10 @@ def subsets(run: Run, n: int) -> np.ndarray:
     return np.array([rng.choice(n, preset.subset_size, False) for _ in range(preset.n_subsets)])
 
 
-def subset_metrics(method: str, scores: Scores, chosen: np.ndarray, track: str) -> pd.DataFrame:
-    """Long table `method, metric, subset, value` of one method, over the faces that it found.
-
-    Args:
-        method: Its id.
-        scores: On all test faces.
-        chosen: Faces of the subsets, as from `subsets`.
-        track: Whose metrics are computed.
-    """
-    rows = []
-    for metric in METRICS.values():
-        if not metric.is_of(track):
-            continue
-        if metric.per_face is not None:
-            values = metric.per_face(scores)
-            known = np.isfinite(values)
-            by_subset = [values[faces[known[faces]]].mean() for faces in chosen]
-        elif metric.per_subset is not None:
-            by_subset = [metric.per_subset(scores[faces[scores.found[faces]]]) for faces in chosen]
-        else:
-            continue
-        rows += [(method, metric.id, subset, value) for subset, value in enumerate(by_subset)]
-    return pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
+def _by_subset(metric: Metric, scores: Scores, chosen: np.ndarray) -> list[float]:
+    """A metric of each subset, over the faces that the method found."""
+    if metric.per_subset:
+        return [metric.per_subset(scores[faces[scores.found[faces]]]) for faces in chosen]
+    values = metric.per_face(scores)
+    known = np.isfinite(values)
+    return [values[faces[known[faces]]].mean() for faces in chosen]

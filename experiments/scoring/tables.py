@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,25 +9,21 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.io.errors import InputError
-from deepmds_keras.metrics import wilcoxon_table
 from experiments.methods import METHODS, title
 from experiments.metrics import METRICS, metrics_of
 from experiments.published import published
-from experiments.records import write_text
-from experiments.scoring.typesetting import latex
+from experiments.records import write_csv, write_text
+from experiments.run import Run
+from experiments.scoring.typesetting import latex, text
 
-COLUMNS = (
-    "method",
-    "metric",
-    "mean",
-    "std",
-    "paper_mean",
-    "paper_std",
-    "n_subsets",
-    "subset_size",
-    "note",
-)
-SEED_COLUMNS = ("n_seeds", "median", "lowest", "highest")
+_KEYS = ["method", "metric"]
+_PAPER = ["paper_mean", "paper_std"]
+_SEEDS = ["n_seeds", "median", "lowest", "highest"]
+# What the paper takes for the truth, where a stand-in knows a better one.
+_TRUTHS = {
+    "flame": "the landmarks found on the scans, as in the paper",
+    "celeba": "the model fitted to the photos, as in the paper",
+}
 
 
 def summarise(
@@ -53,41 +48,36 @@ def summarise(
             were trained from several.
 
     Returns:
-        `COLUMNS`, and with seeds `SEED_COLUMNS`, with a row for every method (measured, quoted or
+        `method, metric, mean, std, paper_mean, paper_std, n_subsets, subset_size, note`, and with
+        seeds `n_seeds, median, lowest, highest`, with a row for every method (measured, quoted or
         noted) and metric. A cell that was not measured is empty and its `note` says why. `std` is
         that of a sample (n - 1). Notes of a cell are separated by `"; "`.
 
     Raises:
-        InputError: A column is missing, a row is there twice, or the experiment, a method or a
-            metric is unknown.
+        InputError: The experiment or a method is unknown.
     """
-    metrics, quoted = _with_derived(_checked(metrics)), published(experiment)
-    grouped = metrics.groupby(["method", "metric"])
-    measured = grouped.agg(
-        mean=("value", "mean"), std=("value", "std"), n_subsets=("subset", "count")
-    )
-    ours = {method.paper: method.id for method in METHODS.values() if method.paper} | dict(beside)
-    quoted = quoted.assign(method=quoted["method"].map(ours)).set_index(["method", "metric"])
+    metrics, quoted = _with_derived(metrics), published(experiment)
+    measured = metrics.groupby(_KEYS)["value"].agg(mean="mean", std="std", n_subsets="count")
+    # Of what is measured once, such as a time, the subset is empty.
+    measured["n_subsets"] = metrics.groupby(_KEYS)["subset"].count()
+    ids = {method.paper: method.id for method in METHODS.values() if method.paper} | dict(beside)
+    quoted = quoted.assign(method=quoted["method"].map(ids)).set_index(_KEYS)
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
-        title(method)
+        title(method)  # refuses an unknown one
+    methods = [method for method in METHODS if method in present]
     columns = [metric.id for metric in metrics_of(experiment)]
-    cells = pd.MultiIndex.from_product(
-        [[method for method in METHODS if method in present], columns],
-        names=["method", "metric"],
-    )
+    cells = pd.MultiIndex.from_product([methods, columns], names=_KEYS)
     table = measured.reindex(cells).join(quoted)
     table["n_subsets"] = table["n_subsets"].replace(0, np.nan).astype("Int64")
-    table["subset_size"] = pd.Series(subset_size, table.index, "Int64").where(
-        table["n_subsets"].notna()
-    )
+    table["subset_size"] = table["n_subsets"].where(table["n_subsets"].isna(), subset_size)
     run = {*metrics["method"]}
     table["note"] = [
-        _note(method, metric, row, method in run, notes.get(method))
+        _note(metric, row, method in run, notes.get(method))
         for (method, metric), row in table.iterrows()
     ]
-    table = table.reset_index()[[*COLUMNS]]
-    return table if seeds is None else table.join(_over_seeds(seeds), on=["method", "metric"])
+    table = table[["mean", "std", *_PAPER, "n_subsets", "subset_size", "note"]].reset_index()
+    return table if seeds is None else table.join(_over_seeds(seeds), on=_KEYS)
 
 
 def write_tables(
@@ -127,70 +117,64 @@ def wilcoxon_tests(
 
     Subsets of one test set differ only by resampling, so the first says little of the methods.
     """
-    tests = []
+    from deepmds_keras.metrics import wilcoxon_table  # scipy.stats takes a while to import
+
+    samples = []
     for metric in (metric.id for metric in METRICS.values() if metric.in_paper):
         rows = metrics[(metrics["metric"] == metric) & metrics["subset"].notna()]
         subsets = rows.pivot(index="subset", columns="method", values="value")
-        subsets = subsets[[method for method in METHODS if method in subsets]]
-        tests.append(("subsets", metric, {m: subsets[m].to_numpy() for m in subsets}))
-    tests += [("faces", metric, dict(values)) for metric, values in per_face.items()]
-    frames = []
-    for over, metric, values in tests:
-        frame = wilcoxon_table(values)
-        frame.insert(0, "over", over)
-        frame.insert(1, "metric", metric)
-        frames.append(frame)
-    return pd.concat([f for f in frames if len(f)] or frames[:1], ignore_index=True)
+        methods = [method for method in METHODS if method in subsets]
+        samples.append(("subsets", metric, {m: subsets[m].to_numpy() for m in methods}))
+    samples += [("faces", metric, dict(values)) for metric, values in per_face.items()]
+    tests = []
+    for over, metric, values in samples:
+        names = pd.DataFrame({"over": [over], "metric": [metric]})
+        tests.append(names.merge(wilcoxon_table(values), how="cross"))
+    return pd.concat([test for test in tests if len(test)] or tests[:1], ignore_index=True)
 
 
-def write_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write CSV with eight significant digits, alike on every system."""
-    text = table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
-    write_text(path, text)
+def print_tables(run: Run) -> None:
+    """Print the tables that a run of a track has written, and name their folders.
+
+    Raises:
+        InputError: There is none.
+    """
+    written = []
+    for name in (run.evaluation, f"{run.track}-true-landmarks"):
+        path = run.experiment_results(name) / "table.csv"
+        if not path.is_file():
+            continue
+        truth = _TRUTHS.get(name, "the true landmarks, which the stand-in knows")
+        against = f", against {truth}" if run.track in _TRUTHS else ""
+        print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}{against}\n")
+        print(text(pd.read_csv(path), run.track))
+        written.append(path.parent)
+    if not written:
+        raise InputError(f"{path} must be there. Run make reproduce-{run.track}.")
+    for folder in written:
+        print(f"Tables, figures and manifest: {folder}/")
 
 
 def _over_seeds(seeds: pd.DataFrame) -> pd.DataFrame:
-    found = seeds.groupby(["method", "metric"])["value"].agg(["count", "median", "min", "max"])
-    found.columns = [*SEED_COLUMNS]
-    return found.astype({"n_seeds": "Int64"})
-
-
-def _checked(metrics: pd.DataFrame) -> pd.DataFrame:
-    missing = {"method", "metric", "subset", "value"} - {*metrics.columns}
-    if missing:
-        raise InputError(
-            "metrics must have columns method, metric, subset, value. "
-            f"Received {', '.join(metrics.columns)}."
-        )
-    twice = metrics[metrics.duplicated(["method", "metric", "subset"])]
-    if len(twice):
-        raise InputError(
-            "metrics must have one row for each method, metric and subset. "
-            f"Received {', '.join(map(str, twice.iloc[0, :3]))} twice."
-        )
-    unknown = [metric for metric in metrics["metric"] if metric not in METRICS]
-    if unknown:
-        raise InputError(f"metric must be one of {', '.join(METRICS)}. Received {unknown[0]!r}.")
-    return metrics
+    spread = seeds.groupby(_KEYS)["value"].agg(["count", "median", "min", "max"])
+    return spread.set_axis(_SEEDS, axis=1).astype({"n_seeds": "Int64"})
 
 
 def _with_derived(metrics: pd.DataFrame) -> pd.DataFrame:
-    frames = [metrics]
+    tables = [metrics]
     for metric in METRICS.values():
         if metric.derived:
             source, function = metric.derived
             rows = metrics[metrics["metric"] == source]
-            frames.append(rows.assign(metric=metric.id, value=function(rows["value"])))
-    return pd.concat(frames, ignore_index=True)
+            tables.append(rows.assign(metric=metric.id, value=function(rows["value"])))
+    return pd.concat(tables, ignore_index=True)
 
 
-def _note(method: str, metric: str, row: pd.Series, was_run: bool, note: str | None) -> str:
-    if not was_run:
-        reason = note or "not part of this experiment"
-    elif math.isnan(row["mean"]):
+def _note(metric: str, row: pd.Series, was_run: bool, note: str | None) -> str:
+    """Notes of a cell: on the method, or why there is no number; and what the paper's needs."""
+    reason = note or ("" if was_run else "not part of this experiment")
+    if was_run and pd.isna(row["mean"]):
         reason = f"{metric} not measured"
-    else:
-        reason = note
-    remark = row["paper_note"] if isinstance(row["paper_note"], str) else ""
-    of_paper = [f"in the paper, {part}" for part in remark.split("; ") if part]
-    return "; ".join([reason, *of_paper] if reason else of_paper)
+    of_paper = row["paper_note"] if isinstance(row["paper_note"], str) else ""
+    parts = [f"in the paper, {part}" for part in of_paper.split("; ") if part]
+    return "; ".join([reason, *parts] if reason else parts)

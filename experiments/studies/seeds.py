@@ -1,4 +1,4 @@
-"""Deep-MDS from several seeds: the spread, and its cause.
+"""Step: the spread of Deep-MDS over seeds, and its cause, from the records of `studies.seed`.
 
 Faces, views, initial weights and mini-batches all come from the seed.
 """
@@ -11,73 +11,51 @@ import pandas as pd
 
 from deepmds_keras.io.archives import read_arrays
 from deepmds_keras.weights import checkpoint_files
-from experiments.arguments import parse_run
-from experiments.build_key import is_done
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.style import save
 from experiments.figures.summary import seed_spread
-from experiments.manifest import clear_results, records_of, write_manifest
 from experiments.methods import DEEP_MDS, title
-from experiments.records import write_text
+from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
-from experiments.running import stage
 from experiments.scoring.latex import plain_tabular
-from experiments.scoring.scores import metrics_by_seed, runs_by_seed
-from experiments.scoring.tables import write_csv
-from experiments.studies.seed import run_seed
-from experiments.tracks.bfm.faces import make_faces
+from experiments.scoring.scores import metrics_by_seed
 
 
-def train(run: Run) -> None:
-    """Train and score one seed, unless that is done."""
-    if not is_done(run, "faces"):
-        with stage(run, "faces") as record:
-            record |= make_faces(run)
-    if not is_done(run, "seed"):
-        with stage(run, "seed") as record:
-            record["rows"] = run_seed(run)
+def main(run: Run) -> dict:
+    metrics = metrics_by_seed(replace(run, seeds=run.n_seeds))
+    table = spread(metrics, ["method", "metric"])
+    titled = table.assign(method=table["method"].map(title))
+    figures = {
+        "seed_spread": seed_spread(metrics),
+        "batchnorm_lag": batchnorm_lag(autoencoder_histories(run, metrics)),
+    }
+    folder = run.experiment_results("seeds")
+    clear_results(folder)
+    write_csv(folder / "metrics.csv", metrics)
+    write_csv(folder / "table.csv", table)
+    write_text(folder / "table.tex", plain_tabular(titled))
+    for name, figure in figures.items():
+        save(figure, folder / "figures", name, run.preset.caution)
+    print(f"\n{run.model}, {run.n_seeds} seeds\n\n{titled.to_string(index=False)}\n\n{folder}/")
+    return {"n_seeds": run.n_seeds, "results": [folder]}
 
 
-def spread(metrics: pd.DataFrame) -> pd.DataFrame:
-    """Median, mean, s.d. (of a sample) and range over the seeds of each method and metric."""
-    groups = metrics.groupby(["method", "metric"], sort=False)["value"]
+def spread(metrics: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Median, mean, s.d. (of a sample), range and number of the seeds' `value` in each group."""
+    groups = metrics.groupby(by, sort=False)["value"]
     return groups.agg(["median", "mean", "std", "min", "max", "count"]).reset_index()
 
 
 def autoencoder_histories(run: Run, metrics: pd.DataFrame) -> dict[str, dict[int, dict]]:
     """Losses of the autoencoder by schedule and seed, as `batchnorm_lag` draws them."""
     errors = metrics.set_index(["method", "metric", "seed"])["value"]
-    found: dict[str, dict[int, dict]] = {}
-    for method, (variant, schedule) in DEEP_MDS.items():
-        if schedule in found:  # methods of a schedule share the autoencoder
-            continue
-        found[schedule] = {}
-        for seed in metrics["seed"].unique():
-            files = checkpoint_files(replace(run, seed=int(seed)).networks, variant, schedule)
+    histories: dict[str, dict[int, dict]] = {}
+    for method in ("ours", "ours_stable"):  # the third method has the autoencoder of the first
+        variant, schedule = DEEP_MDS[method]
+        histories[schedule] = {}
+        for seed in map(int, metrics["seed"].unique()):
+            files = checkpoint_files(replace(run, seed=seed).networks, variant, schedule)
             losses = read_arrays(files["autoencoder"])[1]["history"]
-            anew = errors[method, "autoencoder_mse_reestimated", seed]
-            found[schedule][int(seed)] = losses | {"reestimated": anew}
-    return found
-
-
-def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
-    for own in runs_by_seed(run):
-        train(own)
-    folder = run.experiment_results("seeds")
-    with stage(run, "seeds") as record:
-        record["n_seeds"] = run.n_seeds
-    metrics = metrics_by_seed(run)
-    clear_results(folder)
-    write_csv(folder / "metrics.csv", metrics)
-    table = spread(metrics)
-    write_csv(folder / "table.csv", table)
-    named = table.assign(method=table["method"].map(title))
-    write_text(folder / "table.tex", plain_tabular(named))
-    save(seed_spread(metrics), folder / "figures", "seed_spread")
-    save(batchnorm_lag(autoencoder_histories(run, metrics)), folder / "figures", "batchnorm_lag")
-    records = [record for own in runs_by_seed(run)[1:] for record in records_of(own, "seed")]
-    write_manifest(run, "seeds", records_of(run, "seeds") + records, folder)
-    print(f"\n{run.model}, {run.n_seeds} seeds\n")
-    print(named.to_string(index=False))
-    print(f"\nTables, figures and manifest: {folder}/")
+            reestimated = errors[method, "autoencoder_mse_reestimated", seed]
+            histories[schedule][seed] = losses | {"reestimated": reestimated}
+    return histories

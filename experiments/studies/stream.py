@@ -1,65 +1,96 @@
-"""Any number of faces, made, given to the method and scored in bounded memory: the tails."""
+"""Step: any number of faces, generated, reconstructed and scored in bounded memory: the tails.
+
+The faces of a shard depend on the seed and its number alone, so that a run that was stopped goes
+on, and one with more faces keeps the shards that are there.
+"""
 
 from __future__ import annotations
 
+import functools
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
-from scipy.stats import sem
 
-from deepmds_keras.io.checksums import sha256_of
-from experiments.arguments import parse_run
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.registry import load_model
+from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.weights import checkpoint_files
 from experiments.figures.errors import error_distribution
 from experiments.figures.style import save
-from experiments.manifest import clear_results, records_of, write_manifest
-from experiments.methods import load, title
-from experiments.records import write_text
-from experiments.running import single_threaded, stage
+from experiments.inputs import as_seen
+from experiments.methods import DEEP_MDS, load, predict, title
+from experiments.progress import Bar
+from experiments.records import clear_results, resumable, write_csv, write_text
+from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
-from experiments.scoring.tables import write_csv
-from experiments.studies.shards import BESIDE, OURS, Shards, make_shards, networks_file, read_scores
+from experiments.scoring.scores import score
+from experiments.streams import Stream
+from experiments.tasks import unordered
 
-_QUANTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
-
-
-def summarise(values: np.ndarray) -> dict[str, float]:
-    """Mean over all faces, how sure it is, and how the faces spread."""
-    return {
-        "n_faces": len(values),
-        "mean": values.mean(),
-        "std": values.std(ddof=1),
-        "standard_error": sem(values),
-        **{name: np.quantile(values, share) for name, share in _QUANTILES.items()},
-        "maximum": values.max(),
-    }
+_METHODS = ("mean_shape", "linear", "ours")
+_METRICS = ("mse", "depth_corr", "mirrored")
+# Statistic, or share of a quantile, to its column.
+_COLUMNS = {
+    "count": "n_faces", "mean": "mean", "std": "std", "sem": "standard_error",
+    0.05: "p5", 0.5: "median", 0.95: "p95", 0.99: "p99", "max": "maximum",
+}  # fmt: skip
 
 
-def main(arguments: list[str] | None = None) -> None:
-    run = parse_run(__doc__, arguments)
+def main(run: Run) -> dict:
+    values = stream(run)
+    statistics = values.agg(["count", "mean", "std", "sem", "max"])
+    table = pd.concat([statistics, values.quantile([0.05, 0.5, 0.95, 0.99])]).T
+    table = table[[*_COLUMNS]].rename(columns=_COLUMNS).astype({"n_faces": int})
+    table = table.rename_axis(["method", "metric"]).reset_index()
+    titled = table.assign(method=table["method"].map(title))
+    figure = error_distribution({method: values[method, "mse"] for method in _METHODS})
     folder = run.experiment_results("stream")
-    with stage(run, "stream") as record:
-        stream = run.work.absolute() / "stream"
-        networks = networks_file(stream)
-        # Without a number of processes: by its bytes the method is known.
-        load(run, OURS).set_params(n_jobs=None).save(networks)
-        with single_threaded():  # the regression's last bits depend on the threads
-            beside = {method: load(run, method) for method in BESIDE}
-        sizes = run.preset.streamed_faces, run.preset.faces_per_file
-        shards = Shards(stream, *sizes, sha256_of([networks]))
-        record["processes_mb"] = make_shards(run, shards, beside)
-        values = read_scores(shards)
-        clear_results(folder)
-        table = pd.DataFrame(
-            [
-                {"method": method, "metric": metric, **summarise(own)}
-                for (method, metric), own in values.items()
-            ]
-        )
-        write_csv(folder / "table.csv", table)
-        named = table.assign(method=table["method"].map(title))
-        write_text(folder / "table.tex", plain_tabular(named))
-        errors = {method: values[method, "mse"] for method in (*BESIDE, OURS)}
-        save(error_distribution(errors), folder / "figures", "errors")
-    write_manifest(run, "stream", records_of(run, "stream"), folder)
-    print(f"\n{run.model}, {shards.n:,} faces\n")
-    print(named.to_string(index=False))
-    print(f"\nTable, figure and manifest: {folder}/")
+    clear_results(folder)
+    write_csv(folder / "table.csv", table)
+    write_text(folder / "table.tex", plain_tabular(titled))
+    save(figure, folder / "figures", "errors", run.preset.caution)
+    print(f"\n{run.model}, {len(values):,} faces\n\n{titled.to_string(index=False)}\n\n{folder}/")
+    return {"results": [folder]}
+
+
+def stream(run: Run) -> pd.DataFrame:
+    """Errors of all faces, by columns of method and metric."""
+    n, step = run.streamed_faces, run.preset.faces_per_file
+    networks = checkpoint_files(run.networks, *DEEP_MDS["ours"]).values()
+    folder = resumable(run.work / "stream", [run.work / "train.npz", *networks], faces=step)
+    sizes = [min(step, n - start) for start in range(0, n, step)]
+    files = [folder / f"{shard:05}-{size}.npz" for shard, size in enumerate(sizes)]
+    missing = [
+        (run, path, shard, size)
+        for shard, (path, size) in enumerate(zip(files, sizes, strict=True))
+        if not path.exists()
+    ]
+    done = n - sum(size for *_, size in missing)
+    with Bar(total=n, initial=done, desc="faces", unit="face") as bar:
+        for size in unordered(run.jobs, write_shard, missing):
+            bar.update(size)
+    values = pd.concat([pd.DataFrame(read_arrays(path)[0]) for path in files], ignore_index=True)
+    values.columns = values.columns.str.split("/", expand=True)
+    return values
+
+
+def write_shard(run: Run, path: Path, shard: int, size: int) -> int:
+    """Write the errors of every method on the faces of a shard; return their number, its size."""
+    rng = np.random.default_rng([run.seed, Stream.STREAMED_FACES, shard])
+    model, methods = _loaded(run)
+    faces = as_seen(make_dataset(model, size, rng, scheme=run.scheme, protocol=run.protocol))
+    errors = {}
+    for name, method in methods.items():
+        scores = score(predict(method, faces.views), faces)
+        errors |= {f"{name}/{metric}": getattr(scores, metric) for metric in _METRICS}
+    write_arrays(path, errors, {"shard": shard}, compressed=False)
+    return size
+
+
+@functools.cache
+def _loaded(run: Run) -> tuple:
+    """The face model and the methods by id, once in each process."""
+    methods = {method: load(run, method) for method in _METHODS}
+    methods["ours"].set_params(solver="batched", n_jobs=1)
+    return load_model(run.model, run.data), methods

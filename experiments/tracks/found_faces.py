@@ -1,36 +1,57 @@
-"""Test sets of what was found in scans or photos: of those in which nothing failed."""
+"""Test faces found in photos, of scans or alone, of which those are used in which nothing failed.
+
+The search is done in pieces, side by side, and goes on where it was stopped.
+"""
 
 from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
-from itertools import islice
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice
+from pathlib import Path
 
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, save_dataset
-from deepmds_keras.io.archives import write_arrays
+from data_gen.views.projections import Cameras
+from deepmds_keras.camera import camera_angles
+from deepmds_keras.detection.dlib_landmarks import shared_detector
+from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.io.atomic import atomic_write
 from deepmds_keras.io.errors import InputError
-from experiments.inputs import USED, crop_files
+from experiments.inputs import image_files, in_photos
+from experiments.progress import Bar
 from experiments.run import Run
+from experiments.tasks import unordered
+
+USED = "used"  # status of a scan, or photo, that gave a test face
+
+# From a run and the number of a piece to the name of each photo in it, the photo or why it cannot
+# be read, and what else is known of it.
+Source = Callable[[Run, int], Iterator[tuple[str, np.ndarray | InputError, object]]]
+# From a run, a photo, the 68 landmarks detected in it and what else is known to the columns of the
+# table; InputError says why there are none.
+Fit = Callable[[Run, np.ndarray, np.ndarray, object], dict[str, np.ndarray]]
 
 
-def save_test_set(
-    run: Run,
-    kind: str,
-    table: dict[str, np.ndarray],
-    images: Iterator[np.ndarray],
-    make: Callable[[np.ndarray], Dataset],
+def find_faces(
+    run: Run, kind: str, pieces: Path, sizes: Sequence[int], source: Source, fit: Fit
 ) -> dict:
-    """Write the test set, its images, and the table of all that was looked at.
+    """Write the test set, its images, and the table `<kind>s.npz`.
+
+    The table has the name and status of all that was looked at; its other columns are of those that
+    gave a test face.
 
     Args:
         run: The run.
-        kind: `"scan"` or `"photo"`; the table is written to `<kind>s.npz`.
-        table: A row each; `status` says which gave a test face, `crop_landmarks` are pixels.
-        images: Of those that did, `(size, size, 3)` uint8 each.
-        make: From `(n,)` bool, which rows gave a test face, to the test set.
+        kind: `"scan"` or `"photo"`.
+        pieces: Folder of what was found in each piece. Those of a stopped run are not done again.
+        sizes: Photos of each piece.
+        source, fit: Functions that other processes import. Columns that `fit` gives are `image`,
+            `(size, size, 3)` uint8 about the face, `crop_landmarks`, `(L, 2)` pixels in it, `view`,
+            what methods are given, `(L, 2)`, `landmarks`, `(L, 3)` millimetres, and the `rotation`
+            of the camera.
 
     Returns:
         For the record: how many of which status, and the images' checksums.
@@ -38,25 +59,79 @@ def save_test_set(
     Raises:
         InputError: None gave a test face.
     """
-    used = table["status"] == USED
-    statuses = _counted(table["status"])
-    if not used.any():
+    missing = [k for k in range(len(sizes)) if not _table_file(pieces, k).exists()]
+    done = sum(sizes) - sum(sizes[k] for k in missing)
+    tasks = ((run, pieces, k, source, fit) for k in missing)
+    with Bar(total=sum(sizes), initial=done, desc=f"{kind}s", unit=kind) as bar:
+        for piece in unordered(run.jobs, _search_piece, tasks):
+            bar.update(sizes[piece])
+
+    parts = [read_arrays(_table_file(pieces, piece))[0] for piece in range(len(sizes))]
+    keys = dict.fromkeys(chain.from_iterable(parts))
+    table = {key: np.concatenate([part[key] for part in parts if key in part]) for key in keys}
+    statuses = dict(Counter(_brief(status) for status in table["status"]))
+    if USED not in statuses:
         raise InputError(
-            f"At least one {kind} must give a test face. Received {len(used)}, of which: "
-            + "; ".join(f"{n} {status}" for status, n in statuses.items())
+            f"At least one {kind} must give a test face. Received {len(table['status'])}, of "
+            "which: " + "; ".join(f"{count} {status}" for status, count in statuses.items())
         )
-    files = crop_files(run, int(used.sum()))
-    landmarks = np.float32(table["crop_landmarks"][used])
+    files = image_files(run, "test", statuses[USED])
+    images = chain.from_iterable(np.load(_images_file(pieces, k)) for k in range(len(sizes)))
     for file, faces in enumerate(files.ranges()):
-        rows = slice(faces.start, faces.stop)
-        files.save(file, np.stack([*islice(images, len(faces))]), landmarks[rows])
-    # What methods made of another test set, as of an index since edited, is of no use.
-    shutil.rmtree(run.work / "predictions", ignore_errors=True)
-    save_dataset(run.work / "test.npz", make(used))
+        landmarks = np.float32(table["crop_landmarks"][faces.start : faces.stop])
+        files.save(file, np.stack([*islice(images, len(faces))]), landmarks)
+    save_dataset(run.work / "test.npz", _test_set(run, table))
     write_arrays(run.work / f"{kind}s.npz", table, {})
+    shutil.rmtree(pieces)
+    for status, count in statuses.items():
+        print(f"  {count} {status}")
     return {f"{kind}s": statuses, "checksums": {"test": files.checksums()}}
 
 
-def _counted(status: np.ndarray) -> dict[str, int]:
-    """Number of each status, the details left out."""
-    return dict(Counter(str(reason).split(". ")[0].split(": ")[0] for reason in status))
+def _search_piece(run: Run, pieces: Path, piece: int, source: Source, fit: Fit) -> int:
+    names, statuses, faces = [], [], []
+    for name, image, known in source(run, piece):
+        names.append(name)
+        try:
+            faces.append(_face(run, image, known, fit))
+            statuses.append(USED)
+        except InputError as error:
+            statuses.append(str(error))
+    with atomic_write(_images_file(pieces, piece)) as file:
+        np.save(file, np.array([columns.pop("image") for columns in faces]))
+    keys = dict.fromkeys(chain.from_iterable(faces))
+    table = {key: np.stack([columns[key] for columns in faces if key in columns]) for key in keys}
+    table |= {"name": np.array(names), "status": np.array(statuses)}
+    write_arrays(_table_file(pieces, piece), table, {})  # last: it stands for both
+    return piece
+
+
+def _face(run: Run, image: np.ndarray | InputError, known: object, fit: Fit) -> dict:
+    if isinstance(image, InputError):
+        raise InputError(f"unreadable: {image}")
+    detected = shared_detector().detect(image)
+    if detected is None:
+        raise InputError("no face found")
+    return fit(run, image, detected, known)
+
+
+def _table_file(pieces: Path, piece: int) -> Path:
+    return pieces / f"{piece:04}.npz"
+
+
+def _images_file(pieces: Path, piece: int) -> Path:
+    return _table_file(pieces, piece).with_suffix(".npy")
+
+
+def _test_set(run: Run, table: dict[str, np.ndarray]) -> Dataset:
+    views, landmarks = np.float32(table["view"]), np.float32(table["landmarks"])
+    n = len(views)
+    cameras = Cameras(np.zeros(n, int), *camera_angles(table["rotation"]), np.zeros(n))
+    none = np.empty((n, 0), np.float32)
+    description = {"model": run.model, "scheme": run.scheme, "truth": "found"}
+    return in_photos(run, Dataset(none, none, landmarks, views, cameras, description))
+
+
+def _brief(status: str) -> str:
+    """A status without the details."""
+    return str(status).split(". ")[0].split(": ")[0]

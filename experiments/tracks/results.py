@@ -1,55 +1,213 @@
-"""Histories of training and scores, as every track reads and writes them."""
+"""Scores of a track's methods against one truth, and the files that every track writes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
+from data_gen.rendering.crops import crop
 from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import checkpoint_files
-from experiments.figures.style import save
+from experiments.figures import style
+from experiments.figures.errors import error_per_landmark
+from experiments.figures.qualitative import qualitative, renders
 from experiments.figures.summary import summary
-from experiments.manifest import clear_results
-from experiments.methods import DEEP_MDS, notes
+from experiments.inputs import Faces, image_files, load_faces
+from experiments.methods import DEEP_MDS, METHODS, notes
+from experiments.records import clear_results, write_csv
 from experiments.run import Run
-from experiments.scoring.scores import Scores, per_face
-from experiments.scoring.tables import write_csv, write_tables
+from experiments.scoring.scores import (
+    Scores,
+    evaluate,
+    landmark_errors,
+    load_prediction,
+    load_predictions,
+    per_face,
+)
+from experiments.scoring.tables import write_tables
+
+# Of photos in a picture: pixels of a side, and the side in sizes of the landmarks' box.
+_PHOTO, _MARGIN = 112, 1.4
+_RENDERS = 24
 
 
-def write_results(
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Methods compared with one truth.
+
+    Attributes:
+        run: The run.
+        name: Of the folder of results.
+        test: Test faces, with that truth.
+        shapes, descriptions: Predictions by method, as for `scores.evaluate`.
+        notes: On methods, beside those of their rows.
+        beside, seeds: As for `tables.summarise`.
+    """
+
+    run: Run
+    name: str
+    test: Faces
+    shapes: dict[str, np.ndarray]
+    descriptions: dict[str, dict]
+    notes: Mapping[str, str] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict)
+    seeds: pd.DataFrame | None = None
+
+    @cached_property
+    def _evaluated(self) -> tuple[pd.DataFrame, dict[str, Scores]]:
+        return evaluate(self.run, self.test, self.shapes, self.descriptions)
+
+    @property
+    def metrics(self) -> pd.DataFrame:
+        """What `metrics.csv` holds."""
+        return self._evaluated[0]
+
+    @property
+    def scores(self) -> dict[str, Scores]:
+        """Scores of all test faces by method."""
+        return self._evaluated[1]
+
+    @property
+    def drawn(self) -> dict[str, Scores]:
+        """Those of the methods that figures show, in the order of the tables."""
+        methods = [m for m, method in METHODS.items() if method.drawn and m in self.scores]
+        return {method: self.scores[method] for method in methods}
+
+    @property
+    def folder(self) -> Path:
+        return self.run.experiment_results(self.name)
+
+    @property
+    def table_options(self) -> dict:
+        """Options of `tables.summarise`."""
+        detected = {method: scores.found for method, scores in self.scores.items()}
+        return {
+            "experiment": self.run.track,
+            "subset_size": self.run.preset.subset_size,
+            "notes": notes(self.run, detected) | dict(self.notes),
+            "beside": self.beside,
+            "seeds": self.seeds,
+        }
+
+    def write(self) -> None:
+        """Write `metrics.csv`, the tables and their figure, in the place of an earlier run's."""
+        clear_results(self.folder)
+        write_csv(self.folder / "metrics.csv", self.metrics)
+        values = per_face(self.scores)
+        table = write_tables(self.folder, self.metrics, per_face=values, **self.table_options)
+        self.save(summary(table, self.run.track), "summary")
+
+    def save(self, figure: Figure, name: str) -> None:
+        """Write a figure."""
+        style.save(figure, self.folder / "figures", name, self.run.preset.caution)
+
+    def draw_faces(
+        self, name: str, faces: np.ndarray, titles: Sequence[str], photos: bool = False
+    ) -> None:
+        """Write the figures of some faces with each method, and of the errors by landmark.
+
+        Args:
+            name: Of the first figure.
+            faces: Numbers of test faces; `ours` is among the methods.
+            titles: Their names.
+            photos: Whether the views were detected in photos, to be drawn in their place.
+        """
+        frontal = load_prediction(self.run, "ours")[0]["frontal"][faces]
+        pictured = {m: s[faces] for m, s in self.drawn.items() if METHODS[m].pictured}
+        seen = self.photos(faces) if photos else None
+        views, scheme = self.test.views[faces], load_scheme(self.run.scheme)
+        self.save(qualitative(views, frontal, pictured, scheme, titles, seen), name)
+        errors = landmark_errors(self.drawn)
+        maps = [method for method in errors if self.run.track in METHODS[method].mapped]
+        figure = error_per_landmark(errors, scheme, self.test.shapes.mean(0), maps)
+        self.save(figure, "error_per_landmark")
+
+    def photos(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Squares `(n, 112, 112, 3)` about some test faces, and the landmarks in their pixels."""
+        files = image_files(self.run, "test", len(self.test.views))
+        landmarks = files.landmarks(range(len(files)))[faces]
+        return face_squares(files[faces], landmarks, _PHOTO, _MARGIN)
+
+    def draw_renders(self, name: str) -> None:
+        """Write the figure of the first images of test faces."""
+        files = image_files(self.run, "test", len(self.test.views))
+        first = range(min(_RENDERS, len(files)))
+        images, landmarks = files[slice(len(first))], files.landmarks(first)
+        self.save(renders(images, landmarks, load_scheme(self.run.scheme)), name)
+
+
+def median_face(faces: np.ndarray, mse: np.ndarray) -> int:
+    """Of some faces, by their numbers, the one with the median error."""
+    return faces[np.argsort(mse[faces])[len(faces) // 2]]
+
+
+def face_squares(
+    images: Iterable[np.ndarray], landmarks: Iterable[np.ndarray], size: int, margin: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squares about faces, `(n, size, size, 3)`, and the landmarks in their pixels."""
+    pairs = zip(images, landmarks, strict=True)
+    squares, points = zip(*(crop(*pair, size, margin) for pair in pairs), strict=True)
+    return np.stack(squares), np.stack(points)
+
+
+def predicted_shapes(
+    run: Run, methods: Iterable[str]
+) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
+    """Predictions `(n, L, 3)` by method, and their descriptions; those of images come last."""
+    order = sorted(methods, key=lambda method: METHODS[method].switch or "")
+    loaded = load_predictions(run, order)
+    shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
+    return shapes, {method: described for method, (_, described) in loaded.items()}
+
+
+def evaluate_both(
     run: Run,
-    folder: Path,
-    metrics: pd.DataFrame,
-    scores: dict[str, Scores],
-    remarks: Mapping[str, str] = {},
-    beside: Mapping[str, str] = {},
-    seeds: pd.DataFrame | None = None,
-) -> None:
-    """Write `metrics.csv`, the tables and `figures/summary`, in the place of an earlier run's.
+    methods: Iterable[str],
+    table: Mapping[str, np.ndarray],
+    row: str,
+    references: Mapping[str, np.ndarray] = {},
+) -> list[Evaluation]:
+    """Score predictions against landmarks found in scans or photos, and true ones if known.
 
     Args:
         run: The run.
-        folder: Of the results.
-        metrics, scores: As from `scores.evaluate`.
-        remarks: Notes on methods beside those of their rows.
-        beside, seeds: As for `tables.summarise`.
+        methods: Ids of those that predicted.
+        table: Of the test faces, as from `found_faces.find_faces`.
+        row: Id of the landmarks that were found, in the table against the true ones.
+        references: Shapes `(n, L, 3)` of further rows, by id.
     """
-    found = {method: own.found for method, own in scores.items()}
-    clear_results(folder)
-    write_csv(folder / "metrics.csv", metrics)
-    table = write_tables(
-        folder,
-        metrics,
-        experiment=run.track,
-        subset_size=run.preset.subset_size,
-        notes=notes(run, found) | dict(remarks),
-        per_face=per_face(scores),
-        beside=beside,
-        seeds=seeds,
-    )
-    save(summary(table, run.track), folder / "figures", "summary")
+    test = load_faces(run, "test")
+    shapes, descriptions = predicted_shapes(run, methods)
+    shapes |= references
+    if "truth" not in table:
+        return [Evaluation(run, run.track, test, shapes, descriptions)]
+    truth, landmarks = {"true_landmarks": table["truth"]}, {row: table["landmarks"]}
+    true_test, name = test.with_truth(table["truth"]), f"{run.track}-true-landmarks"
+    return [
+        Evaluation(run, run.track, test, shapes | truth, descriptions),
+        Evaluation(run, name, true_test, shapes | landmarks, descriptions),
+    ]
+
+
+def write_results(evaluations: Sequence[Evaluation], draw: Callable[..., None]) -> dict:
+    """Write the tables of evaluations, and figures; return what the record is to say.
+
+    Args:
+        evaluations: As from `evaluate_both`.
+        draw: Writes the figures of what it is given, these evaluations.
+    """
+    for evaluation in evaluations:
+        evaluation.write()
+    draw(*evaluations)
+    folders = [str(evaluation.folder) for evaluation in evaluations]
+    return {"methods": [*evaluations[0].descriptions], "results": folders}
 
 
 def load_histories(run: Run) -> dict[str, dict[str, dict]]:

@@ -1,338 +1,322 @@
-"""What `make` would run: what is missing or made of other files, and nothing that is there."""
+"""`make` runs what is missing or made from other files, and nothing that is there."""
 
-import re
+import importlib.util
+import json
+import os
+import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
-from importlib.util import find_spec
 
 import pytest
 import runs
+from filelock import FileLock
 from places import ROOT
 
-from deepmds_keras.io.errors import InputError
 from experiments.__main__ import main
-from experiments.arguments import parse_run
-from experiments.build_key import check_key, inputs_of, is_done, needs_of
-from experiments.make import TARGETS, in_turns, missing, progress_line, usual_seconds
-from experiments.presets import PAPER, SMOKE, TINY
-from experiments.records import with_checksum, write_json
-from experiments.run import AUTHORS_FILES, SCHEMES, Run
-from experiments.running import locked
-from experiments.stages import RESULTS, STAGES, SWITCHES, stage_of
-
-MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+from experiments.records import commits_of, read_manifest, read_record, steps_of, write_record
+from experiments.run import AUTHORS_FILES, options_of, run_of_variables
 
 
 @pytest.fixture
-def run(tmp_path):
-    return Run("openhead", SMOKE, build=tmp_path / "build", results=tmp_path / "results")
+def copy(whole_bfm, tmp_path):
+    """The whole BFM experiment, to be changed."""
+    for name in ("build", "results", ".snakemake"):
+        shutil.copytree(whole_bfm / name, tmp_path / name)
+    return tmp_path
 
 
-def finish(run, *stages):
-    """Write the records of stages, as if they had run."""
-    for stage in stages:
-        check_key(run, stage, write=True)
-        origin = {"needs": needs_of(run, stage), "inputs": inputs_of(run, stage)}
-        write_json(run.record_file(stage), with_checksum(origin))
+def ended(process, seconds=300):
+    """Status and texts of a process."""
+    output, errors = process.communicate(timeout=seconds)
+    return process.returncode, output, errors
 
 
-def would_run(run, target, **changes):
-    return [stage.name for stage in missing(replace(run, **changes), target)]
+def names(steps):
+    """Step and items of the words of steps: `"tracks.train ours"`."""
+    return [" ".join(words[: words.index("--track")]) for words in steps]
 
 
-# The registry and the Makefile.
+def stamps(folder):
+    return {path: path.stat().st_mtime_ns for path in runs.files_in(folder)}
 
 
-def test_stages_stand_after_those_that_they_need_and_have_a_module():
-    for number, stage in enumerate(STAGES):
-        assert {need.id for need in stage.needed} <= {before.id for before in STAGES[:number]}
-        assert stage.track in SCHEMES
-        assert find_spec(f"experiments.{stage.module}"), stage
-    assert len({stage.id for stage in STAGES}) == len(STAGES)
-    # A name is of one module, whatever the track.
-    assert len({(s.name, s.module) for s in STAGES}) == len({s.name for s in STAGES})
-
-
-def test_every_stage_belongs_to_a_target_and_every_result_to_a_stage():
-    needed = {need.id for stage in STAGES for need in stage.needed}
-    assert {stage.id for stage in STAGES if stage.target is None} <= needed
-    assert {result.stage for result in RESULTS} <= {stage.id for stage in STAGES}
-    assert all(result.command.split()[1] in TARGETS for result in RESULTS)
-
-
-def test_the_makefile_has_every_target_and_variable_of_the_registry():
-    (line,) = re.findall(
-        r"^(.*): \| \$\(READY\)\n\t@\$\(PY\) -m experiments make \$@", MAKEFILE, re.M
-    )
-    assert {*line.split()} == {*TARGETS}
-    variables = {*re.findall(r"^([A-Z_]+) \?=", MAKEFILE, re.M)}
-    assert {*SWITCHES} | {name for stage in STAGES for name in stage.reads} <= variables
-    phony = re.search(r"^\.PHONY: (.*)", MAKEFILE, re.M)[1].split()
-    assert {*TARGETS} <= {*phony}
-
-
-def test_the_makefile_hands_on_what_it_is_given(tmp_path):
-    """All variables, as the command line of the stages takes them."""
-    for name in ("data", "coma", "casia", "celeba", "tf"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "index.csv").touch()
-    (tmp_path / "venv").mkdir()
-    (tmp_path / "venv" / ".ready").touch()
-    given = {"MODEL": "ict", "DATA": "data", "PRESET": "smoke", "SEED": "3", "PROTOCOL": "released",
-             "COMA": "coma", "CASIA": "casia", "CASIA_INDEX": "index.csv", "CELEBA": "celeba",
-             "TF_FLAME": "tf", "RINGNET": "net", "MOBILEFACE": "no", "MEDIAPIPE": "no", "JOBS": "2",
-             "FACES": "9", "SEEDS": "4"}  # fmt: skip
-    files = {"data", "coma", "casia", "index.csv", "celeba", "tf", "net"}
-    words = [f"{name}={tmp_path / v if v in files else v}" for name, v in given.items()]
-    command = ["make", "--no-print-directory", "-n", "reproduce-flame", f"VENV={tmp_path}/venv"]
-    command += words
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    *_, options = done.stdout.partition(" -m experiments make reproduce-flame ")
-    run = parse_run("", options.replace("'", "").replace("--authors ", "").split())
-    assert (run.model, run.seed, run.protocol, run.jobs) == ("ict", 3, "released", 2)
-    assert run.preset == replace(SMOKE, streamed_faces=9)
-    assert run.seeds == run.n_seeds == 4
-    own = (run.data, run.coma, run.casia, run.casia_index, run.celeba, run.tf_flame, run.ringnet)
-    assert {str(path) for path in own} == {str(tmp_path / name) for name in files}
-    assert {*run.without} == {"MOBILEFACE", "MEDIAPIPE"}
-    refused = subprocess.run(
-        ["make", "-n", "reproduce-bfm", "MOBILEFACE=nein"],
-        cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
-    assert "MOBILEFACE must be yes, paper or no. Received nein" in refused.stderr
-
-
-# What is missing.
-
-
-def test_only_what_is_missing_is_run(run):
-    finish(run, "faces", "networks", "predictions", "bfm")
-    alone = {"without": ("MOBILEFACE",)}
-    assert would_run(run, "reproduce-bfm", **alone) == []
-    assert would_run(run, "reproduce-bfm") == ["images", "mobileface", "bfm"]
-    assert would_run(run, "reproduce-bfm", **alone, evaluator="released") == ["bfm"]
-    finish(run, "images", "mobileface", "bfm")
-    assert would_run(run, "reproduce-bfm") == would_run(run, "reproduce-bfm", **alone) == []
-    run.record_file("networks").unlink()
-    assert would_run(run, "reproduce-bfm", **alone) == ["networks", "predictions", "bfm"]
-
-
-def turns(run, target):
-    return [[stage.name for stage in turn] for turn in in_turns(run, target, missing(run, target))]
-
-
-def test_the_table_of_what_comes_soon_is_made_first(run):
-    soon, later = turns(run, "reproduce-bfm")
-    assert soon == ["faces", "networks", "predictions", "bfm"]
-    assert later == ["images", "mobileface", "bfm"]
-    finish(run, *soon)
-    assert turns(run, "reproduce-bfm") == [later], "it is there"
-    finish(run, *later)
-    assert turns(run, "reproduce-bfm") == [[]]
-    without = replace(run, build=run.build / "other", without=("MOBILEFACE",))
-    assert turns(without, "reproduce-bfm") == [soon]
-    assert len(turns(run, "ablation")) == 1
-    flame = replace(run, track="flame")
-    assert turns(flame, "reproduce-flame")[1][-1] == "flame"
-    quick = replace(flame, without=("MEDIAPIPE", "RINGNET"))
-    assert turns(quick, "reproduce-flame")[0][-1] == "celeba-flame-stand-in"
-
-
-def test_progress_says_which_stage_of_how_many_and_how_long_the_rest_takes(run):
-    stages = [stage_of("bfm", name) for name in ("faces", "networks", "bfm")]
-    assert progress_line(stages, 3, {}) == "Stage 1 of 3: faces"
-    line = progress_line(stages[1:], 3, {"bfm/networks": 200.0, "bfm/bfm": 40.0})
-    assert line == "Stage 2 of 3: networks, about 4 min 0 s left"
-    assert progress_line(stages[1:], 3, {"bfm/bfm": 40.0}).endswith("about 40 s left or more")
-    assert usual_seconds(run) == {}
-    assert usual_seconds(replace(run, preset=PAPER, results=ROOT / "results"))["bfm/networks"] > 30
-
-
-def test_a_damaged_manifest_and_stages_of_other_tracks_do_not_mislead_progress(run):
-    for folder, track, seconds in (("bfm", "bfm", 300.0), ("celeba", "celeba", 8.0)):
-        record = {"stage": "mobileface", "seconds": seconds, "build": f"{track}-smoke-paper-seed0"}
-        made = {"preset": {"name": "smoke"}, "track": track, "stages": [record]}
-        write_json(run.model_results / folder / "manifest.json", made)
-    (run.model_results / "flame").mkdir()
-    (run.model_results / "flame" / "manifest.json").write_text("{")
-    assert usual_seconds(run) == {"bfm/mobileface": 300.0, "celeba/mobileface": 8.0}
-
-
-def test_other_seeds_are_trained_where_they_are_asked_for(run):
-    run = replace(run, without=("MOBILEFACE",))
-    finish(run, "faces", "networks", "predictions", "bfm")
-    assert would_run(run, "reproduce-bfm") == []
-    assert would_run(run, "reproduce-bfm", seeds=3) == ["seed", "seeds", "bfm"]
-    assert would_run(run, "seeds") == ["seed", "seeds", "rounding"]
-    finish(replace(run, seeds=3), "seed", "seeds", "bfm")
-    assert would_run(run, "reproduce-bfm", seeds=3) == would_run(run, "reproduce-bfm") == []
-    assert would_run(run, "reproduce-bfm", seeds=4) == ["seeds", "bfm"]
-
-
-def test_what_was_made_of_another_run_of_a_stage_is_run_again(run):
-    finish(run, "faces", "networks", "predictions", "bfm")
-    record = {"started": "later", "needs": needs_of(run, "networks"), "inputs": {}}
-    write_json(run.record_file("networks"), with_checksum(record))
-    assert would_run(run, "reproduce-bfm", without=("MOBILEFACE",)) == ["predictions", "bfm"]
-
-
-def test_the_audit_always_runs_after_what_it_needs(run):
-    run = replace(run, without=("MOBILEFACE",))
-    finish(run, "faces", "networks", "predictions", "bfm")
-    assert would_run(run, "ablation") == ["ablation"]
-    assert would_run(run, "audit") == ["ablation", "audit"]
-    finish(run, "ablation")
-    assert would_run(run, "ablation") == ["ablation"]
-    assert would_run(run, "audit") == ["audit"]
-    run.record_file("predictions").unlink()
-    assert would_run(run, "audit") == ["predictions", "bfm", "audit"]
-
-
-def test_the_flame_track_runs_what_is_missing(run):
-    run = replace(run, track="flame")
-    assert {*would_run(run, "reproduce-flame")} == {
-        *("frames", "networks", "scans", "predictions", "mediapipe", "rings", "ringnet", "flame"),
-        "celeba-flame-stand-in",
-    }
-    assert "celeba-flame-stand-in" not in would_run(run, "reproduce-flame", tf_flame=str(ROOT))
-    drawn = "celeba-flame-stand-in"
-    finish(run, "frames", "networks", "scans", "predictions", "flame", drawn)
-
-    def without(*names, **changes):
-        return would_run(run, "reproduce-flame", without=names, **changes)
-
-    assert without("RINGNET", "MEDIAPIPE") == []
-    assert without("RINGNET") == ["mediapipe", "flame"]
-    assert without("MEDIAPIPE") == ["rings", "ringnet", "flame", drawn]
-    licensed = without("MEDIAPIPE", ringnet="x/ring_6_68641")
-    assert licensed == ["ringnet-licensed", "flame", drawn]
-
-
-def test_the_celeba_experiment_takes_the_networks_of_the_bfm_track(run):
-    finish(run, "faces", "images", "networks", "mobileface")
-    run = replace(run, track="celeba")
-    everything = ["photos", "predictions", "mobileface", "celeba"]
-    assert would_run(run, "reproduce-celeba") == everything
-    alone = would_run(run, "reproduce-celeba", without=("MOBILEFACE",))
-    assert alone == ["photos", "predictions", "celeba"]
-    figure = would_run(
-        run, "reproduce-celeba", tf_flame=str(ROOT), without=("MOBILEFACE", "RINGNET")
-    )
-    assert {*figure} == {*alone, "frames", "networks", "celeba-flame"}
-
-
-def test_data_sets_are_found_in_the_folder_of_data_and_have_folders_of_their_own(tmp_path):
-    (tmp_path / "CelebA" / "img_align_celeba").mkdir(parents=True)
-    (tmp_path / "COMA_data").mkdir()
-    for track, given in (
-        ("celeba", ["--data", str(tmp_path)]),
-        ("celeba", ["--data", str(tmp_path / "CelebA")]),
-        ("celeba", ["--celeba", str(tmp_path / "CelebA")]),
-        ("bfm", ["--data", str(tmp_path)]),
-    ):
-        found = parse_run("", ["--track", track, *given])
-        assert found.celeba == str(tmp_path / "CelebA"), given
-        assert found.work.name.endswith("seed0-real") == (track == "celeba")
-    flame = parse_run("", ["--track", "flame", "--data", str(tmp_path)])
-    assert flame.coma == str(tmp_path / "COMA_data") and flame.work.name.endswith("seed0-coma")
-    assert parse_run("", ["--track", "celeba"]).celeba is None
-
-
-# What it is made of.
-
-
-def weights(folder, content, track="bfm"):
+def weights(folder, content):
     folder.mkdir()
-    for name in AUTHORS_FILES[track]:
+    for name in AUTHORS_FILES["bfm"]:
         (folder / name).write_bytes(content)
-    return str(folder)
+    return f"AUTHORS={folder}"
 
 
-def test_other_weights_of_the_authors_make_their_row_anew(run, tmp_path):
-    run = replace(run, without=("MOBILEFACE",))
-    finish(run, "faces", "networks", "predictions", "bfm")
-    first, same, other = (weights(tmp_path / n, n[:1].encode()) for n in ("a", "a2", "b"))
-    anew = ["authors", "predictions", "bfm"]
-    assert would_run(run, "reproduce-bfm", authors=first) == anew
-    finish(replace(run, authors=first), *anew)
-    assert would_run(run, "reproduce-bfm", authors=first) == []
-    assert would_run(run, "reproduce-bfm", authors=same) == []
-    assert would_run(run, "reproduce-bfm", authors=other) == anew
-    assert would_run(run, "reproduce-bfm") == []  # a row that is there may stay
-    # Predictions made without are not taken for those with them.
-    finish(run, "predictions", "bfm")
-    assert would_run(run, "reproduce-bfm", authors=first) == ["predictions", "bfm"]
+# Nothing more than what is asked for.
 
 
-def test_another_face_model_is_refused_in_the_folder_of_the_first(run, tmp_path):
-    first, other = tmp_path / "a.mat", tmp_path / "b.mat"
-    first.write_bytes(b"a face model")
-    other.write_bytes(b"another one")
-    run = replace(run, model="bfm2009", data=str(first), without=("MOBILEFACE",))
-    finish(run, "faces", "networks", "predictions", "bfm")
-    assert would_run(run, "reproduce-bfm") == []
-    moved = first.rename(tmp_path / "c.mat")
-    assert would_run(run, "reproduce-bfm", data=str(moved)) == []
-    with pytest.raises(InputError, match=r"DATA=.*b\.mat must be what .*bfm2009.* was made of"):
-        missing(replace(run, data=str(other)), "reproduce-bfm")
+def test_a_second_call_prints_the_table_and_does_nothing(copy):
+    before, used = stamps(copy), resource.getrusage(resource.RUSAGE_CHILDREN)
+    status, output, errors = ended(runs.command("reproduce-bfm", copy))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert (status, errors) == (0, "")
+    assert "Deep-MDS" in output and "Step" not in output
+    assert stamps(copy) == before
+    # Of the processor, whatever else it does: 2 s on the machine that the tables are of.
+    assert after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime < 8
 
 
-def test_other_data_sets_are_refused_by_the_names_and_sizes_of_their_files(run, tmp_path):
-    def celeba(name, *photos):
-        (tmp_path / name / "img_align_celeba").mkdir(parents=True)
-        for photo, content in photos:
-            (tmp_path / name / "img_align_celeba" / photo).write_bytes(content)
-        return replace(run, track="celeba", celeba=str(tmp_path / name))
-
-    first = celeba("first", ("000001.jpg", b"12"))
-    finish(first, "photos")
-    assert is_done(celeba("copy", ("000001.jpg", b"34")), "photos")
-    for number, photos in enumerate([[("000001.jpg", b"123")], [("000002.jpg", b"12")]]):
-        with pytest.raises(InputError, match="CELEBA=.* must be what .*-real was made of"):
-            check_key(celeba(f"other{number}", *photos), "photos")
-    # Another table of scans is no other data set: it is for their stage to run again.
-    assert "CASIA_INDEX" in stage_of("flame", "scans").reads
-
-
-@pytest.mark.parametrize("option", ["data", "coma", "casia", "celeba", "tf-flame", "casia-index"])
-@pytest.mark.parametrize("command", [["make", "reproduce-bfm"], ["show"], ["faces"]])
-def test_a_path_that_does_not_exist_is_refused_whatever_is_done(run, capsys, option, command):
-    finish(run, "faces", "networks", "predictions", "bfm")
-    folders = ["--preset", "smoke", "--build", str(run.build), "--results", str(run.results)]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, *folders, "--without", "MOBILEFACE", f"--{option}", "/nonexistent"])
-    said = capsys.readouterr().err
-    assert ended.value.code == 2 and said.count("\n") == 1
-    assert said.startswith(f"error: --{option} must be") and "/nonexistent" in said
+@pytest.mark.parametrize(
+    "variables, expected",
+    [
+        ([], []),
+        (["MOBILEFACE=no"], ["tracks.bfm"]),
+        (["EVALUATOR=released"], ["tracks.bfm"]),
+        (["MOBILEFACE=paper"],
+         ["tracks.train mobileface", "tracks.predict mobileface", "tracks.bfm"]),
+        (["SEEDS=2"],
+         ["tracks.faces", *(f"tracks.train {m}" for m in ("ours", "ours_released", "ours_stable")),
+          *(f"tracks.predict {m}" for m in ("mean_shape", "ours", "ours_released", "ours_stable")),
+          "studies.seed", "studies.seed", "tracks.bfm"]),
+    ],
+)  # fmt: skip
+def test_another_variable_runs_what_depends_on_it(whole_bfm, variables, expected):
+    planned = names(runs.plan("reproduce-bfm", whole_bfm, *variables))
+    assert sorted(name.split(" mean_shape linear")[0] for name in planned) == sorted(expected)
 
 
-@pytest.mark.slow
-def test_unusable_weights_of_the_authors_are_found_before_the_long_work(tmp_path):
-    command = [sys.executable, "-m", "experiments", "make"]
-    command += runs.arguments("reproduce-bfm", tmp_path)
-    given = ["--authors", weights(tmp_path / "authors", b"no weights")]
-    refused = subprocess.run(
-        [*command, *given], cwd=ROOT, env=runs.ENVIRONMENT, capture_output=True, text=True
+def test_a_row_that_was_left_out_is_added(copy):
+    status, output, _ = ended(runs.command("reproduce-bfm", copy, "MOBILEFACE=no"))
+    assert status == 0 and "left out (MOBILEFACE=no)" in output
+    assert names(runs.plan("reproduce-bfm", copy, "MOBILEFACE=no")) == []
+    (step,) = names(runs.plan("reproduce-bfm", copy))
+    assert step.startswith("tracks.bfm ") and " mobileface " in step
+
+
+def test_weights_of_the_authors_run_their_row_and_the_table(whole_bfm, tmp_path):
+    planned = names(runs.plan("reproduce-bfm", whole_bfm, weights(tmp_path / "a", b"1")))
+    assert planned[0] == "tracks.predict authors_weights"
+    assert [name.split()[0] for name in planned] == ["tracks.predict", "tracks.times", "tracks.bfm"]
+
+
+def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
+    folder = runs.work(tmp_path, "bfm", model="bfm2009")
+    arrays = ("records/faces.json", "train.npz", "test.npz", "landmark_model.npz")
+    outputs = [folder / name for name in arrays]
+    for path in (tmp_path / "a.mat", tmp_path / "b.mat", *outputs):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+    given = ["MODEL=bfm2009", f"DATA={tmp_path}/a.mat"]
+    done = [*runs.SNAKEMAKE, str(outputs[0].relative_to(tmp_path)), "--touch", "--forceall"]
+    done += ["--quiet", "all", "--config", "PRESET=tiny", *given]
+    subprocess.run(done, cwd=tmp_path, env=runs.ENVIRONMENT, check=True)
+    assert "tracks.faces" not in names(runs.plan("reproduce-bfm", tmp_path, *given))
+    other = names(runs.plan("reproduce-bfm", tmp_path, given[0], f"DATA={tmp_path}/b.mat"))
+    assert other[0] == "tracks.faces"
+
+
+@pytest.mark.parametrize("lost", ["table.csv", "figures/summary.png", "manifest.json"])
+def test_results_that_were_deleted_are_written_again(copy, lost):
+    path = runs.results(copy, "bfm") / lost
+    path.unlink()
+    _, planned, _ = ended(runs.command("reproduce-bfm", copy, "DRY=1"))
+    assert planned.startswith("Step 1 of 1: bfm")
+    if lost == "table.csv":
+        assert ended(runs.command("reproduce-bfm", copy))[0] == 0
+        assert path.exists()
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(copy):
+    shutil.rmtree(copy / "results")
+    before = stamps(copy / "build").keys() - {runs.work(copy, "bfm") / "records/bfm.json"}
+    status, output, errors = ended(runs.command("reproduce-bfm", copy, "DRY=1"))
+    assert (status, errors) == (0, "") and "Step 1 of 1: bfm" in output
+    assert stamps(copy / "build").keys() == before and not (copy / "results").exists()
+
+
+def test_the_steps_of_a_target_are_drawn(tmp_path):
+    status, output, _ = ended(runs.command("audit", tmp_path, "DAG=audit.svg"))
+    assert status == 0
+    drawn = (tmp_path / "audit.svg").read_text(encoding="utf-8")
+    assert drawn.startswith("<?xml") and "ablation" in drawn
+
+
+def test_the_table_of_the_landmark_methods_comes_before_mobileface(whole_bfm):
+    """By the moments at which the steps of a real run began."""
+    started = {
+        name: read_record(runs.work(whole_bfm, "bfm") / f"records/{name}.json")["started"]
+        for name in ("preview", "train-mobileface", "bfm")
+    }
+    assert started["preview"] <= started["train-mobileface"] <= started["bfm"]
+
+
+# Errors.
+
+
+@pytest.mark.parametrize(
+    "target, variables, message",
+    [
+        ("reproduce-bfm", ["MODEL=foo"], "invalid choice: 'foo'"),
+        ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
+        ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
+        ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file or folder of bfm2009"),
+        ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),
+        ("reproduce-flame", ["EVALUATOR=released"], "EVALUATOR must be paper"),
+        *(
+            ("ablation", [f"{name}=/nonexistent"], f"{name} must be a file or folder")
+            for name in ("DATA", "COMA", "CASIA", "CASIA_INDEX", "CELEBA", "TF_FLAME")
+        ),
+    ],
+)
+def test_a_wrong_variable_is_one_line(tmp_path, target, variables, message):
+    status, _, errors = ended(runs.command(target, tmp_path, *variables))
+    assert status == 2
+    assert errors.startswith("error: ") and message in errors and errors.count("\n") == 1
+
+
+def test_unusable_weights_are_named_before_the_long_work(tmp_path):
+    process = runs.command("reproduce-bfm", tmp_path, weights(tmp_path / "authors", b"no weights"))
+    assert "AE_occ2orth_BFM.h5 must be a Keras 2 weight file" in process.stderr.readline()
+    process.terminate()
+    status, output, errors = ended(process)
+    assert status and errors.strip() in ("", "Stopped; the same command goes on from here.")
+    assert "images" not in output
+
+
+@pytest.mark.parametrize("name", ["records/train-ours.json", "test.npz"])
+def test_a_damaged_file_is_named(copy, name):
+    path = runs.work(copy, "bfm") / name
+    path.write_bytes(path.read_bytes()[:-40] + bytes(40))
+    os.utime(path, (0, 0))  # not newer than what was made from it
+    shutil.rmtree(runs.results(copy, "bfm"))
+    status, _, errors = ended(runs.command("reproduce-bfm", copy))
+    assert status == 2 and path.name in errors and errors.count("\n") == 1
+
+
+# Several commands, and ends.
+
+
+def test_a_second_command_waits_and_says_so(copy):
+    lock = FileLock(copy / "build/openhead/.lock")
+    with lock:
+        process = runs.command("reproduce-bfm", copy)
+        assert process.stdout.readline().startswith("Another command works in build/openhead")
+        time.sleep(1)
+        assert process.poll() is None
+    status, output, _ = ended(process)
+    assert status == 0 and "Deep-MDS" in output
+
+
+def test_ctrl_c_ends_all_within_seconds_and_the_command_goes_on(tmp_path):
+    process = runs.command("reproduce-bfm", tmp_path, "MOBILEFACE=no")
+    while "train-" not in process.stdout.readline():
+        assert process.poll() is None
+    time.sleep(1)
+    start = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    status, _, errors = ended(process)
+    assert time.monotonic() - start < 5 + 2  # two for a machine that does other things
+    assert status == 128 + signal.SIGINT
+    assert errors.strip() == "Stopped; the same command goes on from here."
+    at_work = subprocess.run(["pgrep", "-g", str(process.pid)], capture_output=True)
+    assert at_work.stdout == b""
+    left = names(runs.plan("reproduce-bfm", tmp_path, "MOBILEFACE=no"))
+    assert "tracks.faces" not in left and "tracks.train ours" in left
+
+
+# Records and manifests.
+
+
+def test_a_manifest_lists_the_steps_behind_a_table_and_what_was_written(whole_bfm):
+    folder = runs.results(whole_bfm, "bfm")
+    manifest = read_manifest(folder)
+    steps = [step["step"] for step in manifest["steps"]]
+    assert steps[0] == "tracks.faces" and steps[-1].startswith("tracks.bfm ")
+    assert {"tracks.train ours", "tracks.predict ours", "tracks.images"} <= {*steps}
+    assert manifest["command"] == "make reproduce-bfm PRESET=tiny"
+    assert len(commits_of(manifest)) == 1
+    for step in steps_of(manifest):
+        assert step["seconds"] >= 0 and step["processor"] and step["packages"]["numpy"]
+    (model,) = manifest["steps"][0]["inputs"]
+    assert model.endswith("openhead.npz")
+    written = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert {*manifest["files"], "manifest.json"} == written
+
+
+def test_commits_of_old_manifests_are_read_too():
+    assert commits_of({"commit": "abc", "stages": [{"stage": "faces"}]}) == {"abc"}
+    assert commits_of({"steps": [{"commit": "a"}, {"commit": "b+"}]}) == {"a", "b+"}
+
+
+def test_a_changed_record_is_not_read(tmp_path):
+    path = tmp_path / "faces.json"
+    write_record(path, {"seconds": 1.0, "rows": [[1, "a"]]})
+    assert read_record(path) == {"seconds": 1.0, "rows": [[1, "a"]]}
+    path.write_text(path.read_text().replace("1.0", "2.0"))
+    with pytest.raises(ValueError, match=r"faces\.json must be a record as it was written"):
+        read_record(path)
+
+
+def test_the_command_line_of_a_run_is_that_run(tmp_path):
+    variables = {"MODEL": "ict", "DATA": str(tmp_path), "PRESET": "smoke", "SEED": "3",
+                 "PROTOCOL": "released", "RINGNET": "net", "MEDIAPIPE": "no", "JOBS": "2",
+                 "FACES": "9", "SEEDS": "4", "COMA": ""}  # fmt: skip
+    run = run_of_variables(variables, "flame")
+    assert (run.model, run.seed, run.jobs, run.streamed_faces) == ("ict", 3, 2, 9)
+    assert (run.ringnet, run.coma, run.n_seeds) == ("net", None, 4)
+    words = options_of(run)
+    given = dict(zip(words[::2], words[1::2], strict=True))
+    again = {name[2:].replace("-", "_").upper(): value for name, value in given.items()}
+    assert run_of_variables(again | {"TRACK": "flame"}, "flame") == run
+
+
+def test_the_makefile_hands_on_every_variable():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    given = {"DATA": "it's a folder", "SEEDS": "7", "DRY": "1"}
+    words = [f"{name}={value}" for name, value in given.items()]
+    done = subprocess.run(
+        ["make", "--no-print-directory", "-n", "audit", *words],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    for name, value in given.items():
+        assert f"'{name}={value}'".replace("it's", "it'\\''s") in done.stdout
+    defaults = {line.split()[0] for line in makefile.splitlines() if " ?=" in line}
+    handed_on = makefile.partition("VARIABLES :=")[2].partition("PY :=")[0].split()
+    assert defaults - {"PYTHON", "VENV", "TARGET"} == {*handed_on} - {"\\"}
+
+
+# A step of one's own.
+
+
+def test_a_new_step_is_a_module_and_a_rule(tmp_path):
+    (tmp_path / "hello.py").write_text(
+        "def main(run, *items):\n"
+        "    folder = run.experiment_results('hello')\n"
+        "    folder.mkdir(parents=True)\n"
+        "    (folder / 'text.txt').write_text(' '.join(items))\n"
+        "    return {'greeted': len(items), 'results': [folder]}\n"
     )
-    assert refused.returncode == 2 and refused.stderr.count("\n") == 1
-    assert "AE_occ2orth_BFM.h5 must be a Keras 2 weight file" in refused.stderr
-    assert not [*tmp_path.rglob("faces.json")] + [*tmp_path.rglob("*.npz")]
-
-
-def test_a_command_that_is_ended_leaves_no_stage_at_work(run, tmp_path):
-    run = replace(run, preset=TINY)
-    command = [sys.executable, "-m", "experiments", "make"]
-    command += runs.arguments("reproduce-bfm", tmp_path, "--without", "MOBILEFACE")
-    quiet = {"stdout": subprocess.DEVNULL, "cwd": ROOT, "env": runs.ENVIRONMENT}
-    with subprocess.Popen(command, **quiet) as ours:
-        while not run.record_file("faces").exists():
-            assert ours.poll() is None
-            time.sleep(0.05)
-        time.sleep(1)  # for the next stage to start
-        ours.terminate()
-    assert ours.returncode == 128 + signal.SIGTERM
-    with locked(run.work):
-        assert not run.record_file("networks").exists()
+    name = "experiments.hello"
+    spec = importlib.util.spec_from_file_location(name, tmp_path / "hello.py")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    before = os.getcwd()
+    os.chdir(tmp_path)
+    try:
+        main(["hello", "a", "b", "--preset", "tiny", "--record", "build/records/hello.json"])
+    finally:
+        os.chdir(before)
+        del sys.modules[name]
+    record = read_record(tmp_path / "build/records/hello.json")
+    assert record["step"] == "hello a b" and record["greeted"] == 2
+    manifest = json.loads((runs.results(tmp_path, "hello") / "manifest.json").read_text())
+    assert [*manifest["files"]] == ["text.txt"]
+    rules = tmp_path / "more.smk"
+    rules.write_text(
+        f"include: {str(ROOT / 'experiments/Snakefile')!r}\n"
+        "rule hello:\n    output: record('bfm', 'hello')\n    shell: step('hello a b')\n"
+    )
+    snakemake = [sys.executable, "-m", "snakemake", "-s", str(rules), "hello", "--cores", "1"]
+    planned = subprocess.run(
+        [*snakemake, "--dry-run", "--printshellcmds", "--config", "PRESET=tiny"],
+        cwd=tmp_path, env=runs.ENVIRONMENT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "-m experiments hello a b --track bfm --seed 0" in planned.stdout + planned.stderr

@@ -1,4 +1,4 @@
-"""What stages print besides their results: bars on a terminal, nothing of them in a log."""
+"""What steps print besides their results: bars on a terminal, nothing of them in a log."""
 
 import fcntl
 import os
@@ -9,7 +9,6 @@ import sys
 import termios
 
 import runs
-from places import ROOT
 
 _BARS = """
 from experiments.progress import Bar, EpochBar
@@ -35,12 +34,12 @@ def test_a_terminal_gets_one():
     os.close(ours)
 
 
-def test_a_reader_that_leaves_ends_a_stage_without_a_traceback(tmp_path):
+def test_a_reader_that_leaves_ends_a_step_without_a_traceback(whole_bfm):
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [sys.executable, "-m", "experiments", *runs.arguments("faces", tmp_path)],
-        cwd=ROOT, env=runs.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "experiments", "tracks.preview", "linear", "--preset", "tiny"],
+        cwd=whole_bfm, env=runs.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")

@@ -14,7 +14,7 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.io.tables import read_table
 from deepmds_keras.landmarks import FOLDER, load_scheme, load_schemes
 from deepmds_keras.landmarks.conversion import convert, scheme_of
-from experiments.figures.schemes import numbered, place_numbers
+from docs.make_pictures import numbered, place_numbers
 
 SCHEMES = tuple(load_schemes())
 DOCUMENT = (ROOT / "docs" / "landmarks.md").read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from deepmds_keras.predict.surface import (
     surface_landmarks,
     surface_triangles,
 )
-from experiments.pretrained.surface_errors import measure
+from experiments.pretrained.surface import measure
 
 
 @pytest.fixture(scope="module")

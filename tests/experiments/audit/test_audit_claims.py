@@ -1,170 +1,185 @@
-"""Claims and their checks belong together, and their verdicts reach the files as they are."""
+"""Numbers with intervals, and verdicts of conditions on them, also of the committed tables."""
 
+import math
 import shutil
 
+import numpy as np
 import pandas as pd
 import pytest
-from places import ROOT
+from places import committed
+from scipy.stats import binom, ttest_rel
 
 from deepmds_keras.io.errors import InputError
-from experiments.audit.checks import CHECKS, NOT_KEPT, TOPICS, topic_of
-from experiments.audit.claim_tables import COLUMNS, combine, latex, table_of
-from experiments.audit.claims import Claim, described, judge, load_claims
-from experiments.audit.findings import (
-    does_not_hold,
-    holds,
-    holds_if,
-    unknown,
+from experiments.audit import audit, claims
+from experiments.audit.claims import conditions, decide, numbers_of
+from experiments.audit.estimates import (
+    Estimate,
+    Tables,
+    holm,
+    over_seeds,
+    point,
+    share_below,
+    spread_of_seeds,
 )
-from experiments.face_models import TITLES
-from experiments.markup.markdown import markdown
-from experiments.verdicts import DOES_NOT_HOLD, VERDICTS, counted, listed, phrase
+from experiments.presets import PAPER
+from experiments.run import Run
 
-RESULTS = ROOT / "results"
-NAMES = {"openhead": "the open head", "ict": "ICT faces"}
-
-
-def smaller(a, b):
-    return holds(f"{a}") if a < b else does_not_hold(f"{a}")
-
-
-def test_every_claim_has_a_check_and_every_check_a_claim():
-    assert CHECKS.keys() == load_claims().keys()
-
-
-def test_every_check_belongs_to_a_topic_that_measures():
-    assert {topic_of(check) for check in CHECKS.values()} == TOPICS.keys()
-    assert all(callable(module.measure) for module in TOPICS.values())
-    assert {*NOT_KEPT} < TOPICS.keys()
-
-
-def test_every_check_says_what_it_asks():
-    assert all(check.__doc__ for check in CHECKS.values())
-
-
-def test_a_check_gets_what_it_names_of_measured_and_printed_numbers():
-    claim = Claim("x", "Results", "A is below b.", {"b": 3.0})
-    assert judge(claim, smaller, {"a": 2, "c": 9}) == holds("2")
-    assert judge(claim, smaller, {"a": 4}) == does_not_hold("4")
-    with pytest.raises(KeyError):
-        judge(claim, smaller, {})
-
-
-def test_a_check_is_described_as_it_is_called():
-    assert described(smaller) == "test_audit_claims.smaller(a, b)"
-
-
-def write(path, rows):
-    path.write_text("id,where,claim,numbers\n" + rows)
-    return path
-
-
-def test_numbers_of_a_claim_are_read_by_name(tmp_path):
-    rows = "a,Results,Text.,n=10; level=5e-2\nb,Text,T.,\n"
-    claims = load_claims(write(tmp_path / "claims.csv", rows))
-    assert claims["a"].numbers == {"n": 10, "level": 0.05}
-    assert claims["b"].numbers == {}
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("a,Results,Text.,ten\n", "must be name=value"),
-        ("a,Results,Text.,n=ten\n", "must be name=value"),
-        ("a,Results,One.,\na,Results,Two.,\n", "must name each claim once. Received a twice"),
-    ],
-)
-def test_a_damaged_file_of_claims_is_refused(tmp_path, rows, message):
-    with pytest.raises(InputError, match=message):
-        load_claims(write(tmp_path / "claims.csv", rows))
-
-
-def findings(*verdicts):
-    """Of the first claims these, of the others that they do not hold."""
-    rest = [does_not_hold("No.")] * (len(CHECKS) - len(verdicts))
-    return dict(zip(CHECKS, (*verdicts, *rest), strict=True))
+RESULTS = committed() / "results"
+MODELS = ("openhead", "ict")
 
 
 @pytest.fixture
-def table():
-    first = (unknown("a scan"), does_not_hold("9"), holds_if("for | some", "8 < 9"), holds("7"))
-    return table_of(load_claims(), findings(*first), "ict")
+def rng():
+    return np.random.default_rng(0)
 
 
-def test_claims_that_hold_come_first(table):
-    first = [*CHECKS]
-    assert [*table.columns] == [*COLUMNS]
-    assert [*table["id"][:3]] == [first[3], first[2], first[0]]
-    assert [*table["verdict"].drop_duplicates()] == [*VERDICTS]
-    assert len(table) == len(CHECKS)
+def coverage(estimates, truth):
+    return np.mean([e.low <= truth <= e.high for e in estimates])
 
 
-def test_face_models_are_put_side_by_side(table, tmp_path):
-    other = table_of(load_claims(), findings(holds("6"), holds("5")), "openhead")
-    for model, own in (("ict", table), ("openhead", other)):
-        (tmp_path / model / "audit").mkdir(parents=True)
-        own.to_csv(tmp_path / model / "audit" / "claims.csv", index=False)
-    folder = combine(tmp_path, NAMES)
-    both = pd.read_csv(folder / "claims.csv", keep_default_na=False)
-    assert len(both) == 2 * len(CHECKS)
-    assert [*both["id"][::2]] == [*both["id"][1::2]], "rows of one claim stand together"
-    text = (folder / "claims.md").read_text()
-    row = next(line for line in text.splitlines() if line.startswith(f"| {other['claim'][0]}"))
-    assert "| holds | cannot be checked without a scan |" in row
-    assert "holds for | some" not in text, "a bar in a cell would end it"
-    tex = (folder / "claims.tex").read_text()
-    assert "cannot be checked without a scan" in tex
-    heads = 3  # of the first page and the others, and the foot of all but the last
-    assert tex.count(r"\\") == len(CHECKS) + heads
+@pytest.mark.parametrize(("n", "of_median"), [(10, 1 - 2 * binom.cdf(1, 10, 0.5)), (5, 0.9375)])
+def test_intervals_over_seeds_cover_the_truth_whatever_the_distribution(rng, n, of_median):
+    skewed = rng.exponential(size=(2000, n))
+    assert coverage(map(over_seeds, skewed), math.log(2)) == pytest.approx(of_median, abs=0.02)
+    normal = rng.standard_normal((2000, n))
+    assert coverage(map(spread_of_seeds, normal), 1) == pytest.approx(0.95, abs=0.02)
+    assert coverage([share_below(values, 0) for values in normal], 0.5) >= 0.95
 
 
-def test_a_model_that_was_not_run_is_said_to_be(table):
-    more = pd.concat([table, table.iloc[:1].assign(model="openhead")])
-    assert "| not run |" in markdown("markup/claims_page.md.j2", of=listed(more, NAMES))
-    assert "--" in latex(more, NAMES)
+def test_few_seeds_have_no_interval_and_what_is_missing_no_number():
+    assert math.isnan(over_seeds(np.array([1.0, 2.0])).high)
+    assert math.isnan(spread_of_seeds(np.array([1.0])).value)
+    assert math.isnan(holm({"a": np.array([1.0])})["a"].value)
+    assert math.isnan(share_below(np.array([1.0, 2.0]), math.nan).value)
 
 
-def test_verdicts_are_counted_as_they_are_read(table):
-    assert counted(table).startswith("1 holds, 1 holds with a condition, 1 cannot be checked, ")
-    assert counted(table).endswith(f"{len(CHECKS) - 3} do not hold")
-    assert phrase("holds", "") == "holds"
-    assert phrase(VERDICTS[1], "for yaws up to 45°") == "holds for yaws up to 45°"
+def test_holms_intervals_decide_as_his_step_down_tests(rng):
+    for _ in range(200):
+        ratios = {f"{k}": np.exp(rng.normal(0.2 * k, 0.2, 5)) for k in range(4)}
+        p_values = {k: ttest_rel(np.log(r), np.zeros(5)).pvalue for k, r in ratios.items()}
+        ordered = sorted(p_values, key=p_values.get)
+        rejected = set()
+        for place, name in enumerate(ordered):
+            if p_values[name] > 0.05 / (4 - place):
+                break
+            rejected.add(name)
+        estimates = holm(ratios)
+        assert {k for k, e in estimates.items() if not e.low <= 1 <= e.high} == rejected
+        assert [*estimates] == [*ratios]
 
 
-def test_committed_claims_are_those_of_the_face_models(tmp_path):
-    for model in TITLES:
-        path = RESULTS / model / "audit" / "claims.csv"
-        if path.exists():
-            (tmp_path / model / "audit").mkdir(parents=True)
-            shutil.copy(path, tmp_path / model / "audit")
-    made = combine(tmp_path, TITLES)
-    for path in (RESULTS / "audit").iterdir():
-        assert path.read_text() == (made / path.name).read_text(), path.name
-    assert {path.name for path in made.iterdir()} == {p.name for p in (RESULTS / "audit").iterdir()}
+@pytest.mark.parametrize(
+    ("low", "high", "condition", "verdict"),
+    [
+        (0.8, 0.9, "a < 1", claims.SUPPORTED),
+        (0.8, 1.1, "a < 1", claims.NOT_SUPPORTED),
+        (1.1, 1.2, "a > 1", claims.SUPPORTED),
+        (0.9, 1.2, "a > 1", claims.NOT_SUPPORTED),
+        (2, 2, "a = 2", claims.SUPPORTED),
+        (2, 3, "a = 2", claims.NOT_SUPPORTED),
+        (np.float64(0.9), np.float64(1.2), "a < 1", claims.NOT_SUPPORTED),
+        (math.nan, math.nan, "a < 1", claims.NOT_TESTABLE),
+    ],
+)
+def test_the_whole_interval_is_to_meet_a_condition(low, high, condition, verdict):
+    assert decide(condition, {"a": Estimate(1.0, low, high)}) == (verdict, "a")
 
 
-@pytest.mark.parametrize("model", ["openhead", "ict"])
-def test_committed_verdicts_are_on_the_claims_as_they_are_now(model):
-    table = pd.read_csv(RESULTS / model / "audit" / "claims.csv", keep_default_na=False)
-    claims = load_claims()
-    assert {*table["id"]} == claims.keys()
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a < 2; b < 2", (claims.SUPPORTED, "a")),
+        ("a < 2; b < 1", (claims.NOT_SUPPORTED, "b")),
+        ("a > 0; a < 0.5", (claims.NOT_SUPPORTED, "a")),
+        ("a < 2; missing < 1", (claims.NOT_TESTABLE, "missing")),
+        ("missing < 1; a < 0.5", (claims.NOT_SUPPORTED, "a")),
+    ],
+)
+def test_one_condition_that_is_not_met_decides_whatever_is_missing(text, expected):
+    assert decide(text, {"a": point(1), "b": point(1.5)}) == expected
+
+
+@pytest.mark.parametrize("text", ["a", "a <", "a < b", "a <= 1", "a < 1, b < 2", ""])
+def test_what_is_no_condition_is_refused(text):
+    with pytest.raises(InputError, match="a < 1; b = 2"):
+        conditions(text)
+
+
+def test_claims_are_named_once_and_their_conditions_are_on_numbers():
+    numbers = numbers_of(Tables(Run("ict", PAPER, results=RESULTS)))
+    names = [name for estimates in numbers.values() for name in estimates]
+    assert len({*names}) == len(names)
+    table = pd.read_csv(audit.CLAIMS)
+    assert [*table["id"]] == [*numbers]
     for row in table.itertuples():
-        own = claims[row.id]
-        assert (row.claim, row.where) == (own.claim, own.where)
-        assert row.check == described(CHECKS[row.id])
+        assert {name for name, *_ in conditions(row.supported_if)} <= numbers[row.id].keys()
 
 
-def test_verdicts_by_other_factors_stand_beside_those_that_depend_on_one():
-    claim = Claim("as-good", "Results", "It is as good.", {})
+@pytest.fixture
+def copied(tmp_path):
+    """Runs whose results are a copy of the committed tables."""
+    for model in MODELS:
+        shutil.copytree(RESULTS / model, tmp_path / model, ignore=_other_files)
+    return [Run(model, PAPER, results=tmp_path) for model in MODELS]
 
-    def as_good(ratio, alike=1.5):
-        return holds("1.8 times.") if ratio <= alike else does_not_hold("1.8 times.")
 
-    found = judge(claim, as_good, {"ratio": 1.8})
-    assert found.verdict == DOES_NOT_HOLD
-    assert found.evidence == (
-        "1.8 times. Errors within a factor of 1.5 count as alike; "
-        'with 1.2 the verdict is "does not hold" and with 2 the verdict is "holds".'
-    )
-    assert described(as_good).endswith("as_good(ratio)")
-    assert judge(claim, lambda ratio: holds("1."), {"ratio": 1.8}).evidence == "1."
+def _other_files(folder, names):
+    return [name for name in names if "." in name and not name.endswith(".csv")]
+
+
+def test_committed_verdicts_are_those_of_the_committed_tables(copied):
+    for run in copied:
+        audit.judge(run)
+        for name in ("claims.csv", "numbers.csv"):
+            path = run.experiment_results("audit") / name
+            assert path.read_text() == (RESULTS / run.model / "audit" / name).read_text()
+    folder = audit.combine(copied[0].results)
+    assert {path.name for path in folder.iterdir()} == {"claims.csv", "claims.md"}
+    for path in folder.iterdir():
+        assert path.read_text() == (RESULTS / "audit" / path.name).read_text(), path.name
+
+
+def test_a_new_claim_is_a_row_of_the_table(copied, tmp_path, monkeypatch):
+    row = "new,Results,It is as good as the mean shape.,ours_over_mean_shape < 1.2\n"
+    file = tmp_path / "claims.csv"
+    file.write_text(audit.CLAIMS.read_text() + row)
+    monkeypatch.setattr(audit, "CLAIMS", file)
+    new = audit.judge(copied[0]).set_index("id").loc["new"]
+    assert (new["verdict"], new["number"]) == (claims.NOT_SUPPORTED, "ours_over_mean_shape")
+    assert new["low"] > 1.2
+    page = (audit.combine(copied[0].results) / "claims.md").read_text()
+    assert "It is as good as the mean shape." in page
+    assert page.count("| :-- |\n|") == page.count("\n## "), "rows follow the rule below the heads"
+
+
+def test_what_was_not_run_is_not_testable(copied):
+    run = copied[0]
+    shutil.rmtree(run.experiment_results("seeds"))
+    shutil.rmtree(run.experiment_results("ablation"))
+    verdicts = audit.judge(run).set_index("id")["verdict"]
+    for claim in ("bfm-rank", "trivial-case", "training-luck", "mini-batches", "five-layers"):
+        assert verdicts[claim] == claims.NOT_TESTABLE
+    assert verdicts["celeba"] == claims.NOT_SUPPORTED
+
+
+def test_a_method_as_good_as_claimed_is_supported(copied):
+    run = copied[0]
+    path = run.experiment_results("seeds") / "metrics.csv"
+    table = pd.read_csv(path)
+    better = (table["method"] == "ours") & (table["metric"] == "mse")
+    table.loc[better, "value"] = 0.5e-4 + 1e-8 * table.loc[better, "seed"]
+    table.to_csv(path, index=False)
+    verdicts = audit.judge(run).set_index("id")["verdict"]
+    assert verdicts["trivial-case"] == verdicts["training-luck"] == claims.SUPPORTED
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_numbers_agree_with_the_tables_that_documents_quote(model):
+    numbers = pd.read_csv(RESULTS / model / "audit" / "numbers.csv").set_index("number")
+    seeds = pd.read_csv(RESULTS / model / "seeds" / "metrics.csv")
+    ours = seeds[(seeds["method"] == "ours") & (seeds["metric"] == "mse")]["value"]
+    assert numbers.loc["ours_mse", "value"] == pytest.approx(ours.median())
+    assert numbers.loc["ours_mse", "low"] == pytest.approx(ours.sort_values().iloc[1])
+    assert numbers.loc["seed_sd_mse", "value"] == pytest.approx(ours.std())
+    assert numbers.loc["rank", "value"] == 4
+    assert numbers.loc["least_p_value", "value"] == pytest.approx(2 / 2**10)

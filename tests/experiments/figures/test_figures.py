@@ -1,51 +1,40 @@
-"""Laws of the figures: conventions of the views, units on the axes, equal bytes, small files."""
+"""Laws of the figures: they show the data, in stated units, in small files of equal bytes."""
+
+import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-from places import SHARED
 
-from data_gen.datasets.dataset import make_dataset
-from data_gen.datasets.images import make_scene, render
 from data_gen.models.openhead import load_openhead
+from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
-from experiments.figures import style
+from experiments.figures import errors, style
 from experiments.figures.curves import batchnorm_lag, learning_curves
-from experiments.figures.errors import error_per_condition, error_per_landmark, error_per_pose
+from experiments.figures.face_figures import draw_faces, error_per_landmark
+from experiments.figures.gallery import FittedPhoto, fits, gallery, renders
 from experiments.figures.ground_truth import Example, ground_truth
 from experiments.figures.qualitative import Photos, qualitative
-from experiments.figures.renders import renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
+from experiments.methods import METHODS
+from experiments.presets import PRESETS
+from experiments.scoring.scores import Scores
 
-OPEN_HEAD = SHARED / "openhead" / "open_head_199_f16.npz"
-SCHEME = load_scheme("bfm72")
-N_LANDMARKS = 72
-PAPER_METHODS = (
-    *("mean_shape", "linear", "zhao", "zhao_authors", "zhao_frontal", "aldrian"),
-    *("mobileface", "ours", "ours_released", "ours_stable", "authors_weights"),
-)
-
-
-def random_face(rng):
-    return rng.uniform(0, 1, (N_LANDMARKS, 3))
+HEAD, BFM72, IBUG51 = load_openhead(), load_scheme("bfm72"), load_scheme("ibug51")
+DRAWN = [method.id for method in METHODS.values() if method.drawn]
+RECORD = {"train": [2e-1, 1e-1, 2e-4, 1e-4], "inference": [9e-1, 8e-1, 9e-4, 4e-4]}
 
 
-def draw_qualitative(faces, methods, rng):
-    predictions = {m: faces + rng.normal(0, 0.01, faces.shape) for m in methods}
-    scores = {m: np.mean((p - faces) ** 2, axis=(1, 2)) for m, p in predictions.items()}
-    titles = [f"Projection {row}" for row in range(len(faces))]
-    views = faces @ [[0.7, 0], [0, 1], [-0.7, 0]]
-    return qualitative(views, faces[..., :2], faces, predictions, SCHEME, titles, scores)
-
-
-RECORD = {"train": [2e-4, 1e-4], "inference": [9e-4, 4e-4]}
+def faces(rng, n=2, scheme="bfm72"):
+    mean = HEAD.mean[HEAD.landmarks[scheme]]
+    return mean + rng.normal(0, 2, (n, *mean.shape))
 
 
 def draw_learning(rng):
     histories = {"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
-    record = {"train": [9.0, 2.0], "inference": [7.0, 3.0]}
-    return learning_curves(histories, mobileface=record, ringnet=record)
+    return learning_curves(histories, mobileface={"train": [9.0, 2.0]}, ringnet={"train": [7, 3]})
 
 
 def draw_lag(rng):
@@ -53,12 +42,7 @@ def draw_lag(rng):
     return batchnorm_lag({"constant": {0: record, 1: record}, "cosine": {0: record}})
 
 
-def draw_landmarks(rng):
-    errors = {m: rng.uniform(1, 9, N_LANDMARKS) for m in ("ours", "linear")}
-    return error_per_landmark(errors, SCHEME, random_face(rng))
-
-
-def pose_errors(rng, n=60):
+def face_errors(rng, n=60):
     perspective = np.arange(n) % 2 == 1
     return pd.DataFrame(
         {
@@ -66,143 +50,191 @@ def pose_errors(rng, n=60):
             "projection": np.where(perspective, "perspective", "orthographic"),
             "yaw": np.where(perspective, -rng.uniform(0, 45, n), rng.choice([-45, 0, 45], n)),
             "pitch": np.where(perspective, -rng.uniform(0, 30, n), 0),
+            "condition": np.resize(["neutral", "eyes_closed", "smile"], n),
             "mse": rng.uniform(1e-5, 1e-3, n),
         }
     )
-
-
-def draw_poses(rng):
-    return error_per_pose(pose_errors(rng))
-
-
-def condition_errors(rng, n=60):
-    return pd.DataFrame(
-        {
-            "method": np.repeat(["ours", "linear"], n // 2),
-            "condition": np.resize(["neutral", "eyes_closed"], n),
-            "mse": rng.uniform(1e-5, 1e-3, n),
-        }
-    )
-
-
-def draw_conditions(rng):
-    return error_per_condition(condition_errors(rng))
-
-
-IBUG = load_scheme("ibug51")
 
 
 def draw_ground_truth(rng):
-    truth = rng.normal(0, 30, (6, 51, 3))
-    found = truth + rng.normal(0, 2, truth.shape)
-    examples = [
-        Example(
-            image=rng.integers(0, 255, (32, 32, 3), np.uint8),
-            detected=rng.uniform(0, 32, (51, 2)),
-            points=rng.normal(0, 40, (500, 3)),
-            fitted=face,
-            found=face,
-            truth=face,
-        )
-        for face in truth[:2]
-    ]
-    return ground_truth(examples, IBUG, found, truth)
+    truth, points = faces(rng, 6, "ibug51"), rng.normal(0, 40, (500, 3))
+    image, pixels = np.zeros((32, 32, 3), np.uint8), rng.uniform(0, 32, (51, 2))
+    examples = [Example(image, pixels, points, face, face, face) for face in truth[:2]]
+    return ground_truth(examples, IBUG51, truth + rng.normal(0, 2, truth.shape), truth)
 
 
-def draw_seeds(rng):
-    rows = [
-        (method, seed, "mse", rng.uniform(1e-4, 1e-3))
-        for method in ("ours", "ours_stable")
-        for seed in range(3)
-    ]
-    return seed_spread(pd.DataFrame(rows, columns=["method", "seed", "metric", "value"]))
+def draw_fits(rng):
+    (fitted, truth), pixels = faces(rng), rng.uniform(0, 32, (72, 2))
+    photo = FittedPhoto(np.zeros((32, 32, 3), np.uint8), pixels, pixels, fitted, truth)
+    return fits([photo], BFM72, {"fit": rng.gamma(9, 1, 99), "mean": rng.gamma(8, 1, 99)})
+
+
+def seed_metrics(rng):
+    runs = {"method": ["ours", "ours", "linear", "linear"], "seed": [3, 4] * 2, "metric": "mse"}
+    return pd.DataFrame(runs | {"value": rng.uniform(1e-4, 1e-3, 4)})
 
 
 def headline_table():
+    columns = ["method", "metric", "mean", "std", "paper_mean", "median", "lowest", "highest"]
     nan = np.nan
-    return pd.DataFrame(
-        [
-            ("linear", "mse", 3e-6, 1e-7, nan, nan),
-            ("linear", "depth_corr", 71.999, 1e-4, nan, nan),
-            ("ours", "mse", 1.5e-4, 2e-6, 1.4e-4, 5e-7),
-            ("ours", "depth_corr", 71.94, 0.002, 71.95, 0.002),
-            ("mobileface", "mse", nan, nan, 6e-5, 4e-7),
-            ("mobileface", "depth_corr", nan, nan, 71.97, 0.002),
-        ],
-        columns=["method", "metric", "mean", "std", "paper_mean", "paper_std"],
-    )
+    rows = [
+        ("linear", "mse", 3e-6, 1e-7, nan, nan, nan, nan),
+        ("linear", "depth_corr", 71.999, 1e-4, 72.5, nan, nan, nan),
+        ("ours", "mse", 9e-4, 2e-6, 1.4e-4, 1.5e-4, 1e-4, 3e-4),
+        ("ours", "depth_corr", 71.94, 0.002, 71.95, 71.9, 71.8, 71.95),
+        ("mobileface", "mse", nan, nan, 6e-5, nan, nan, nan),
+    ]
+    return pd.DataFrame(rows, columns=columns).assign(n_seeds=10)
 
 
-def draw_summary(rng):
-    return summary(headline_table(), "bfm")
+def draw_qualitative(rng, methods=("ours", "linear"), n=1, found=True, photos=None):
+    truth = faces(rng, n) / 200
+    predictions = {method: truth + rng.normal(0, 0.01, truth.shape) for method in methods}
+    predictions[methods[-1]][:, 0] += 0 if found else np.nan
+    scores = {m: np.mean((p - truth) ** 2, axis=(1, 2)) for m, p in predictions.items()}
+    frontal, names = 1.7 * truth[..., :2] + (3, -2), [f"View {row}" for row in range(n)]
+    views = truth @ [[0.7, 0], [0, 1], [-0.7, 0]]
+    return qualitative(views, frontal, truth, predictions, BFM72, names, scores, photos)
 
 
-def draw_small_qualitative(rng):
-    return draw_qualitative(np.stack([random_face(rng)]), ("ours", "linear"), rng)
+PLOTS = {
+    "learning_curves": draw_learning,
+    "batchnorm_lag": draw_lag,
+    "error_per_landmark": lambda rng: error_per_landmark(
+        {method: rng.uniform(1, 9, 72) for method in DRAWN}, BFM72, faces(rng)[0], DRAWN[:3]
+    ),
+    "error_per_pose": lambda rng: errors.error_per_pose(face_errors(rng)),
+    "error_per_condition": lambda rng: errors.error_per_condition(face_errors(rng)),
+    "errors": lambda rng: errors.error_distribution({"ours": rng.uniform(1e-5, 1e-3, 50)}),
+    "qualitative": lambda rng: draw_qualitative(rng, DRAWN[:11], 4),
+    "scans": draw_ground_truth,
+    "fits": draw_fits,
+    "seed_spread": lambda rng: seed_spread(seed_metrics(rng)),
+    "summary": lambda rng: summary(headline_table(), "bfm"),
+}
 
 
-PLOTS = [
-    *(draw_learning, draw_lag, draw_landmarks, draw_poses, draw_conditions, draw_seeds),
-    *(draw_summary, draw_ground_truth),
-]
+@pytest.mark.parametrize("part", [style.colour, style.marker])
+def test_no_two_drawn_methods_share_a_colour_or_a_marker(part):
+    assert len({*map(part, DRAWN)}) == len(DRAWN)
 
 
-def texts(axes):
-    return [text.get_text() for text in axes.texts]
-
-
-def test_a_figure_of_a_small_preset_says_so(tmp_path):
-    for name, said in (("openhead", []), ("smoke", ["smoke: too short to mean anything"])):
-        figure = draw_summary(None)
-        style.save(figure, tmp_path / name / "figures", "summary")
-        assert [text.get_text() for text in figure.texts] == said
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_figures_of_a_small_preset_are_stamped_wherever_they_lie(preset, tmp_path):
+    figure = draw_learning(None)
+    style.save(figure, tmp_path / "smoke" / "figures", "curves", preset.caution)
+    stamps = [text.get_text() for text in figure.texts]
+    assert stamps == ([] if preset.name == "paper" else [preset.caution])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("draw", [*PLOTS, draw_small_qualitative])
-def test_equal_inputs_give_equal_bytes(draw, tmp_path):
-    first = style.save(draw(np.random.default_rng(0)), tmp_path / "first", "figure")
-    second = style.save(draw(np.random.default_rng(0)), tmp_path / "second", "figure")
-    for one, other in zip(first, second, strict=True):
-        assert one.read_bytes() == other.read_bytes()
-        assert one.stat().st_size < 300_000
+@pytest.mark.parametrize("name", PLOTS)
+def test_equal_inputs_give_equal_bytes(name, tmp_path):
+    for folder in ("first", "second"):
+        style.save(PLOTS[name](np.random.default_rng(0)), tmp_path / folder, name)
+    files = sorted((tmp_path / "first").iterdir())
+    assert [path.name for path in files] == [f"{name}.pdf", f"{name}.png"]
+    for path in files:
+        content = path.read_bytes()
+        assert content == (tmp_path / "second" / path.name).read_bytes()
+        assert b"CreationDate" not in content and (path.suffix == ".pdf" or len(content) < 300_000)
 
 
-def test_saving_leaves_only_the_two_files(tmp_path):
-    style.save(draw_summary(None), tmp_path / "figures", "summary")
-    names = sorted(path.name for path in (tmp_path / "figures").iterdir())
-    assert names == ["summary.pdf", "summary.png"]
-
-
-def test_the_pdf_holds_no_date(tmp_path):
-    _, pdf = style.save(draw_summary(None), tmp_path, "summary")
-    assert b"CreationDate" not in pdf.read_bytes()
-
-
-@pytest.mark.parametrize("draw", PLOTS)
+@pytest.mark.parametrize("draw", PLOTS.values(), ids=PLOTS)
 def test_every_quantity_on_a_value_axis_has_its_unit(draw):
-    units = ("(mm)", "(mm²)", "(%)", "units)", "(°)", "epochs)", "steps)", "(no unit)")
+    units = ("(mm)", "(mm²)", "(%)", "units)", "(°)", "epochs)", "(no unit)", "faces", "andmarks)")
     for axes in draw(np.random.default_rng(0)).axes:
-        if not axes.axison:
-            continue
         for label in filter(None, (axes.get_xlabel(), axes.get_ylabel())):
-            assert any(unit in label for unit in units), label
+            assert not axes.axison or any(unit in label for unit in units), label
 
 
-def test_subjects_left_is_on_the_right_of_the_front_view():
+def test_lines_are_means_in_the_unit_with_their_intervals():
+    rows = pd.DataFrame({"method": ["ours", "linear"] * 2, "x": [2.0, 2.0, 1.0, 1.0]})
+    rows = rows.assign(mean=[4e-4, 1e-4] * 2, sem=[1e-5, np.nan] * 2)
+    ends = rows.assign(low=rows["mean"] / 2, high=rows["mean"] * 3)
+    panels = [errors.Panel(rows, "x", "Noise (mm)"), errors.Panel(ends, "x", shaded=(0, 1))]
+    figure = errors.error_lines(panels)
+    for axes, (low, high) in zip(figure.axes, [(3.804, 4.196), (2, 12)], strict=True):
+        line, band = axes.lines[0], axes.collections[0].get_paths()[0].vertices
+        np.testing.assert_allclose(line.get_xydata(), [[1, 4], [2, 4]])
+        np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [low, high])
+        assert line.get_color() == style.colour("ours")
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["Deep-MDS", "Linear", "training views"]
+    other = [errors.Panel(rows.assign(method="somebody"), "x")]
+    with pytest.raises(InputError, match="somebody"):
+        errors.error_lines(other)
+    drawn = errors.error_lines(other, looks={"somebody": style.Look("Somebody", "#123456", "o")})
+    assert drawn.axes[0].lines[0].get_color() == "#123456"
+
+
+def test_errors_by_pose_are_means_of_the_faces_in_it():
+    table = face_errors(np.random.default_rng(0), 600)
+    kinds = errors.error_per_pose(table).axes[0]
+    ours = table[table["method"] == "ours"].groupby(["projection", "yaw"])["mse"].mean() / 1e-4
+    drawn = kinds.containers[0].lines[0].get_xydata()[:, 1]
+    np.testing.assert_allclose(drawn[:3], ours["orthographic"])
+    assert [text.get_text() for text in kinds.get_xticklabels()][:3] == ["−45°", "0°", "45°"]
+    for axes in errors.error_per_pose(table.assign(mse=2e-4)).axes[1:]:
+        assert len(axes.lines) == len(axes.collections) == 2
+        for band in axes.collections:
+            np.testing.assert_allclose(band.get_paths()[0].vertices[:, 1], 2)
+
+
+def test_a_face_that_was_not_found_has_no_part_in_the_errors_by_condition():
+    table = face_errors(np.random.default_rng(0)).assign(mse=1e-4)
+    table.loc[table["condition"] == "smile", "mse"] = np.nan
+    (axes,) = errors.error_per_condition(table).axes
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["neutral", "eyes closed"]
+    np.testing.assert_allclose(axes.containers[0].lines[0].get_xydata()[:, 1], 1)
+
+
+def test_region_errors_are_root_mean_squares():
+    squares = np.where(np.arange(72) % 2, 16.0, 2.0)
+    groups = pd.Series(squares).groupby(np.array(BFM72.groups)).mean()
+    figure = error_per_landmark({"ours": np.sqrt(squares)}, BFM72, faces(np.random)[0], ["ours"])
+    regions = next(axes for axes in figure.axes if "Region" in axes.get_xlabel())
+    drawn = regions.containers[0].lines[0].get_xydata()[:, 1]
+    np.testing.assert_allclose(drawn, np.sqrt(np.sort(groups)))
+
+
+def test_curves_are_the_losses_by_epoch_and_leave_out_the_first_of_training():
+    axes = draw_learning(None).axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), np.array(RECORD["train"]) / 1e-4)
+    assert axes.get_xlim()[0] > 2 and axes.get_ylim()[1] < 20
+    inference, _, again = draw_lag(None).axes[0].lines[:3]
+    np.testing.assert_allclose(inference.get_ydata(), np.sqrt(RECORD["inference"]))
+    np.testing.assert_allclose(again.get_xydata(), [[4, 0.004]])
+
+
+def test_summary_draws_the_median_over_seeds_and_what_the_depth_correlation_lacks():
+    drawn = [np.concatenate([line.get_xdata() for line in axes.lines])
+             for axes in summary(headline_table(), "bfm").axes]  # fmt: skip
+    for axes, expected in zip(drawn, ([0.03, 1.4, 1.5, 1, 3], [0.001, 0.05, 0.1]), strict=True):
+        assert all(np.isclose(axes, value).any() for value in expected)
+        assert not np.nanmin(axes) < 0  # the paper's impossible value
+    assert not np.isclose(drawn[0], 9).any()  # the mean of one seed
+
+
+def test_every_seed_is_a_dot_above_its_median():
+    metrics = seed_metrics(np.random.default_rng(0))
+    (axes,) = seed_spread(metrics).axes
+    dots = np.concatenate([line.get_ydata() for line in axes.lines if line.get_ls() == "None"])
+    np.testing.assert_allclose(dots, metrics["value"] / 1e-4)
+    medians = metrics.groupby("method", sort=False)["value"].median() / 1e-4
+    for label, median in zip(axes.get_xticklabels(), medians, strict=True):
+        assert f"{median:.3g}" in label.get_text()
+
+
+def test_conventions_of_the_views():
     left_ear, right_ear = front_view(np.array([[60.0, 0, 0], [-60.0, 0, 0]]))
-    assert left_ear[0] > right_ear[0]
-
-
-def test_nose_of_the_side_view_points_to_the_right_with_the_brow_above():
+    assert left_ear[0] > right_ear[0]  # the viewer faces the subject
     nose_tip, brow, ear = side_view(np.array([[0.0, 0, 130], [0, 40, 110], [60, 10, 20]]))
-    assert nose_tip[0] > brow[0] > ear[0]
-    assert brow[1] > nose_tip[1]
+    assert nose_tip[0] > brow[0] > ear[0] and brow[1] > nose_tip[1]
 
 
 def test_wireframe_joins_the_landmarks_of_each_polyline():
-    figure = style.Figure()
-    axes = figure.add_subplot()
+    axes = style.Figure().add_subplot()
     points = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     draw_wireframe(axes, points, ((0, 1, 2), (3, 0)), colour="black")
     lines, dots = axes.collections
@@ -211,138 +243,58 @@ def test_wireframe_joins_the_landmarks_of_each_polyline():
     assert dots.get_offsets().tolist() == points.tolist()
 
 
-def test_qualitative_prints_each_score_and_marks_the_best():
-    rng = np.random.default_rng(0)
-    faces = np.stack([random_face(rng)])
-    predictions = {"ours": faces, "linear": faces}
-    scores = {"ours": np.array([1.42e-4]), "linear": np.array([3e-6])}
-    figure = qualitative(
-        faces[..., :2], faces[..., :2], faces, predictions, SCHEME, ["Frontal"], scores
-    )
-    weights = {text.get_text(): text.get_weight() for text in figure.axes[0].texts}
-    assert weights["1.42"] == "normal"
-    assert weights["0.0300"] == "bold"
-    assert "Frontal" in weights
-
-
-def test_a_face_that_a_method_did_not_find_is_marked():
-    rng = np.random.default_rng(0)
-    faces = np.stack([random_face(rng)])
-    predictions = {"ours": faces, "mediapipe": np.full_like(faces, np.nan)}
-    scores = {"ours": np.array([1.42e-4]), "mediapipe": np.array([np.nan])}
-    photos = Photos(np.zeros((1, 20, 20, 3), np.uint8), rng.uniform(0, 20, (1, 72, 2)))
-    figure = qualitative(
-        faces[..., :2], faces[..., :2], faces, predictions, SCHEME, ["Frontal"], scores, photos
-    )
-    written = texts(figure.axes[0])
-    assert written.count("N/A") == 2  # from the front and the side
-    assert "nan" not in written
-    weights = {text.get_text(): text.get_weight() for text in figure.axes[0].texts}
-    assert weights["1.42"] == "bold"
-    assert len(figure.axes[0].images) == 1
-
-
-def test_landmarks_lie_on_the_photo_where_they_were_found():
-    rng = np.random.default_rng(0)
-    faces = np.stack([random_face(rng)])
-    corners = np.zeros((1, 72, 2))
-    corners[0, 1] = (20, 0)
+def test_qualitative_shows_the_best_score_and_what_was_not_found():
+    corners = np.resize([(0, 0), (20, 0)], (1, 72, 2))
     photos = Photos(np.zeros((1, 20, 20, 3), np.uint8), corners)
-    figure = qualitative(faces[..., :2], faces[..., :2], faces, {}, SCHEME, ["Frontal"], {}, photos)
+    methods = ("ours", "linear", "mediapipe")
+    figure = draw_qualitative(np.random.default_rng(0), methods, 1, False, photos)
+    texts = [text for text in figure.axes[0].texts if text.get_text()[0].isdigit()]
+    scores = {float(text.get_text()): text.get_weight() for text in texts}
+    assert scores == {min(scores): "bold", max(scores): "normal"}
+    assert [text.get_text() for text in figure.axes[0].texts].count("N/A") == 2  # front and side
     left, right, _, top = figure.axes[0].images[0].get_extent()
-    dots = next(c for c in figure.axes[0].collections if len(c.get_offsets()) > 1).get_offsets()
-    np.testing.assert_allclose(dots[:2], [[left, top], [right, top]])
+    dots = [c.get_offsets() for c in figure.axes[0].collections if len(c.get_offsets()) == 72]
+    np.testing.assert_allclose(dots[0][:2], [[left, top], [right, top]])
+    # The truth lies beneath a frontal view that is normalised by itself.
+    np.testing.assert_allclose(dots[1], dots[2], atol=1e-12)
+
+
+def test_gallery_marks_what_was_not_found():
+    shapes = faces(np.random.default_rng(0), 2, "ibug51")
+    lost = np.stack([shapes[0], np.full((51, 3), np.nan)])
+    photos = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 51, 2))
+    figure = gallery(*photos, {"ours": shapes, "mediapipe": lost}, IBUG51)
+    assert [len(axes.texts) for axes in figure.axes] == [0, 0, 0, 0, 0, 1]
 
 
 def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
-    rng = np.random.default_rng(0)
-    truth = rng.normal(0, 30, (40, 51, 3))
+    truth = faces(np.random.default_rng(0), 40, "ibug51")
     found = truth + [3.0, 0.0, 4.0]
     example = Example(np.zeros((8, 8, 3), np.uint8), truth[0, :, :2], truth[0], *truth[:2], None)
-    figure = ground_truth([example], IBUG, found, truth)
-    shares = next(axes for axes in figure.axes if "share" in axes.get_ylabel())
+    figure = ground_truth([example], IBUG51, found, truth)
+    shares = next(axes for axes in figure.axes if "Share" in axes.get_ylabel())
     for line in shares.lines:
         np.testing.assert_allclose(line.get_xdata(), 5.0)
-    unknown = ground_truth([example], IBUG, found, None)
-    assert not any("share" in axes.get_ylabel() for axes in unknown.axes)
+    assert len(ground_truth([example], IBUG51, found, None).axes) == 3
 
 
-def test_truth_lies_beneath_a_frontal_view_normalised_by_itself():
+def test_examples_are_the_faces_of_the_figure_as_numbers(tmp_path):
+    rng, unit_mm = np.random.default_rng(0), np.full(3, 200.0)
+    truth, aligned = faces(rng, 3) / 200, faces(rng, 3) / 200
+    aligned[2] = np.nan
+    test = SimpleNamespace(unit_mm=unit_mm, views=truth[..., :2], shapes=truth)
+    scores = {"ours": Scores(aligned, truth, unit_mm, mirrored=np.zeros(3))}
+    shown = np.array([0, 2]), ["one\nface", "another"]
+    draw_faces(tmp_path, "faces", BFM72, test, truth[..., :2], scores, *shown)
+    first, second = json.loads((tmp_path / "examples.json").read_text())["faces"]
+    assert first["title"] == "one, face" and second["mse"] == {"ours": None} == second["shapes"]
+    np.testing.assert_allclose(first["shapes"]["ours"], aligned[0], atol=1e-4)
+
+
+def test_contact_sheet_has_landmarks_in_its_lower_half():
     rng = np.random.default_rng(0)
-    faces = np.stack([random_face(rng)])
-    figure = qualitative(
-        faces[..., :2], 1.7 * faces[..., :2] + (3, -2), faces, {}, SCHEME, ["Frontal"], {}
-    )
-    beneath, above = (
-        c.get_offsets() for c in figure.axes[0].collections[2:6] if len(c.get_offsets()) > 1
-    )
-    np.testing.assert_allclose(beneath, above, atol=1e-12)
-
-
-def test_confidence_band_of_a_constant_error_has_no_width():
-    errors = pose_errors(np.random.default_rng(0)).assign(mse=2e-4)
-    _, yaws, _ = error_per_pose(errors).axes
-    np.testing.assert_allclose(yaws.lines[0].get_ydata()[0], 2e-4)
-    for band in yaws.collections:
-        corners = np.concatenate([path.vertices for path in band.get_paths()])
-        np.testing.assert_allclose(corners[:, 1], 2e-4)
-
-
-def test_region_errors_are_root_mean_squares():
-    errors = {"ours": np.full(N_LANDMARKS, 3.0), "linear": np.full(N_LANDMARKS, 2.0)}
-    figure = error_per_landmark(errors, SCHEME, random_face(np.random.default_rng(0)))
-    regions = next(axes for axes in figure.axes if axes.get_xlabel())
-    assert len(regions.get_yticks()) == len(set(SCHEME.groups))
-    for line, expected in zip(regions.lines, (3.0, 2.0), strict=False):
-        np.testing.assert_allclose(line.get_xdata(), expected)
-
-
-def test_lag_is_drawn_as_root_mean_square_error_by_epoch():
-    constant, _ = draw_lag(None).axes
-    inference, train, anew = constant.lines[:3]
-    np.testing.assert_allclose(inference.get_xydata(), [[1, 0.03], [2, 0.02]])
-    np.testing.assert_allclose(train.get_ydata(), np.sqrt(RECORD["train"]))
-    np.testing.assert_allclose(anew.get_xydata(), [[2, 0.004]])
-
-
-def test_summary_writes_both_numbers_and_a_dash_where_there_is_none():
-    figure = summary(headline_table(), "bfm")
-    mse = texts(figure.axes[1])
-    depth = texts(figure.axes[3])
-    assert mse == [
-        *("this work", "0.0300 ± 0.0010", "1.500 ± 0.020", "–"),
-        *("published", "–", "1.4 ± 0.005", "0.6 ± 0.004"),
-    ]
-    assert depth[2] == "71.9400 ± 0.0020"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not OPEN_HEAD.exists(), reason="the open head is not in ../shared")
-def test_eleven_methods_on_real_faces_fit_into_300_kilobytes(tmp_path):
-    rng = np.random.default_rng(0)
-    with np.load(OPEN_HEAD, allow_pickle=False) as head:
-        mean = head["mean"][head["L72"]]
-        basis = head["id_basis"][:, head["L72"]].astype(float)
-    shapes = mean + np.tensordot(rng.standard_normal((4, len(basis))), basis, axes=1)
-    figure = draw_qualitative(shapes / 207, PAPER_METHODS, rng)
-    png, _ = style.save(figure, tmp_path, "qualitative")
-    assert png.stat().st_size < 300_000
-
-
-def rendered():
-    model = load_openhead()
-    faces = make_dataset(model, 24, np.random.default_rng(0))
-    scene = make_scene(model, "bfm72", 96)
-    return render(scene, faces, range(24), np.random.default_rng(0))
-
-
-@pytest.mark.slow
-def test_contact_sheet_of_real_renders_is_small_and_has_their_landmarks(apart, tmp_path):
-    images, landmarks = apart(rendered)
-    figure = renders(images, landmarks, SCHEME)
-    assert len(figure.axes) == 24
+    images, landmarks = rng.integers(0, 255, (24, 9, 9, 3), np.uint8), rng.random((24, 72, 2))
+    figure = renders(images, landmarks, BFM72)
     assert not figure.axes[11].lines
     assert np.array_equal(figure.axes[12].lines[-1].get_xydata(), landmarks[12])
     assert np.array_equal(figure.axes[23].images[0].get_array(), images[23])
-    for path in style.save(figure, tmp_path, "renders"):
-        assert path.stat().st_size < 300_000, path

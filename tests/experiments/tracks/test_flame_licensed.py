@@ -17,9 +17,10 @@ from data_gen.models.registry import load_model
 N_FRAMES, N_SCANS = 40, 4
 
 
-def run(stage, folder, *more):
+def run(step, folder, *more):
     own = ("--track", "flame", "--model", "flame", "--data", str(folder / "data"))
-    return runs.run(stage, folder, *own, *more)
+    record = work_of(folder) / "records" / f"{step.partition('.')[2]}.json"
+    return runs.run(step, folder, *more, *own, "--record", str(record))
 
 
 def work_of(folder):
@@ -105,7 +106,7 @@ def folder(tmp_path_factory, scans):
 
 
 def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
-    done = run("frames", folder)
+    done = run("tracks.frames", folder)
     assert done.returncode == 0, done.stderr
     assert "1 meshes skipped" in done.stdout
     work = work_of(folder)
@@ -120,29 +121,25 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
 
 def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     work = work_of(folder)
-    done = run("scans", folder)
+    done = run("tracks.scans", folder)
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
     assert index.read_text().count(",yes,") == N_SCANS
     with np.load(work / "scans.npz", allow_pickle=False) as found:
         used = found["status"] == "used"
         assert used.sum() >= N_SCANS - 1
-        assert np.isnan(found["truth"]).all()
-        landmarks = found["landmarks"][used]
+        assert "truth" not in found
+        landmarks = found["landmarks"]
     truth = np.array([scan.truth for scan in scans])[used]
     assert 0.5 < np.linalg.norm(landmarks - truth, axis=2).mean() < 8
 
     chosen = folder / "chosen.csv"
     chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
-    (work / "scans.json").unlink()
-    (work / "predictions").mkdir()
-    (work / "predictions" / "linear.npz").touch()
-    done = run("scans", folder, "--casia-index", str(chosen))
+    done = run("tracks.scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
     with np.load(work / "scans.npz", allow_pickle=False) as found:
         assert [*found["name"]] == ["001-001", "001-003", "001-004"]
-    assert not (work / "predictions").exists()  # they were of the test set before
-    refused = run("scans", folder, "--casia-index", "/nowhere.csv")
+    refused = run("tracks.scans", folder, "--casia-index", "/nowhere.csv")
     assert refused.returncode == 2
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
 
@@ -154,14 +151,14 @@ def test_the_licensed_ringnet_is_run_on_the_photos(folder):
 
     prefix = folder / "ring_6_68641"
     write_checkpoint(prefix)
-    done = run("ringnet", folder, "--ringnet", str(prefix))
+    done = run("tracks.predict", folder, "ringnet", "--ringnet", str(prefix))
     assert done.returncode == 0, done.stderr
     work = work_of(folder)
     with np.load(work / "predictions" / "ringnet-licensed.npz", allow_pickle=False) as file:
         shapes = file["shapes"]
     assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)
     assert len(np.unique(shapes[:, 0, 0])) == len(shapes)
-    refused = run("ringnet", folder, "--ringnet", str(folder / "nothing"))
+    refused = run("tracks.predict", folder, "ringnet", "--ringnet", str(folder / "nothing"))
     assert refused.returncode == 2
     assert "nothing.meta does not exist" in refused.stderr.splitlines()[-1]
 
@@ -170,7 +167,7 @@ def test_a_data_set_that_is_missing_is_named(folder, tmp_path):
     (tmp_path / "data").mkdir()
     for name in ("generic_model.pkl", "flame_static_embedding.pkl"):
         os.link(folder / "data" / name, tmp_path / "data" / name)
-    for stage, dataset in (("frames", "COMA"), ("scans", "CASIA")):
-        refused = run(stage, tmp_path)
+    for step, dataset in (("tracks.frames", "COMA"), ("tracks.scans", "CASIA")):
+        refused = run(step, tmp_path)
         assert refused.returncode == 2
         assert f"{dataset}= must be the folder of" in refused.stderr.splitlines()[-1]

@@ -1,1 +1,0 @@
-"""The audit: each claim of the paper as a check that computes its verdict."""

@@ -1,0 +1,80 @@
+"""Step: measure one topic of the audit on test faces of the BFM track, as a CSV.
+
+The module is light to import, since the Snakefile reads the names of the topics.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_gen.datasets.dataset import Dataset, load_dataset
+from deepmds_keras.io.errors import InputError
+from experiments.inputs import Faces, load_faces
+from experiments.methods import load
+from experiments.records import write_csv
+from experiments.run import Run
+from experiments.streams import Stream
+from experiments.tasks import single_threaded
+
+if TYPE_CHECKING:
+    from experiments.scoring.scores import Scores
+
+# Of each topic the module whose function of the same name measures it.
+TOPICS = dict.fromkeys(("poses", "noise", "perspective"), "poses") | dict.fromkeys(
+    ("bias", "constants", "depth", "ranks", "spectra", "samplings"), "shapes"
+)
+
+
+def main(run: Run, topic: str) -> dict:
+    if topic not in TOPICS:
+        raise InputError(f"TOPIC must be one of {', '.join(TOPICS)}. Received {topic}.")
+    measure = getattr(import_module(f"experiments.audit.{TOPICS[topic]}"), topic)
+    with single_threaded():  # sums in one order on any machine
+        table = measure(Evidence(run))
+    write_csv(run.work / "audit" / f"{topic}.csv", table)
+    return {"audited_faces": run.preset.audited_faces}
+
+
+class Evidence:
+    """What is measured on: test faces, trained methods and their errors, of the BFM track.
+
+    Args:
+        run: The run, whose methods are trained and have predicted the test faces.
+    """
+
+    def __init__(self, run: Run):
+        self.run = run
+
+    @cached_property
+    def test(self) -> Faces:
+        return load_faces(self.run, "test")
+
+    @cached_property
+    def test_dataset(self) -> Dataset:
+        """Test faces in millimetres."""
+        return load_dataset(self.run.work / "test.npz")
+
+    @cached_property
+    def audited(self) -> np.ndarray:
+        """`(n,)` numbers of some test faces, on which what takes long is measured."""
+        rng = np.random.default_rng([self.run.seed, Stream.AUDITED_FACES])
+        n = min(self.run.preset.audited_faces, len(self.test.views))
+        return np.sort(rng.choice(len(self.test.views), n, replace=False))
+
+    def scores(self, method: str) -> Scores:
+        """Errors of a method on all test faces."""
+        from experiments.scoring.scores import load_prediction, score  # slow to load, by pandas
+
+        return score(load_prediction(self.run, method)[0]["shapes"], self.test)
+
+    def method(self, method: str):
+        """A trained method, which `experiments.methods.predict` takes."""
+        model = load(self.run, method)
+        if hasattr(model, "solver"):
+            # As scikit-learn to rounding, and many sweeps sooner.
+            model.set_params(solver="batched", n_jobs=1)
+        return model

@@ -1,1 +1,0 @@
-"""Arrays into pictures: every function returns a matplotlib Figure, `style.save` writes it."""

@@ -1,0 +1,81 @@
+"""What a user reads of Snakemake: a line a step, with about how long the rest takes."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from statistics import median
+
+from deepmds_keras.io.errors import InputError
+from experiments.progress import duration
+from experiments.records import MANIFEST, read_manifest, read_record, steps_of
+
+
+class JobLines(logging.Handler):
+    """Handler of Snakemake's events that prints a line for each job that begins.
+
+    Args:
+        workflow: Snakemake's, whose plan is known once it begins.
+        seconds: Name of a step to how long it usually takes.
+    """
+
+    def __init__(self, workflow, seconds: dict[str, float]):
+        super().__init__()
+        self._workflow, self._seconds = workflow, seconds
+        self._jobs: dict[int, tuple[str, int]] = {}
+        self._left: set[int] = set()
+        self._begun, self._failed = 0, False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        event = getattr(record, "event", None)
+        if event == "run_info":
+            jobs = (job for job in self._workflow.dag.needrun_jobs() if job.output)
+            self._jobs = {job.jobid: (Path(job.output[0]).stem, job.threads) for job in jobs}
+            self._left = {*self._jobs}
+        elif event == "job_info" and record.jobid in self._jobs:
+            self._begun += 1
+            print(self._line(record.jobid), flush=True)
+            if self._workflow.dryrun:
+                self._left.discard(record.jobid)
+        elif event == "job_finished":
+            self._left.discard(record.job_id)
+        elif event is None and record.levelno >= logging.ERROR:
+            message = " ".join(record.getMessage().split())
+            # Of a step that failed no more is to be said than the step itself has.
+            self._failed |= "CalledProcessError" in message or message.startswith("Exiting")
+            if message and not self._failed:
+                print(f"error: {message}", file=sys.stderr)
+
+    def _line(self, job: int) -> str:
+        """`Step 3 of 12: train-ours, about 8 min left`."""
+        text = f"Step {self._begun} of {len(self._jobs)}: {self._jobs[job][0]}"
+        known = [
+            self._seconds[name] * threads
+            for name, threads in (self._jobs[other] for other in self._left)
+            if name in self._seconds
+        ]
+        if not known:
+            return text
+        more = " or more" if len(known) < len(self._left) else ""
+        return f"{text}, about {duration(sum(known) / self._workflow.cores)} left{more}"
+
+
+def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
+    """How long each step took, the median of runs of the same size, by the name of its record."""
+    taken: dict[str, list[float]] = {}
+    for step in _steps(build, results):
+        if step.get("preset", {}).get("name") == preset and "name" in step:
+            taken.setdefault(step["name"], []).append(step["seconds"])
+    return {name: median(seconds) for name, seconds in taken.items()}
+
+
+def _steps(build: Path, results: Path) -> Iterable[dict]:
+    for path in build.glob("*/*/records/*.json"):
+        with suppress(InputError):  # a damaged one is for its readers to refuse
+            yield read_record(path)
+    for path in results.glob(f"**/{MANIFEST}"):
+        with suppress(InputError):
+            yield from steps_of(read_manifest(path.parent))

@@ -1,0 +1,124 @@
+"""Step: trains one network of `hard`, `anatomy` or `transfer`, by its name, from a checkpoint on.
+
+Of `hard`, lifting sees new faces in every step, and Deep-MDS, which goes over its faces many times,
+as many as in the paper.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.models.registry import load_model, model_files
+from data_gen.views.photo_views import sample_photo_views
+from experiments.inputs import load_faces
+from experiments.lifting.views import CONDITIONS, Condition, sample_training, training_views
+from experiments.methods import load
+from experiments.recipes import deep_mds, fit, lifting
+from experiments.records import resumable
+from experiments.run import Run
+from experiments.streams import Stream
+
+SEEDS, SEEDED = 3, "hard_1"  # lifting is trained from so many seeds for one condition
+DEEP_MDS, LIFTING = "ours_stable", "lifting"
+PAIR_NETS = ("landmarks_known", "whole_view")
+TRANSFER_SCHEME = "ibug51"
+_HARD_RATE = 3e-3
+_MOST_NOISE_MM = 6.0
+
+
+def lifting_networks(run: Run, study: str) -> list[str]:
+    """Names of the networks of `"hard"`, `"anatomy"` or `"transfer"`, the slow ones first."""
+    if study != "hard":
+        methods = PAIR_NETS if study == "anatomy" else (DEEP_MDS, LIFTING)
+        return [f"{study}-{method}" for method in methods]
+    files = [hard_file(run, DEEP_MDS, c, run.seed) for c in CONDITIONS if not c.missing]
+    files += [hard_file(run, LIFTING, c, seed) for c in CONDITIONS for seed in hard_seeds(run, c)]
+    return [*dict.fromkeys(file.stem for file in files)]
+
+
+def hard_seeds(run: Run, condition: Condition) -> range:
+    """Seeds from which lifting is trained for a condition."""
+    n = min(SEEDS, run.preset.n_seeds) if condition.id == SEEDED else 1
+    return range(run.seed, run.seed + n)
+
+
+def hard_file(run: Run, method: str, condition: Condition, seed: int) -> Path:
+    """Network that a method uses in a condition."""
+    return network_file(run, f"hard-{method}-{condition.training.id}-seed{seed}")
+
+
+def network_file(run: Run, name: str) -> Path:
+    suffix = "keras" if name.startswith("anatomy") else "npz"
+    return run.work / "lifting" / f"{name}.{suffix}"
+
+
+def load_network(file: Path):
+    """Read a `keras.Model`, a `LandmarkLifter` or a `DeepMDS`, as the name of its file says."""
+    if file.suffix == ".keras":
+        import keras
+
+        return keras.saving.load_model(file, compile=False)
+    if LIFTING in file.stem:
+        from deepmds_keras.lifting.lifter import LandmarkLifter
+
+        return LandmarkLifter.load(file)
+    from deepmds_keras.pipeline import DeepMDS
+
+    return DeepMDS.load(file).set_params(solver="batched", n_jobs=1)
+
+
+def main(run: Run, name: str) -> None:
+    inputs = model_files(run.model, run.data)
+    if name.startswith("anatomy"):
+        inputs = [run.work / "train.npz", run.network_file("autoencoder-cosine")]
+    folder = resumable(run.work / "lifting" / "checkpoints" / name, inputs)
+    checkpoint = folder if DEEP_MDS in name else folder / "network.npz"
+    network, data, options = _untrained(run, *name.split("-"))
+    fit(network, *data, checkpoint=checkpoint, **options).save(network_file(run, name))
+
+
+def _untrained(run: Run, study: str, method: str, training: str = "", seed: str = "") -> tuple:
+    """A network by the parts of its name, and the arguments and options of its `fit`."""
+    if study == "anatomy":
+        from experiments.lifting.pair_nets import PairNet
+
+        epochs, steps = run.preset.dissimilarity_epochs, run.preset.dissimilarity_steps
+        net = PairNet(method == "whole_view", epochs, steps, run.seed)
+        train = load_faces(run, "train")
+        return net, (load(run, DEEP_MDS).frontalise(train.views), train.views, train.shapes), {}
+    if study == "transfer":
+        views, shapes, sd = transfer_faces(run)
+        if method == DEEP_MDS:
+            net = deep_mds(run.on("flame"), "paper", "cosine").set_params(centre_views=True)
+            return net, (views, shapes), {}
+        lifter = lifting(run).set_params(n_landmarks=views.shape[1])
+        return lifter, (views, shapes), {"landmark_sd": sd}
+    condition = next(c for c in CONDITIONS if c.training.id == training)
+    if method == DEEP_MDS:
+        faces = training_views(run, condition)
+        return deep_mds(run, "paper", "cosine"), (faces.views, faces.shapes), {}
+
+    def sample(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        faces = sample_training(run, condition, n, rng)
+        return faces.views, faces.shapes, faces.sd_mm
+
+    options = {"learning_rate": _HARD_RATE, "seed": int(seed.removeprefix("seed"))}
+    return lifting(run).set_params(**options), (sample,), {}
+
+
+def transfer_faces(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's errors."""
+    rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
+    sd = training_noise(run.preset.train_faces, rng)
+    model = load_model(run.model, run.data, TRANSFER_SCHEME)
+    views, shapes, _ = sample_photo_views(
+        model, TRANSFER_SCHEME, len(sd), rng, detector_sd=sd[:, None, None]
+    )
+    return views, shapes, sd
+
+
+def training_noise(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Standard deviations `(n,)` of the errors in views to train on, mm: mostly small."""
+    return _MOST_NOISE_MM * rng.random(n) ** 2

@@ -1,1 +1,0 @@
-"""Markdown by templates: tables, and the paper's claims with their verdicts."""

@@ -1,0 +1,100 @@
+"""Step: writes the head of `deepmds predict --mesh`, and measures how far its meshes lie off.
+
+`make surface` prints the table of docs/mesh.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
+
+from data_gen.build_openhead.surface import write_surface
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.openhead import read_openhead
+from data_gen.models.registry import load_model, open_models
+from data_gen.views.photo_views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_expressive
+from data_gen.views.projections import project, sample_perspective_cameras
+from deepmds_keras.alignment import align, procrustes
+from deepmds_keras.lifting.trained import TrainedLifter
+from deepmds_keras.predict.surface import FILE, fit_surfaces, surface_landmarks
+from deepmds_keras.weights import pretrained_path
+from experiments.face_models import TITLES
+from experiments.run import Run
+from experiments.streams import Stream
+
+_SCHEME, _N_FACES, _SEED = "ibug51", 200, 0
+_ERROR_MM, _VIEW_ERROR_MM = 2, 3  # of each coordinate of landmarks, and of those in a view
+_FRONT = 30  # mm from the axis of the head
+_HALF = 127  # of a mask
+
+
+def main(run: Run) -> None:
+    write_surface(FILE)
+    print("| faces of | landmarks | mean head to surface | mesh to surface | mesh to landmarks |")
+    print("|---|---|---|---|---|")
+    for name in open_models(run.data)[0]:
+        for landmarks, *distances in measure(load_model(name, run.data)):
+            cells = " | ".join(f"{distance:.2f}" for distance in distances)
+            print(f"| {TITLES[name]} | {landmarks} | {cells} |")
+
+
+def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[tuple[str, float, float, float]]:
+    """Measure heads that are fitted to the landmarks of random faces, mean distances in mm.
+
+    Yields:
+        What the landmarks are; the distance of the vertices of the face, without the eyes and the
+        inside of the mouth, from the true surface, of the mean head where it is aligned and of the
+        fitted ones; and the distance of these from the landmarks given.
+    """
+    rng = np.random.default_rng([_SEED, Stream.SURFACES])
+    true = model.shape(*sample_expressive(model, n, rng))
+    head, vertices = read_openhead(), surface_landmarks(_SCHEME)
+    mean, skin = head["mean"], (head["part"] == 0) & (head["mask_inside_mouth"] == 0)
+    face = skin & (head["mask_face"] > _HALF) & (mean[:, 2] > _FRONT)
+    for kind, given in _given(true[:, model.landmarks[_SCHEME]], rng):
+        fitted = fit_surfaces(given, _SCHEME)
+        landmarks = np.tile(mean[vertices], (n, 1, 1))
+        rotation, scale, shift = procrustes(landmarks, given, reflection=False)
+        means = scale[:, None, None] * (mean @ rotation) + shift[:, None]
+        yield (
+            kind,
+            _distance(means[:, face], true, model.triangles),
+            _distance(fitted[:, face], true, model.triangles),
+            np.linalg.norm(fitted[:, vertices] - given, axis=2).mean(),
+        )
+
+
+def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+    """Landmarks `(n, L, 3)` of several kinds, where the true ones are, by their description."""
+    yield "exact", true
+    yield f"off by {_ERROR_MM} mm a coordinate", true + rng.normal(0, _ERROR_MM, true.shape)
+    cameras = sample_perspective_cameras(
+        len(true), rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
+    )
+    views = project(true, cameras)
+    lifter = TrainedLifter.read(pretrained_path(f"lifting-{_SCHEME}"))
+    yield "lifted from exact views", align(lifter.predict(views, landmark_sd=0), true)
+    views = views + rng.normal(0, _VIEW_ERROR_MM, views.shape)
+    shapes = align(lifter.predict(views, landmark_sd=_VIEW_ERROR_MM), true)
+    yield f"lifted from views off by {_VIEW_ERROR_MM} mm a coordinate", shapes
+
+
+def _distance(points: np.ndarray, surfaces: np.ndarray, triangles: np.ndarray) -> float:
+    """Mean distance of points `(n, P, 3)` from the surfaces `(n, V, 3)`."""
+    distances = []
+    for some, vertices in zip(points, surfaces, strict=True):
+        surface, corners, cells = vtkPolyData(), vtkPoints(), vtkCellArray()
+        corners.SetData(numpy_to_vtk(np.ascontiguousarray(vertices)))
+        starts = numpy_to_vtkIdTypeArray(np.arange(0, triangles.size + 1, 3))
+        cells.SetData(starts, numpy_to_vtkIdTypeArray(np.ascontiguousarray(triangles.ravel())))
+        surface.SetPoints(corners), surface.SetPolys(cells)
+        measured, distance = vtkDoubleArray(), vtkImplicitPolyDataDistance()
+        distance.SetInput(surface)
+        distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(some, float)), measured)
+        distances.append(np.abs(vtk_to_numpy(measured)).mean())
+    return float(np.mean(distances))

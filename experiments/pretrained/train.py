@@ -1,0 +1,102 @@
+"""Step: trains one of the networks that ship with the package, on faces as photos show them.
+
+The lifters see faces of both open models, with errors whose strength they are given. Every face is
+changed beyond its model, since the people in photos are of no model at all. The networks of
+Deep-MDS are those of `ours_stable`, on faces of the open head alone.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.registry import load_model, model_files, open_models
+from data_gen.views.photo_views import DETECTOR_SD_MM, sample_expressive, sample_photo_views
+from data_gen.views.projections import project, sample_perspective_cameras
+from deepmds_keras.landmarks import load_scheme
+from experiments.lifting.train import training_noise
+from experiments.recipes import deep_mds, fit, lifting
+from experiments.records import resumable
+from experiments.run import Run
+from experiments.streams import Stream
+
+# Standard deviation of the errors that Deep-MDS is trained with, mm. No detector finds the 72
+# landmarks: they come from fits of face models to photos.
+DEEP_MDS = {"ibug51": DETECTOR_SD_MM, "bfm72": 1.0}
+LIFTERS = ("ibug51", "ibug68", "bfm72")
+# Names of all networks, under which they ship, those that take long first.
+NETWORKS = (*(f"deepmds-{scheme}" for scheme in DEEP_MDS), *(f"lifting-{s}" for s in LIFTERS))
+_MISSING = 0.3
+# Uniform, to either side, degrees; and the angle that the landmarks fill, from 0.
+_YAW, _PITCH, _ROLL, _FIELD_OF_VIEW = 90.0, 40.0, 40.0, 40.0
+# What models do not have: larger features, smooth offsets, landmarks set elsewhere, other aspects.
+_IDENTITY = (0.8, 1.4)
+_SMOOTH_MM, _SMOOTH_SD_MM = 25.0, 3.0
+_OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.05
+
+
+def weights_file(run: Run, name: str) -> Path:
+    return run.work / "photo-networks" / f"{name}.npz"
+
+
+def photo_faces(run: Run, scheme: str) -> Callable:
+    """What a lifter is trained on: `sample_faces` of a number of faces and a generator."""
+    models = (load_model(name, run.data, scheme) for name in open_models(run.data)[0])
+    parts = [model.restrict(model.landmarks[scheme]) for model in models]
+    return functools.partial(sample_faces, parts)
+
+
+def main(run: Run, name: str) -> None:
+    method, scheme = name.split("-")
+    models = open_models(run.data)[0] if method == "lifting" else ["openhead"]
+    inputs = [file for model in models for file in model_files(model, run.data)]
+    checkpoint = resumable(weights_file(run, name).with_suffix(""), inputs)
+    if method == "lifting":
+        checkpoint, data = checkpoint / "network.npz", (photo_faces(run, scheme),)
+        network = lifting(run).set_params(steps=run.preset.shipped_steps, missing=_MISSING)
+    else:
+        rng = np.random.default_rng([run.seed, Stream.PRETRAINED, [*DEEP_MDS].index(scheme)])
+        model, n = load_model("openhead", None, scheme), run.preset.train_faces
+        data = sample_photo_views(model, scheme, n, rng, detector_sd=DEEP_MDS[scheme])[:2]
+        network = deep_mds(run, "paper", "cosine")
+        network.set_params(centre_views=True, solver="batched", n_jobs=None)
+    network.set_params(n_landmarks=len(load_scheme(scheme)))
+    fit(network, *data, checkpoint=checkpoint)
+    network.history_ = {}  # the curves would be a good part of the file
+    network.save(weights_file(run, name))
+
+
+def sample_faces(
+    models: Sequence[MorphableModel], n: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random faces with errors in their views, equal parts of models restricted to the landmarks.
+
+    Returns:
+        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and s.d. `(n,)` of the errors.
+    """
+    share = np.arange(n) * len(models) // n
+    shapes = [_beyond(model, int((share == k).sum()), rng) for k, model in enumerate(models)]
+    shapes = rng.permutation(np.concatenate(shapes))
+    cameras = sample_perspective_cameras(
+        n, rng, yaw=_YAW, pitch=_PITCH, roll=_ROLL, field_of_view=(0, _FIELD_OF_VIEW)
+    )
+    views, sd = project(shapes, cameras), training_noise(n, rng)
+    return views + sd[:, None, None] * rng.standard_normal(views.shape), shapes, sd
+
+
+def _beyond(model: MorphableModel, n: int, rng: np.random.Generator) -> np.ndarray:
+    """`(n, L, 3)` faces of a model, changed in ways that it does not have."""
+    identity, expression = sample_expressive(model, n, rng)
+    shapes = model.shape(identity * rng.uniform(*_IDENTITY, (n, 1)), expression)
+    # Times white noise it gives offsets alike for landmarks that lie together.
+    squares = ((model.mean[:, None] - model.mean) ** 2).sum(2)
+    kernel = np.exp(-squares / (2 * _SMOOTH_MM**2))
+    smooth = np.linalg.cholesky(kernel + 1e-6 * np.eye(len(kernel)))
+    bend = _SMOOTH_SD_MM * rng.random((n, 1, 1)) * (smooth @ rng.standard_normal(shapes.shape))
+    offset = _OFFSET_SD_MM * rng.random((n, 1, 1)) * rng.standard_normal(shapes.shape)
+    aspect = 1 + _ASPECT_SD * rng.standard_normal((n, 1, 3))
+    return aspect * (shapes + bend + offset)

@@ -1,1 +1,0 @@
-"""The report of a face model's results: one page of HTML, and the same as Markdown."""

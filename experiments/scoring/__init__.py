@@ -1,1 +1,0 @@
-"""Predictions into metrics, and metrics into tables."""

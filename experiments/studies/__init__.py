@@ -1,1 +1,0 @@
-"""Studies beside the paper's tables: ablation, seeds, a million faces."""

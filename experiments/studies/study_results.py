@@ -1,0 +1,64 @@
+"""How the studies of lifting, and of the shipped weights, write and show their results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy.stats import sem
+
+from experiments.face_models import TITLES
+from experiments.figures.style import save
+from experiments.records import clear_results, write_csv, write_text
+from experiments.run import Run
+from experiments.scoring.latex import tabular
+from experiments.scoring.numbers import plus_minus
+
+_NOTHING = 1e-12  # an error that is rounding
+
+
+def write_results(
+    run: Run,
+    name: str,
+    tables: Mapping[str, pd.DataFrame],
+    cells: pd.DataFrame,
+    notes: Sequence[str] = (),
+    figures: Mapping[str, Figure] = {},
+) -> dict:
+    """Write CSV, `table.tex` and figures, print the table, and return what the record is to say.
+
+    Args:
+        run: The run.
+        name: Of the folder of results.
+        tables, figures: By name.
+        cells: The table as it is read, as from `grid`.
+        notes: To stand below it.
+    """
+    folder = run.experiment_results(name)
+    clear_results(folder)
+    for table, rows in tables.items():
+        write_csv(folder / f"{table}.csv", rows)
+    columns = "l" * cells.index.nlevels + "r" * cells.shape[1]
+    cells = cells.reset_index()
+    write_text(folder / "table.tex", tabular(cells, columns, notes))
+    for figure, drawn in figures.items():
+        save(drawn, folder / "figures", figure, run.preset.caution)
+    print(f"\n{TITLES[run.model]}\n", cells.to_string(index=False), "", *notes, sep="\n")
+    return {"results": [folder]}
+
+
+def mean_error(errors: np.ndarray) -> dict[str, float]:
+    """Mean of the errors of faces, its standard error and their number, as columns of a table."""
+    return {"mse": float(errors.mean()), "sem": float(sem(errors)), "n_faces": len(errors)}
+
+
+def grid(table: pd.DataFrame, rows: str | list[str], columns: str, unit: float) -> pd.DataFrame:
+    """Texts `mse ± sem` in a unit by the values of some columns, in their order in the table."""
+    texts = [
+        "0" if row.mse < _NOTHING else plus_minus(row.mse, row.sem, unit)
+        for row in table.itertuples()
+    ]
+    cells = table.assign(text=texts).pivot_table("text", rows, columns, "first", sort=False)
+    return cells.fillna("").rename_axis(columns=None)

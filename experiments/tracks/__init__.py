@@ -1,1 +1,0 @@
-"""The paper's experiments: one folder a track, and the stages that tracks share."""

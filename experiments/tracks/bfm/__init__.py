@@ -1,1 +1,0 @@
-"""The paper's first table: neutral faces of a morphable model."""

@@ -1,0 +1,138 @@
+"""Step: the paper's figure of CelebA faces with FLAME's landmarks, or of drawn ones in their place.
+
+`TF_FLAME=` is the folder `data` of the public repository TF_FLAME: photos, and 51 landmarks of
+each.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras.alignment import align
+from deepmds_keras.detection.dlib_landmarks import shared_detector
+from deepmds_keras.io.archives import map_npy
+from deepmds_keras.io.errors import InputError
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.normalisation import centre, normalise
+from deepmds_keras.photos import IMAGE_SIZE, open_photo
+from experiments.figures.qualitative import gallery
+from experiments.figures.style import save
+from experiments.inputs import CROP_MARGIN, CROP_SIZE, load_faces
+from experiments.methods import METHODS, load, predict
+from experiments.records import clear_results
+from experiments.run import Run
+from experiments.streams import Stream
+from experiments.tracks.results import face_squares
+
+_PHOTO = 224  # pixels of a side of a photo in the picture
+_FACES = 12  # at most, in the picture
+_YAWS = (0, 15, 30, 45)  # degrees; of the photos drawn the nearest are shown
+_DRAWN = 60
+
+
+def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
+    """Photos and their landmarks.
+
+    Args:
+        folder: With `NAME.jpeg` and `NAME_lmks.npy` of each face, `(51, 2)` pixels, x right and y
+            down, in the order of iBUG's landmarks 18 to 68.
+
+    Returns:
+        Paths in order of name, at most 12, and `(n, 51, 2)`.
+
+    Raises:
+        InputError: No such folder or none of these files in it, or landmarks of another shape.
+    """
+    files = sorted(folder.glob("*_lmks.npy"))[:_FACES]
+    if not files:
+        raise InputError(
+            f"TF_FLAME={folder} must be a folder with photos NAME.jpeg and landmarks "
+            "NAME_lmks.npy, such as data/ of https://github.com/TimoBolkart/TF_FLAME. "
+            "Received none of these."
+        )
+    landmarks = [map_npy(path) for path in files]
+    for path, points in zip(files, landmarks, strict=True):
+        if points.shape != (51, 2) or not np.isfinite(points).all():
+            raise InputError(f"{path} must be finite (51, 2). Received shape {points.shape}.")
+    names = [path.name.removesuffix("_lmks.npy") for path in files]
+    return [folder / f"{name}.jpeg" for name in names], np.array(landmarks, float)
+
+
+def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
+    """Photos drawn in place of CelebA's, and the 51 landmarks that dlib finds in them.
+
+    Returns:
+        `(H, W, 3)` uint8 each, of heads turned by up to 45 degrees, and `(n, 51, 2)` pixels.
+
+    Raises:
+        InputError: The face model cannot be drawn, or dlib finds too few faces.
+    """
+    from data_gen.datasets.portraits import Portraits
+    from data_gen.models.registry import load_model
+
+    model = load_model(run.model, run.data)
+    detections = []
+    for photo in Portraits(model, (run.seed, Stream.STAND_IN_PHOTOS)).photos(range(_DRAWN)):
+        landmarks = shared_detector().detect(photo.image)
+        if landmarks is not None:
+            detections.append((abs(photo.yaw), photo.image, convert(landmarks, "ibug68", "ibug51")))
+    if len(detections) < len(_YAWS):
+        raise InputError(
+            f"dlib must find {len(_YAWS)} faces in {_DRAWN} photos drawn of {run.model}. "
+            f"It found {len(detections)}."
+        )
+    chosen = []
+    for yaw in _YAWS:
+        nearest = min(range(len(detections)), key=lambda k: abs(detections[k][0] - yaw))
+        chosen.append(detections.pop(nearest)[1:])
+    images, landmarks = zip(*chosen, strict=True)
+    return [*images], np.stack(landmarks)
+
+
+def inputs_for(run: Run, method: str, images: list[np.ndarray], landmarks: np.ndarray):
+    """What a method is given of the photos."""
+    if METHODS[method].inputs == "views":
+        return normalise(centre(landmarks * (1, -1)))
+    if method != "ringnet":
+        return images
+    size = IMAGE_SIZE if run.ringnet is None else CROP_SIZE
+    return face_squares(images, landmarks, size, CROP_MARGIN)[0]
+
+
+def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Shapes turned, scaled and moved, but not mirrored, onto the mean. NaN stays NaN."""
+    turned = np.full(shapes.shape, np.nan)
+    finite = np.isfinite(shapes).all((1, 2))
+    targets = np.broadcast_to(mean, shapes[finite].shape)
+    turned[finite] = align(shapes[finite].astype(float), targets, reflection=False)
+    return turned
+
+
+def main(run: Run, *methods: str) -> dict:
+    folder = run.experiment_results("celeba-flame" + "-stand-in" * (run.tf_flame is None))
+    record = {}
+    if run.tf_flame is None:
+        # VTK and TensorFlow do not get on in one process.
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+            images, landmarks = process.submit(draw_photos, run).result()
+    else:
+        photos, landmarks = read_folder(Path(run.tf_flame))
+        images = [open_photo(path) for path in photos]
+        record["faces"] = [path.name for path in photos]
+    mean = load_faces(run, "train").shapes.mean(0).astype(float)
+    # Those that see the photo stand beside it.
+    order = sorted(methods, key=lambda method: METHODS[method].inputs)
+    shapes = {}
+    for method in order:
+        predicted = predict(load(run, method), inputs_for(run, method, images, landmarks))
+        shapes[method] = upright(predicted, mean)
+    squares = face_squares(images, landmarks, _PHOTO, CROP_MARGIN)
+    clear_results(folder)
+    figure = gallery(*squares, shapes, load_scheme(run.scheme))
+    save(figure, folder / "figures", "celeba_flame", run.preset.caution)
+    return record | {"methods": order, "results": [str(folder)]}

@@ -1,1 +1,0 @@
-"""The paper's second table: expressive faces, photos and scans."""

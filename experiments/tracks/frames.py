@@ -1,0 +1,60 @@
+"""Step of the FLAME track: frames of expressions, the training set, and their views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.datasets.coma import find_meshes, load_coma
+from data_gen.datasets.dataset import dataset_of, save_dataset
+from data_gen.datasets.frames_standin import make_frames
+from data_gen.models.flame_embedding import embedding_near
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.views.projections import sample_cameras
+from experiments.inputs import face_model, in_photos
+from experiments.progress import Bar
+from experiments.records import write_text
+from experiments.run import Run
+from experiments.streams import Stream
+
+
+def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
+    """Landmarks `(n, 51, 3)` of the meshes of CoMA, millimetres, and how many were unreadable."""
+    embedding = embedding_near(run.data or folder)
+    with Bar(total=len(find_meshes(folder)), desc="meshes", unit="mesh") as bar:
+        coma = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
+    if coma.skipped:
+        path = run.work / "frames-skipped.txt"
+        write_text(path, "".join(f"{mesh}: {reason}\n" for mesh, reason in coma.skipped))
+        print(f"  {len(coma.skipped)} meshes skipped, see {path}")
+    return coma.landmarks, len(coma.skipped)
+
+
+def standin_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
+    """Landmarks `(n, 51, 3)` of as many frames of the open stand-in, millimetres."""
+    frames = make_frames(model, run.preset.frame_subjects, run.preset.frames, rng)
+    landmarks = model.restrict(model.landmarks[run.scheme])
+    return landmarks.shape(frames.identity, frames.expression)
+
+
+def main(run: Run) -> dict:
+    """Write the frames and one view of each."""
+    model = face_model(run)
+    rng = np.random.default_rng([run.seed, Stream.FRAMES])
+    folder, skipped = run.folder_of("coma"), 0
+    if folder is None:
+        landmarks, source = standin_frames(run, model, rng), f"stand-in, {model.name}"
+    else:
+        (landmarks, skipped), source = coma_frames(run, folder), "CoMA"
+    cameras = sample_cameras(len(landmarks), rng, run.protocol)
+    description = {"model": run.model, "scheme": run.scheme, "protocol": run.protocol}
+    dataset = dataset_of(landmarks, cameras, description | {"frames": source})
+    save_dataset(run.work / "train.npz", in_photos(run, dataset))
+    return {
+        "model": model.name,
+        "model_sha256": model.sha256,
+        "frames": source,
+        "n_frames": len(landmarks),
+        "skipped": skipped,
+    }

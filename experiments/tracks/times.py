@@ -1,0 +1,56 @@
+"""Step: the times of methods that see views, in turns, so that what else runs meets all of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from experiments.inputs import load_faces
+from experiments.methods import METHODS, load, predict, views_for
+from experiments.run import Run
+from experiments.tasks import single_threaded
+
+PASSES = 5
+
+
+def prediction_times(models: Sequence, inputs: Sequence[np.ndarray]) -> list[dict[str, float]]:
+    """Times of one call of `predict` for all inputs of a model, in this process.
+
+    One call of each is before, to warm up. Matrices are multiplied by one thread: of Aldrian's,
+    which are small, many take far longer.
+
+    Args:
+        models: As from `methods.load`.
+        inputs: Of each model.
+
+    Returns:
+        Of each model `ms_per_face`, the median of five times, and `ms_per_face_lowest` and
+        `ms_per_face_highest`.
+    """
+    for model in models:
+        if hasattr(model, "n_jobs"):
+            model.set_params(n_jobs=1)
+    taken = np.empty((1 + PASSES, len(models)))
+    with single_threaded():
+        for row in taken:
+            for k, (model, seen) in enumerate(zip(models, inputs, strict=True)):
+                start = time.perf_counter()
+                predict(model, seen)
+                row[k] = 1000 * (time.perf_counter() - start) / len(seen)
+    return [
+        {
+            "ms_per_face": float(np.median(passes)),
+            "ms_per_face_lowest": float(passes.min()),
+            "ms_per_face_highest": float(passes.max()),
+        }
+        for passes in taken[1:].T
+    ]
+
+
+def main(run: Run, *methods: str) -> dict:
+    test = load_faces(run, "test")[: run.preset.timed_faces]
+    models = [load(run, method) for method in methods]
+    views = [views_for(METHODS[method], test) for method in methods]
+    return {"times": dict(zip(methods, prediction_times(models, views), strict=True))}

@@ -1,0 +1,43 @@
+"""Step: train one method; where it was stopped it goes on from its checkpoint."""
+
+from __future__ import annotations
+
+from experiments.method import Method
+from experiments.methods import method_of, train
+from experiments.records import load_record, resumable
+from experiments.run import Run
+
+
+def limit_threads(method: Method) -> None:
+    """Set TensorFlow's threads to those of the method: how sums are split depends on them."""
+    if method.threads is None:
+        return
+    import tensorflow as tf
+
+    within, between = method.threads
+    tf.config.threading.set_intra_op_parallelism_threads(within)
+    tf.config.threading.set_inter_op_parallelism_threads(between)
+
+
+def keep_checkpoints(run: Run, method: Method) -> None:
+    """Delete checkpoints that were trained on other faces or images than those of the run.
+
+    Methods that see views have one folder, since some share a network.
+    """
+    if method.inputs == "views":
+        resumable(run.networks, [run.work / "train.npz"])
+        return
+    step, part = ("rings", "rings") if method.inputs == "photos" else ("images", "train")
+    resumable(
+        method.checkpoint(run).parent,
+        [run.work / "landmark_model.npz"],
+        images=load_record(run, step)["checksums"][part],
+    )
+
+
+def main(run: Run, method_id: str) -> dict:
+    method = method_of(method_id)
+    limit_threads(method)
+    keep_checkpoints(run, method)
+    train(run, method_id)
+    return {"method": method_id}

@@ -1,0 +1,153 @@
+"""Topics on shapes, where the answer is known: bias, ranks, spectra, depth, samplings."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from deepmds_keras.alignment import align
+from deepmds_keras.embedding import pairwise_distances
+from deepmds_keras.normalisation import normalise
+from experiments.audit import shapes
+from experiments.scoring.scores import Scores
+
+N, L = 400, 30
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def faces(rng, n=N):
+    """A mean shape, and faces that differ from it in 12 ways."""
+    mean = rng.uniform(0, 1, (L, 3))
+    ways = rng.normal(0, 0.01, (12, L, 3))
+    return mean, mean + np.tensordot(rng.standard_normal((n, 12)), ways, 1)
+
+
+def measured(predicted, mean, truth):
+    """As predictions are scored: each aligned to its truth."""
+    return shapes.bias_of(
+        align(predicted, truth), align(np.broadcast_to(mean, truth.shape), truth), truth
+    )
+
+
+@pytest.mark.parametrize("part", [0.25, 0.9, 1.3])
+def test_slope_is_the_recovered_part_of_the_offset(rng, part):
+    mean, truth = faces(rng)
+    bias = measured(mean + part * (truth - mean), mean, truth)
+    assert bias["slope"] == pytest.approx(part, abs=0.01)
+
+
+def test_mean_shape_recovers_nothing_and_the_truth_all(rng):
+    mean, truth = faces(rng)
+    constant = align(np.broadcast_to(mean, truth.shape), truth)
+    assert shapes.bias_of(constant, constant, truth)["slope"] == 0
+    assert measured(truth, mean, truth)["slope"] == pytest.approx(1)
+
+
+def test_noise_as_large_as_the_offsets_is_no_bias_and_hides_none(rng):
+    mean, truth = faces(rng)
+    noise = rng.normal(0, 0.035, truth.shape)  # as large as the offsets
+    bias = measured(truth + noise, mean, truth)
+    assert bias["slope"] == pytest.approx(1, abs=0.03)
+    assert bias["systematic_share"] < 0.02
+    assert measured(mean + noise, mean, truth)["slope"] == pytest.approx(0, abs=0.05)
+
+
+def test_same_error_in_every_face_is_systematic_and_not_towards_the_mean(rng):
+    mean, truth = faces(rng)
+    bias = measured(truth + rng.normal(0, 0.03, (L, 3)), mean, truth)
+    assert bias["slope"] == pytest.approx(1, abs=0.02)
+    assert bias["systematic_share"] > 0.8
+
+
+def test_standard_error_is_the_spread_over_samples_of_faces(rng):
+    mean, truth = faces(rng, 40 * 60)
+    predicted = truth + rng.normal(0, 0.05, truth.shape)
+    samples = [measured(predicted[i::40], mean, truth[i::40]) for i in range(40)]
+    spread = np.std([bias["slope"] for bias in samples], ddof=1)
+    assert np.mean([bias["slope_se"] for bias in samples]) == pytest.approx(spread, rel=0.35)
+
+
+class Oracle:
+    """Knows the shapes, and sees them from the front."""
+
+    def __init__(self, truth):
+        self.truth = truth
+
+    def frontalise(self, views):
+        return self.truth[..., :2]
+
+    def dissimilarities(self, views):
+        return pairwise_distances(self.truth)
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    truth = normalise(np.random.default_rng(0).normal(0, (3, 2, 1), (4, 24, 3)))
+    mean = np.broadcast_to(truth.mean(0), truth.shape)
+    predictions = {"mean_shape": mean, "ours": mean + 0.5 * (truth - mean)}
+    there = {name: Path(__file__) for name in predictions}
+    return SimpleNamespace(
+        run=SimpleNamespace(seed=0, prediction_file=lambda m: there.get(m, Path("not-there"))),
+        test=SimpleNamespace(views=truth[..., :2], shapes=truth),
+        audited=np.arange(4),
+        method=lambda _: Oracle(truth),
+        scores=lambda method: Scores(align(predictions[method], truth), truth, None, None),
+    )
+
+
+def test_bias_is_of_the_methods_that_see_the_same_views(evidence):
+    table = shapes.bias(evidence).set_index("method")
+    assert [*table.index] == ["mean_shape", "ours"]
+    assert table.loc["mean_shape", "slope"] == 0 < table.loc["ours", "slope"] < 1
+
+
+def test_distances_of_d_dimensions_have_rank_d(evidence):
+    table = shapes.ranks(evidence)
+    general = table[table["points"].isin(["cloud", "faces"])]
+    assert [*general["dimensions"]] == [1, 2, 3, 4, 5, 6, 3]
+    assert (general["centred"] == general["dimensions"]).all()
+    assert (general["squared"] == general["dimensions"] + 2).all()
+    assert (general["distances"] == 24).all()
+    # Points in a plane, and fewer points than dimensions.
+    assert [*table["centred"][-2:]] == [2, 4]
+
+
+def test_spectra_count_the_dimensions(evidence):
+    shares = shapes.spectra(evidence).pivot(index="matrix", columns="eigenvalue", values="share")
+    for name, n_dimensions in (("true", 3), ("learnt", 3), ("frontal", 2)):
+        assert (shares.loc[name, :n_dimensions] > 0.01).all()
+        np.testing.assert_allclose(shares.loc[name, n_dimensions + 1 :], 0, atol=1e-12)
+        assert shares.loc[name].sum() == pytest.approx(1)
+
+
+def test_answers_without_depth_are_what_they_are_called(rng):
+    truth = normalise(rng.normal(0, (3, 3, 1), (5, 20, 3)))
+    answers = shapes.answers_without_depth(truth, np.broadcast_to(truth.mean(0), truth.shape), rng)
+    np.testing.assert_allclose(answers["truth"], truth, atol=1e-12)
+    in_a_plane = answers["flat"] - answers["flat"].mean(1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.svd(in_a_plane)[1][:, 2], 0, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(answers["point"], axis=1), 0, atol=1e-12)
+
+
+def test_samplings_find_differences_between_exchangeable_methods_and_faces_seldom_do():
+    difference = np.random.default_rng(1).standard_normal(1000)
+    rates = shapes.false_positives(
+        difference, [10, 50], 100, np.random.default_rng(2), simulations=300
+    )
+    # What the faces of the test set have in common has 1/9 of the variance of a sampling's mean,
+    # and every sampling has it: 10 of them vary by 1 + 10/9 times what the test reckons with.
+    assert rates["10"] == pytest.approx(2 * norm.sf(1.96 / (1 + 10 / 9) ** 0.5), abs=0.06)
+    assert rates["50"] > rates["10"] + 0.1
+    assert rates["faces"] < 0.09
+
+
+def test_samplings_of_a_test_set_without_end_would_keep_to_the_level():
+    difference = np.random.default_rng(1).standard_normal(20_000)
+    rates = shapes.false_positives(difference, [10], 100, np.random.default_rng(2), simulations=200)
+    assert rates["10"] < 0.1

@@ -1,0 +1,146 @@
+"""Scores of every face and subset; a metric that is registered, and nothing else, is in all."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deepmds_keras import normalise
+from deepmds_keras.io.archives import write_arrays
+from deepmds_keras.io.errors import InputError
+from experiments.inputs import Faces
+from experiments.metrics import METRICS, Metric
+from experiments.presets import SMOKE
+from experiments.records import write_record
+from experiments.report.report import cells, markdown_table
+from experiments.run import Run
+from experiments.scoring.numbers import plus_minus
+from experiments.scoring.scores import (
+    evaluate,
+    load_predictions,
+    metrics_by_seed,
+    per_face,
+    score,
+)  # fmt: skip
+from experiments.scoring.tables import write_tables
+from experiments.scoring.typesetting import text
+
+N, L = 24, 72
+COSTS = {"ours": {"ms_per_face": 2.5, "n_parameters": 27323}}
+
+
+@pytest.fixture
+def faces():
+    shapes = normalise(np.random.default_rng(0).random((N, L, 3)))
+    return Faces(shapes[..., :2], np.float32(shapes), np.full(N, 200.0), shapes, None)
+
+
+@pytest.fixture
+def predictions(faces):
+    """Of two methods, one of which does not find every face."""
+    noise = np.random.default_rng(1).standard_normal(faces.shapes.shape)
+    shapes = {"linear": faces.shapes + 0.01 * noise, "ours": faces.shapes + 0.02 * noise}
+    shapes["linear"][::5] = np.nan
+    return shapes
+
+
+@pytest.fixture
+def run(tmp_path):
+    return Run("openhead", SMOKE, "bfm", build=tmp_path / "build", results=tmp_path / "results")
+
+
+def table_of(run, metrics, scores):
+    folder = run.experiment_results("bfm")
+    write_tables(
+        folder, metrics, experiment="bfm", subset_size=9, notes={}, per_face=per_face(scores)
+    )
+    return pd.read_csv(folder / "table.csv")
+
+
+def test_a_registered_metric_is_in_every_table(run, faces, predictions, monkeypatch):
+    metric = Metric(
+        id="largest_mm",
+        head="Largest (mm)",
+        legend="largest error of a landmark of the {n}",
+        better="lower",
+        per_face=lambda scores: scores.distances_mm.max(1),
+        decimals=1,
+    )
+    monkeypatch.setitem(METRICS, metric.id, metric)
+    metrics, scores = evaluate(run, faces, predictions, COSTS)
+    of_metric = metrics[metrics["metric"] == metric.id]
+    assert len(of_metric) == len(predictions) * SMOKE.n_subsets
+    largest = 200 * np.linalg.norm(scores["ours"].aligned - faces.shapes, axis=2).max(1)
+    ours = of_metric[of_metric["method"] == "ours"]["value"]
+    assert largest.min() < ours.min() < ours.max() < largest.max()
+
+    table = table_of(run, metrics, scores)
+    mean = table.set_index(["method", "metric"]).loc[("ours", metric.id), "mean"]
+    assert mean == pytest.approx(ours.mean())
+    latex = (run.experiment_results("bfm") / "table.tex").read_text()
+    for output in (latex, text(table, "bfm"), markdown_table(cells(table, "bfm", "terminal"))):
+        assert "Largest (mm)" in output
+        assert re.search(rf"(?m)^(\| )?Deep-MDS .* {re.escape(f'{mean:.1f}')}\b", output)
+        assert plus_minus(mean, ours.std()) not in output
+    assert "largest error of a landmark of the 72, lower is better" in latex
+
+    monkeypatch.delitem(METRICS, metric.id)
+    before = text(table_of(run, *evaluate(run, faces, predictions, COSTS)), "bfm")
+    monkeypatch.setitem(METRICS, metric.id, metric)
+    assert text(pd.read_csv(run.experiment_results("bfm") / "table.csv"), "bfm") == before
+
+
+def test_faces_that_a_method_did_not_find_are_left_out_and_counted(run, faces, predictions):
+    flame = dataclasses.replace(run, track="flame")
+    metrics, scores = evaluate(flame, faces, predictions, COSTS)
+    values = metrics.set_index(["method", "metric"])["value"]
+    assert values.notna().all()
+    assert (values["ours", "detection_rate"] == 1).all()
+    assert values["linear", "detection_rate"].mean() == pytest.approx(1 - 5 / N, abs=0.15)
+    assert np.isnan(scores["linear"].mse[::5]).all()
+    assert values["ours", "n_parameters"] == 27323
+    assert "detection_rate" not in {*evaluate(run, faces, predictions, {})[0]["metric"]}
+    assert {len(v) for of in per_face(scores).values() for v in of.values()} == {N - 5}
+
+
+def test_scores_of_some_faces_are_those_of_all(faces, predictions):
+    scores, some = score(predictions["linear"], faces), [3, 5, 7]
+    assert np.array_equal(scores[some].mse, scores.mse[some], equal_nan=True)
+    assert np.array_equal(scores[some].depth_corr, scores.depth_corr[some], equal_nan=True)
+
+
+def test_a_similarity_of_the_truth_has_no_error(faces):
+    """Procrustes' alignment takes away scale, place, direction and reflection."""
+    turned, _ = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))
+    scores = score(3 * faces.shapes @ turned * [1, 1, -1] + 5, faces)
+    assert scores.mse.max() < 1e-12
+    assert scores.depth_corr == pytest.approx(L)
+
+
+def test_only_the_named_predictions_are_read(run, predictions):
+    for method in (*predictions, "zhao"):
+        shapes = predictions.get(method, np.zeros((1, L, 3)))
+        write_arrays(run.prediction_file(method), {"shapes": shapes}, {"n_parameters": 7})
+    loaded = load_predictions(run, ["ours", "linear"])
+    assert [*loaded] == ["ours", "linear"] and loaded["ours"][1] == {"n_parameters": 7}
+    write_record(run.record_file("times"), {"times": {"ours": {"ms_per_face": 2.5}}})
+    arrays, description = load_predictions(run, ["ours"])["ours"]
+    assert description == {"n_parameters": 7, "ms_per_face": 2.5}
+    assert np.array_equal(arrays["shapes"], predictions["ours"])
+    with pytest.raises(InputError, match="mean_shape"):
+        load_predictions(run, ["mean_shape"])
+
+
+def test_seeds_are_those_that_the_run_asks_for(run):
+    assert metrics_by_seed(run) is None
+    for seed in range(3):
+        rows = [("ours", "mse", 1e-4 * seed)]
+        write_record(dataclasses.replace(run, seed=seed).record_file("seed"), {"rows": rows})
+    for n in (2, 3):
+        table = metrics_by_seed(dataclasses.replace(run, seeds=n))
+        assert table["seed"].tolist() == [*range(n)]
+        assert table["value"].tolist() == [1e-4 * seed for seed in range(n)]
+    with pytest.raises(InputError, match=r"seed3.*seed\.json must be there"):
+        metrics_by_seed(dataclasses.replace(run, seeds=4))
