@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
         with locked(run.build / run.model):
             tidy(run)
             if dry:
-                _plan([*snakemake, "--dry-run", "--quiet", "host", "progress", "reason", "rules"])
+                _plan([*snakemake, "--dry-run"])
                 return
             _run([*snakemake, "--quiet", "all"], " ".join(["make", target, *words]))
         if target.startswith("reproduce"):
@@ -112,10 +112,12 @@ def locked(folder: Path) -> Iterator[None]:
 
 def _plan(command: list[str]) -> None:
     """Print the steps that a dry run of Snakemake would take, and nothing else of it."""
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         print(done.stderr, file=sys.stderr)
         raise SystemExit(2)
+    steps = [line for line in done.stdout.splitlines() if line.startswith("Step ")]
+    print("\n".join(steps) or "Nothing is to be done.")
 
 
 def _run(command: list[str], made_by: str) -> None:

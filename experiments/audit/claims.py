@@ -22,11 +22,11 @@ from experiments.audit.estimates import (
     over_samplings,
     over_seeds,
     point,
+    rate,
     share_below,
     spread_of_seeds,
-    values,
 )
-from experiments.audit.poses import TRAINED
+from experiments.audit.shapes import SIMULATIONS
 
 SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
 _CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")
@@ -37,12 +37,14 @@ _MOST_NOISE = 5  # percent of the interocular distance
 def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     """By claim and name, each number that bears on it; NaN where the tables lack it."""
     ours, mean_shape = t.seeds("ours"), t.seeds("mean_shape")
-    own_output, training_face, frontal_view = (
-        t.measured("constants", "mse", answer=answer)
-        for answer in ("own_output", "training_face", "frontal_view")
-    )
-    # Of Deep-MDS on turned and perspective views.
-    posed, released = t.variant("same_face", "mse_posed"), "bfm-evaluator-released"
+    own_output = t.measured("constants", "mse", answer="own_output")
+    constant = t.measured("constants", "mse", answer="frontal_view").value
+    frontal = "autoencoder_mse_inference"
+    pairs = dict.fromkeys(("method_a", "method_b"), ["ours", *_COMPARED])
+    p_values = t.values("bfm", "wilcoxon", "p_value", over="faces", metric="mse", **pairs)
+    paper, connected = t.variant("same_face_stable"), t.variant("same_face")
+    theirs = "bfm-evaluator-released"
+    posed = t.variant("same_face", "mse_posed")  # on turned and perspective views
     return {
         "bfm-rank": {
             "rank": over_seeds(1 + sum(np.heaviside(ours - t.error(m), 0) for m in _COMPARED)),
@@ -59,15 +61,11 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "seeds_below_mean_shape": share_below(ours, mean_shape),
             "ours_mse": over_seeds(ours),
             "own_constant_mse": own_output,
-            "training_face_mse": training_face,
             "mean_shape_mse": over_seeds(mean_shape),
         },
         "unbiased": {
-            **{
-                f"recovered_{method}": t.recovered(method)
-                for method in ("ours", "ours_stable", "aldrian", "mobileface", "linear", "lifting")
-            },
-            "systematic_share": t.measured("bias", "systematic_share", method="ours"),
+            f"recovered_{method}": t.over_faces("bias", "slope", "slope_se", method=method)
+            for method in ("ours", "ours_stable", "aldrian", "mobileface", "linear", "lifting")
         },
         "training-luck": {
             "seed_sd_mse": spread_of_seeds(ours),
@@ -77,17 +75,11 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
         "projection-independent": {
             "posed_over_mean_shape": over_seeds(posed / t.error("mean_shape")),
             "posed_over_frontal": over_seeds(posed / t.variant("same_face", "mse_frontal")),
-            "trained_views_over_mean_shape": _largest_over_mean_shape(t, trained=True),
-            "all_views_over_mean_shape": _largest_over_mean_shape(t, trained=False),
         },
         "autoencoder-needed": {
             "posed_without_over_with": over_seeds(t.variant("no_autoencoder", "mse_posed") / posed),
-            **{
-                f"frontal_over_constant{suffix}": over_seeds(
-                    t.seeds(f"ours{suffix}", "autoencoder_mse_inference") / frontal_view.value
-                )
-                for suffix in ("", "_stable")
-            },
+            "frontal_over_constant": over_seeds(t.seeds("ours", frontal) / constant),
+            "frontal_over_constant_stable": over_seeds(t.seeds("ours_stable", frontal) / constant),
         },
         "zhao-score": {
             "zhao_over_ours": over_seeds(t.error("zhao") / ours),
@@ -95,16 +87,13 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
                 f"{method}_mse": over_samplings(t.samplings(method))
                 for method in ("zhao_frontal", "zhao", "zhao_authors")
             },
-            **{
-                f"{method}_released_mse": over_samplings(t.samplings(method, released))
-                for method in ("zhao_frontal", "zhao_true_depth")
-            },
+            "zhao_frontal_released_mse": over_samplings(t.samplings("zhao_frontal", theirs)),
+            "zhao_true_depth_released_mse": over_samplings(t.samplings("zhao_true_depth", theirs)),
         },
         "depth-correlation": {
             "largest_depth_corr": point(len(load_scheme(t.run.scheme))),
             **{
-                f"{answer}_{criterion}": t.measured("depth", criterion, answer=answer)
-                for criterion in ("share", "share_centred", "share_across_faces")
+                f"{answer}_share": t.measured("depth", "share", answer=answer)
                 for answer in ("flat", "cloud", "point", "mean_shape")
             },
         },
@@ -112,55 +101,44 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "least_p_value": _least_p_value(10, "p_value"),
             "least_p_value_normal": _least_p_value(10),
             "least_p_value_normal_of_20": _least_p_value(20),
-            "false_positives": t.false_positives(t.run.preset.n_subsets),
-            "false_positives_of_20": t.false_positives(20),
-            "false_positives_of_50": t.false_positives(50),
-            "false_positives_of_faces": t.false_positives("faces"),
-            "largest_p_over_faces": _largest_p_over_faces(t),
+            "false_positives": _false_positives(t, str(t.run.preset.n_subsets)),
+            "false_positives_of_20": _false_positives(t, "20"),
+            "false_positives_of_50": _false_positives(t, "50"),
+            "false_positives_of_faces": _false_positives(t, "faces"),
+            "largest_p_over_faces": point(p_values.max()),
         },
         "celeba": {
-            f"celeba_over_{method}{suffix}": t.ours_over(method, experiment)
+            f"celeba_over_{method}{suffix}": _ours_over(t, method, experiment)
             for suffix, experiment in {"": "celeba", "_true": "celeba-true-landmarks"}.items()
             for method in ("aldrian", "mobileface", "aldrian_authors", "mean_shape")
         },
         "casia-comparable": {
-            f"casia_over_{method}{suffix}": t.ours_over(method, experiment)
+            f"casia_over_{method}{suffix}": _ours_over(t, method, experiment)
             for suffix, experiment in {"": "flame", "_true": "flame-true-landmarks"}.items()
             for method in ("mediapipe", "mediapipe_corrected", "ringnet", "mean_shape")
         },
         "mini-batches": holm(
             {
-                f"same_face_over_shuffled_{m}{end}": t.ratio(f"same_face{end}", f"shuffled{end}", m)
+                f"same_face_over_shuffled_{metric}{end}": (
+                    t.variant(f"same_face{end}", metric) / t.variant(f"shuffled{end}", metric)
+                )
                 for end in ("", "_stable")
-                for m in ("mse", "loss_inference", "loss_train")
+                for metric in ("mse", "loss_inference", "loss_train")
             }
         ),
         "five-layers": holm(
             {
-                f"paper_over_{depth}_layers": t.ratio("same_face_stable", f"{depth}_layers_stable")
+                f"paper_over_{depth}_layers": paper / t.variant(f"{depth}_layers_stable")
                 for depth in ("two", "three", "five", "eight")
             }
-            | {"with_over_without_connection": t.ratio("same_face", "no_short_connection")}
+            | {"with_over_without_connection": connected / t.variant("no_short_connection")}
         ),
         "perspective-views": {
-            f"{views}_{of}": t.measured("perspective", of, views=views)
-            for views, of in (
-                ("text", "max"),
-                ("text", "rms"),
-                ("released", "max"),
-                ("detector", "rms"),
-                ("text", "share"),
-                ("released", "share"),
-            )
+            "text_max": t.measured("perspective", "max", views="text"),
+            "text_rms": t.measured("perspective", "rms", views="text"),
+            "released_max": t.measured("perspective", "max", views="released"),
         },
-        "distance-rank": {
-            "rank_less_dimensions": _rank_less_dimensions(t),
-            "rank_of_faces": t.measured("ranks", "centred", points="faces"),
-            **{
-                f"eigenvalue_{k}_{of}": t.measured("spectra", "share", matrix=of, eigenvalue=k)
-                for k, of in ((3, "learnt"), (4, "learnt"), (3, "true"), (3, "frontal"))
-            },
-        },
+        "distance-rank": {"rank_less_dimensions": _rank_less_dimensions(t)},
         "parameters-ours": {
             f"trainable_parameters_{method}": point(t.samplings(method, metric="n_parameters")[0])
             for method in ("ours", "ours_released")
@@ -175,20 +153,25 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     }
 
 
-def _largest_over_mean_shape(t: Tables, *, trained: bool) -> Estimate:
-    """Largest error of ours over the sweeps of poses, in that of the mean shape."""
-    table = t.table("audit", "curves")
-    low, high = (table["sweep"].map({k: ends[i] for k, ends in TRAINED.items()}) for i in (0, 1))
-    inside = table["value"].between(low, high) if trained else low.notna()
-    worst = table[inside & (table["method"] == "ours")].nlargest(1, "mse")
-    at = worst[["sweep", "value"]].iloc[0]
-    return t.curve(*at, "ours").in_unit(t.curve(*at, "mean_shape").value)
+def _ours_over(t: Tables, method: str, experiment: str) -> Estimate:
+    """Ratio of the MSEs of ours and another method on the same samplings."""
+    return over_samplings(t.samplings("ours", experiment) / t.samplings(method, experiment))
 
 
 def _noisy_over(t: Tables, method: str, other: str, percent: float = _MOST_NOISE) -> Estimate:
     """Error of a method with most noise, in that of another with some noise."""
-    noisy = t.curve("noise_percent", _MOST_NOISE, method)
-    return noisy.in_unit(t.curve("noise_percent", percent, other).value)
+    noisy, of = (
+        t.over_faces("curves", "mse", "sem", sweep="noise_percent", method=name, value=value)
+        for name, value in ((method, _MOST_NOISE), (other, percent))
+    )
+    ends = (end / of.value for end in (noisy.value, noisy.low, noisy.high))
+    return Estimate(*ends, noisy.n, noisy.of)
+
+
+def _false_positives(t: Tables, samplings: str) -> Estimate:
+    """Rate at which a test takes methods for different that only chance tells apart."""
+    share = t.measured("samplings", "rate", samplings=samplings).value
+    return rate(share, SIMULATIONS, "simulations")
 
 
 def _least_p_value(n: int, kind: str = "p_value_normal") -> Estimate:
@@ -196,18 +179,10 @@ def _least_p_value(n: int, kind: str = "p_value_normal") -> Estimate:
     return point(wilcoxon_table({"a": np.arange(1.0, n + 1), "b": np.zeros(n)})[kind][0])
 
 
-def _largest_p_over_faces(t: Tables) -> Estimate:
-    """Of tests over all faces between any two of the methods that the paper compares."""
-    table, compared = t.table("bfm", "wilcoxon"), ["ours", *_COMPARED]
-    table = table[table["method_a"].isin(compared) & table["method_b"].isin(compared)]
-    return point(values(table, "p_value", over="faces", metric="mse").max())
-
-
 def _rank_less_dimensions(t: Tables) -> Estimate:
     """Rank of squared distances, doubly centred, less the dimensions of clouds and faces."""
-    table = t.table("audit", "ranks").query("points in ('cloud', 'faces')")
-    excess = table["centred"] - table["dimensions"]
-    return Estimate(excess.median(), excess.min(), excess.max())
+    excess = t.values("audit", "ranks", "centred") - t.values("audit", "ranks", "dimensions")
+    return Estimate(np.median(excess), excess.min(), excess.max())
 
 
 def conditions(text: str) -> list[tuple[str, str, float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -33,11 +32,6 @@ class Estimate:
     n: int | None = None
     of: str = ""
 
-    def in_unit(self, unit: float) -> Estimate:
-        """The same number in multiples of a unit."""
-        ends = (self.value / unit, self.low / unit, self.high / unit)
-        return Estimate(*ends, self.n, self.of)
-
 
 NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
 
@@ -57,9 +51,8 @@ def over_seeds(values: np.ndarray) -> Estimate:
 
 def share_below(values: np.ndarray, bound: np.ndarray | float) -> Estimate:
     """Share of the seeds whose value is below a bound."""
-    if np.isnan(values - bound).any():
-        return NOT_KNOWN
-    return _rate(np.sum(values < bound), len(values), "seeds")
+    below = np.where(np.isnan(values - bound), np.nan, values < bound)
+    return rate(below.mean(), len(values), "seeds")
 
 
 def spread_of_seeds(values: np.ndarray) -> Estimate:
@@ -77,15 +70,12 @@ def over_samplings(values: np.ndarray) -> Estimate:
     return Estimate(values.mean(), values.min(), values.max(), len(values), "samplings of faces")
 
 
-def over_faces(value: float, standard_error: float) -> Estimate:
-    """Of the faces of one training."""
-    half = 1.96 * standard_error
-    return Estimate(value, value - half, value + half, None, "faces")
-
-
-def _rate(count: float, n: int, of: str) -> Estimate:
-    test = binomtest(int(count), n)
-    return Estimate(count / n, *test.proportion_ci(), n, of)
+def rate(share: float, n: float, of: str) -> Estimate:
+    """Share of n cases, with the exact interval of the binomial distribution."""
+    if np.isnan(share):
+        return NOT_KNOWN
+    test = binomtest(round(share * n), int(n))
+    return Estimate(test.statistic, *test.proportion_ci(), test.n, of)
 
 
 def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
@@ -107,78 +97,51 @@ def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
     return {name: estimates[name] for name in ratios}
 
 
+@dataclass(frozen=True)
 class Tables:
-    """Tables of results on one face model. What is not there is NaN.
+    """Tables of results on one face model, of a run of the BFM track. What is not there is NaN."""
 
-    Args:
-        run: Of the BFM track.
-    """
+    run: Run
 
-    def __init__(self, run: Run):
-        self.run = run
-        self._tables: dict[Path, pd.DataFrame] = {}
+    def values(self, experiment: str, name: str, of: str, **where) -> np.ndarray:
+        """A column of a table in `results/<model>/<experiment>`; one NaN if it has no such row.
 
-    def table(self, experiment: str, name: str = "metrics") -> pd.DataFrame:
-        """A table in `results/<model>/<experiment>`; empty if it is not there."""
+        Args:
+            where: What other columns hold in the rows: a value, or several to choose from.
+        """
         track = experiment.split("-")[0]
         run = self.run.on(track if track in SCHEMES else "bfm")
         path = run.experiment_results(experiment) / f"{name}.csv"
-        if path not in self._tables:
-            self._tables[path] = pd.read_csv(path) if path.exists() else pd.DataFrame()
-        return self._tables[path]
+        if not path.exists():
+            return np.array([np.nan])
+        table = pd.read_csv(path)
+        for column, wanted in where.items():
+            table = table[table[column].isin(np.atleast_1d(wanted))]
+        return table[of].to_numpy() if len(table) else np.array([np.nan])
 
     def samplings(self, method: str, experiment: str = "bfm", metric: str = "mse") -> np.ndarray:
         """A method's means over random samplings of the test faces."""
-        return values(self.table(experiment), method=method, metric=metric)
+        return self.values(experiment, "metrics", "value", method=method, metric=metric)
 
     def error(self, method: str) -> float:
         """A method's MSE on the BFM."""
         return float(self.samplings(method).mean())
 
-    def ours_over(self, method: str, experiment: str) -> Estimate:
-        """Ratio of the MSEs of ours and another method on the same samplings."""
-        ours, other = (self.samplings(m, experiment) for m in ("ours", method))
-        return over_samplings(ours / other)
-
     def seeds(self, method: str, metric: str = "mse") -> np.ndarray:
         """A method's means over all test faces, from each seed."""
-        return values(self.table("seeds"), method=method, metric=metric)
+        return self.samplings(method, "seeds", metric)
 
-    def variant(self, variant: str, metric: str) -> np.ndarray:
+    def variant(self, variant: str, metric: str = "mse") -> np.ndarray:
         """Of a variant of the ablation, from each seed."""
-        table, n = self.table("ablation"), self.run.preset.train_faces
-        return values(table, variant=variant, metric=metric, faces=n)
-
-    def ratio(self, variant: str, other: str, metric: str = "mse") -> np.ndarray:
-        """Of one variant to another, from each seed."""
-        return self.variant(variant, metric) / self.variant(other, metric)
-
-    def curve(self, sweep: str, value: float, method: str) -> Estimate:
-        """A point of the audit's curves."""
-        table = self.table("audit", "curves")
-        where = {"sweep": sweep, "value": value, "method": method}
-        return over_faces(*(values(table, column, **where)[0] for column in ("mse", "sem")))
+        where = {"variant": variant, "metric": metric, "faces": self.run.preset.train_faces}
+        return self.values("ablation", "metrics", "value", **where)
 
     def measured(self, topic: str, of: str, **where) -> Estimate:
         """One number of a topic of the audit."""
-        return point(values(self.table("audit", topic), of, **where)[0])
+        return point(self.values("audit", topic, of, **where)[0])
 
-    def recovered(self, method: str) -> Estimate:
-        """Slope of a method's offsets from the mean shape on the true ones."""
-        slope, se = (self.measured("bias", of, method=method) for of in ("slope", "slope_se"))
-        return over_faces(slope.value, se.value)
-
-    def false_positives(self, samplings: object) -> Estimate:
-        """Rate at which a test takes methods for different that only chance tells apart."""
-        of, where = ("rate", "simulations"), {"samplings": str(samplings)}
-        rate, n = (self.measured("samplings", column, **where).value for column in of)
-        return NOT_KNOWN if np.isnan(rate) else _rate(round(rate * n), int(n), "simulations")
-
-
-def values(table: pd.DataFrame, of: str = "value", /, **where) -> np.ndarray:
-    """A column of the rows that have these values in other columns; one NaN if there are none."""
-    if table.empty:
-        return np.array([np.nan])
-    for column, wanted in where.items():
-        table = table[table[column] == wanted]
-    return table[of].to_numpy() if len(table) else np.array([np.nan])
+    def over_faces(self, topic: str, of: str, standard_error: str, **where) -> Estimate:
+        """One number of a topic, with the interval of its standard error over faces."""
+        names = (of, standard_error)
+        value, error = (self.measured(topic, name, **where).value for name in names)
+        return Estimate(value, value - 1.96 * error, value + 1.96 * error, None, "faces")

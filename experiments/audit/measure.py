@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +19,9 @@ from experiments.run import Run
 from experiments.streams import Stream
 from experiments.tasks import single_threaded
 
-if TYPE_CHECKING:
-    from experiments.scoring.scores import Scores
-
 # Of each topic the module whose function of the same name measures it.
 TOPICS = dict.fromkeys(("poses", "noise", "perspective"), "poses") | dict.fromkeys(
-    ("bias", "constants", "depth", "ranks", "spectra", "samplings"), "shapes"
+    ("bias", "constants", "depth", "ranks", "samplings"), "shapes"
 )
 
 
@@ -61,12 +57,25 @@ class Evidence:
     @cached_property
     def audited(self) -> np.ndarray:
         """`(n,)` numbers of some test faces, on which what takes long is measured."""
-        rng = np.random.default_rng([self.run.seed, Stream.AUDITED_FACES])
         n = min(self.run.preset.audited_faces, len(self.test.views))
-        return np.sort(rng.choice(len(self.test.views), n, replace=False))
+        chosen = self.rng(Stream.AUDITED_FACES).choice(len(self.test.views), n, replace=False)
+        return np.sort(chosen)
 
-    def scores(self, method: str) -> Scores:
-        """Errors of a method on all test faces."""
+    @property
+    def shapes(self) -> np.ndarray:
+        """`(n, L, 3)` of the audited faces."""
+        return self.test.shapes[self.audited].astype(float)
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """`(n, L, 3)` of the audited faces, in millimetres."""
+        return self.test_dataset.landmarks[self.audited].astype(float)
+
+    def rng(self, stream: Stream) -> np.random.Generator:
+        return np.random.default_rng([self.run.seed, stream])
+
+    def scores(self, method: str):
+        """`experiments.scoring.scores.Scores` of a method on all test faces."""
         from experiments.scoring.scores import load_prediction, score  # slow to load, by pandas
 
         return score(load_prediction(self.run, method)[0]["shapes"], self.test)

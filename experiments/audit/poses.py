@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from scipy.stats import sem
 
-from data_gen.views.photo_views import DETECTOR_SD_MM
 from data_gen.views.projections import PROJECTIONS, Cameras, project, rotations, sample_cameras
 from deepmds_keras.alignment import align
 from deepmds_keras.landmarks import load_scheme
@@ -45,7 +44,7 @@ def poses(evidence: Evidence) -> pd.DataFrame:
     """Errors by pose and projection: `sweep, value, method, mse, sem`."""
     models = _models(evidence, _POSED)
     faces = evidence.audited[:_FACES_SWEPT]
-    landmarks, truth = evidence.test_dataset.landmarks[faces].astype(float), evidence.test[faces]
+    landmarks, truth = evidence.landmarks[:_FACES_SWEPT], evidence.test[faces]
     rows = []
     for sweep, values in SWEEPS.items():
         views = sweep_views(landmarks, sweep)
@@ -57,15 +56,14 @@ def poses(evidence: Evidence) -> pd.DataFrame:
 
 def noise(evidence: Evidence) -> pd.DataFrame:
     """Errors by the noise of the landmarks, with columns as `poses`."""
-    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_NOISE])
-    dataset, audited = evidence.test_dataset, evidence.audited
-    views, truth = dataset.views[audited].astype(float), evidence.test[audited]
+    views = evidence.test_dataset.views[evidence.audited].astype(float)
+    landmarks, truth = evidence.landmarks, evidence.test[evidence.audited]
     names = load_scheme(evidence.run.scheme).names
     right, left = (names.index(f"{side}_eye_outer_corner") for side in ("right", "left"))
-    landmarks = dataset.landmarks[audited].astype(float)
     distances = np.linalg.norm(landmarks[:, right] - landmarks[:, left], axis=-1)
     # The same draws at every size, so that a curve shows nothing but the size.
-    draws = distances[:, None, None] * rng.standard_normal((_NOISE_DRAWS, *views.shape))
+    draws = evidence.rng(Stream.AUDIT_NOISE).standard_normal((_NOISE_DRAWS, *views.shape))
+    draws *= distances[:, None, None]
     rows = []
     for method, model in _models(evidence, _NOISY).items():
         for percent in NOISE_PERCENTS:
@@ -79,34 +77,27 @@ def perspective(evidence: Evidence) -> pd.DataFrame:
     """Difference of perspective views from orthographic ones of the same faces and poses.
 
     Returns:
-        `views`: those that the `text` describes, those of the `released` generator, which never
-        divides by the fourth row of its matrix, or what a landmark `detector` errs by. `rms` and
-        `max` distance of landmarks, as shares of the face's size without shift, turn and scale of
-        whole views, with the largest field of view that the paper draws. `share` of all views that
-        are called perspective.
+        `views`: those that the `text` describes, or those of the `released` generator, which never
+        divides by the fourth row of its matrix. `rms` and `max` distance of landmarks, as shares
+        of the face's size without shift, turn and scale of whole views, with the largest field of
+        view that the paper draws.
     """
-    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_CAMERAS])
-    n, audited = len(evidence.audited), evidence.audited
-    shapes = evidence.test.shapes[audited].astype(float)
-    landmarks = evidence.test_dataset.landmarks[audited].astype(float)
-    size_mm = evidence.test.unit_mm[audited]
+    rng, n = evidence.rng(Stream.AUDIT_CAMERAS), len(evidence.audited)
     rows = []
     for name, protocol, views_of, points, size in (
-        ("text", "paper", project, landmarks, size_mm),
-        ("released", "released", _released_views, shapes, np.ones(n)),
+        ("text", "paper", project, evidence.landmarks, evidence.test.unit_mm[evidence.audited]),
+        ("released", "released", _released_views, evidence.shapes, np.ones(n)),
     ):
         drawn = sample_cameras(_CAMERAS_DRAWN, rng, protocol)
-        called = drawn.projection == PROJECTIONS.index("perspective")
+        cameras = drawn[drawn.projection == PROJECTIONS.index("perspective")][:n]
         views, orthographic = (
-            views_of(points, replace(drawn[called][:n], field_of_view=np.full(n, angle)))
+            views_of(points, replace(cameras, field_of_view=np.full(n, angle)))
             for angle in (_FIELD_OF_VIEW, 0.0)
         )
         aligned = align(views, orthographic, reflection=False)
         distances = np.linalg.norm(aligned - orthographic, axis=2) / size[:, None]
-        rows.append((name, np.sqrt(np.mean(distances**2)), distances.max(), called.mean()))
-    detector = np.sqrt(np.mean(2 * (DETECTOR_SD_MM / size_mm) ** 2))
-    rows.append(("detector", detector, np.nan, np.nan))
-    return pd.DataFrame(rows, columns=["views", "rms", "max", "share"])
+        rows.append((name, np.sqrt(np.mean(distances**2)), distances.max()))
+    return pd.DataFrame(rows, columns=["views", "rms", "max"])
 
 
 def sweep_views(landmarks: np.ndarray, sweep: str) -> np.ndarray:
@@ -132,11 +123,9 @@ def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.
     The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
     a field of view the unit cube fills that angle. The target lies where the sphere around the cube
     is nearest to the viewer: so in the help's worked examples, not the origin that it names.
-
     https://www.mathworks.com/help/matlab/ref/viewmtx.html
 
-    Args:
-        azimuth, elevation, field_of_view: Degrees; a field of view of 0 is orthographic.
+    Angles are in degrees; a field of view of 0 is orthographic.
 
     Returns:
         Matrix to be multiplied from the left to `(x, y, z, 1)`. Its first two rows, divided by the

@@ -6,10 +6,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm, rankdata, wilcoxon
 
-from deepmds_keras import metrics
 from deepmds_keras.alignment import align
-from deepmds_keras.embedding import check_dissimilarities, pairwise_distances
-from deepmds_keras.normalisation import centre
+from deepmds_keras.embedding import pairwise_distances
+from deepmds_keras.metrics import depth_corr
 from experiments.audit.measure import Evidence
 from experiments.inputs import load_faces
 from experiments.scoring.scores import load_prediction, score
@@ -25,8 +24,6 @@ _BIASED = (
 _CONSTANTS = 25  # faces taken for a constant answer, over which its error is averaged
 _DIMENSIONS = (1, 2, 3, 4, 5, 6)
 _CLOUDS = 50  # random ones of each dimension
-_FEW_POINTS, _MANY_DIMENSIONS = 5, 10
-_EIGENVALUES = 8  # listed
 _ROUNDING = 1e-9  # share of the largest singular value below which others are 0
 
 
@@ -53,138 +50,67 @@ def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[
         `slope`: of the regression through the origin of predicted on true offsets from the mean,
         over all coordinates of all faces, and its standard error over faces `slope_se`. Errors
         that have nothing to do with the face leave it at 1, however large they are.
-        `systematic_share`: of the mean error over faces in the mean squared error.
     """
     n = len(truth)
-    offset, predicted_offset, error = (
-        difference.reshape(n, -1)
-        for difference in (truth - mean, predicted - mean, predicted - truth)
+    offset, predicted_offset = (
+        shapes.reshape(n, -1) for shapes in (truth - mean, predicted - mean)
     )
     products, sizes = (predicted_offset * offset).sum(1), (offset**2).sum(1)
     slope = products.sum() / sizes.sum()
     # Of a ratio of two sums over faces, to first order.
     slope_se = np.sqrt(((products - slope * sizes) ** 2).sum() * n / (n - 1)) / sizes.sum()
-    systematic_share = (error.mean(0) ** 2).sum() / (error**2).sum(1).mean()
-    return {"slope": slope, "slope_se": slope_se, "systematic_share": systematic_share}
+    return {"slope": slope, "slope_se": slope_se}
 
 
 def constants(evidence: Evidence) -> pd.DataFrame:
     """Errors of one answer to all views: `answer, mse`.
 
-    The answers are what Deep-MDS makes of one test view, a training face, and last the mean of the
-    training faces' frontal views, as the answer to these.
+    The answers are what Deep-MDS makes of one test view, and the mean of the training faces'
+    frontal views, as the answer to these.
     """
-    run, test = evidence.run, evidence.test[evidence.audited]
-    rng = np.random.default_rng([run.seed, Stream.AUDIT_RANKING])
-    train = load_faces(run, "train").shapes
-
-    def error_of_some(shapes: np.ndarray) -> float:
-        chosen = rng.choice(len(shapes), min(_CONSTANTS, len(shapes)), replace=False)
-        answers = (np.broadcast_to(shapes[face], test.shapes.shape) for face in chosen)
-        return float(np.mean([score(answer, test).mse.mean() for answer in answers]))
-
+    test = evidence.test[evidence.audited]
+    frontal_views = load_faces(evidence.run, "train").shapes[..., :2]
+    shapes = load_prediction(evidence.run, "ours")[0]["shapes"]
+    n, rng = min(_CONSTANTS, len(shapes)), evidence.rng(Stream.AUDIT_RANKING)
+    chosen = shapes[rng.choice(len(shapes), n, replace=False)]
+    answers = (np.broadcast_to(shape, test.shapes.shape) for shape in chosen)
     errors = {
-        "own_output": error_of_some(load_prediction(run, "ours")[0]["shapes"]),
-        "training_face": error_of_some(train),
-        "frontal_view": train[..., :2].var(0, dtype=float).mean(),
+        "own_output": np.mean([score(answer, test).mse.mean() for answer in answers]),
+        "frontal_view": frontal_views.var(0, dtype=float).mean(),
     }
     return pd.Series(errors, name="mse").rename_axis("answer").reset_index()
 
 
 def depth(evidence: Evidence) -> pd.DataFrame:
-    """Depth correlation of answers that know little or nothing of the depth.
+    """Depth correlation of answers that know little or nothing of the depth: `answer, share`.
 
-    Returns:
-        `answer`, and shares of the maximum: `share` of the paper's criterion, `share_centred` with
-        the origin at the mean of the landmarks, `share_across_faces` of the criterion that the
-        paper cites.
+    They are aligned as predictions are; the share is that of the maximum.
     """
-    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_CRITERIA])
-    truth = evidence.test.shapes[evidence.audited].astype(float)
-    predicted, _ = load_prediction(evidence.run, "mean_shape")
-    mean_shape, centred = predicted["shapes"][evidence.audited], centre(truth)
-    answers = answers_without_depth(truth, mean_shape, rng)
-    of_centred = answers_without_depth(centred, mean_shape, rng)
-    criteria = [
-        (
-            answer,
-            metrics.depth_corr(shapes, truth).mean(),
-            metrics.depth_corr(of_centred[answer], centred).mean(),
-            metrics.depth_corr_across_faces(shapes, truth),
-        )
-        for answer, shapes in answers.items()
-    ]
-    columns = ["answer", "share", "share_centred", "share_across_faces"]
-    table = pd.DataFrame(criteria, columns=columns).set_index("answer")
-    return (table / table.loc["truth"]).reset_index()
-
-
-def answers_without_depth(
-    truth: np.ndarray, mean_shape: np.ndarray, rng: np.random.Generator
-) -> dict[str, np.ndarray]:
-    """The truth and answers that know little or nothing of its depth, aligned as predictions are.
-
-    Args:
-        truth, mean_shape: `(n, L, 3)`.
-        rng: Of a cloud of points.
-    """
+    truth, rng = evidence.shapes, evidence.rng(Stream.AUDIT_CRITERIA)
     flat = truth.copy()
     flat[..., 2] = truth[..., 2].mean(1, keepdims=True)
     answers = {
         "truth": truth,
-        "mean_shape": mean_shape,
+        "mean_shape": load_prediction(evidence.run, "mean_shape")[0]["shapes"][evidence.audited],
         "flat": flat,
         "cloud": rng.standard_normal(truth.shape),
         "point": np.zeros_like(truth),
     }
-    return {name: align(answer, truth) for name, answer in answers.items()}
+    sums = {name: depth_corr(align(shape, truth), truth).mean() for name, shape in answers.items()}
+    shares = pd.Series(sums, name="share") / sums["truth"]
+    return shares.rename_axis("answer").reset_index()
 
 
 def ranks(evidence: Evidence) -> pd.DataFrame:
-    """Ranks of matrices of distances between points: random clouds, faces, and two special cases.
-
-    Returns:
-        `points`, their `dimensions`, and the ranks of the `distances`, of their squares `squared`,
-        and of these doubly `centred`.
-    """
-    shapes = evidence.test.shapes[evidence.audited].astype(float)
-    rng = np.random.default_rng([evidence.run.seed, Stream.AUDIT_DISSIMILARITY])
+    """Ranks of squared distances, doubly centred: `points, dimensions, centred`."""
+    shapes, rng = evidence.shapes, evidence.rng(Stream.AUDIT_DISSIMILARITY)
     clouds = [rng.standard_normal((_CLOUDS, shapes.shape[1], size)) for size in _DIMENSIONS]
-    few = rng.standard_normal((_CLOUDS, _FEW_POINTS, _MANY_DIMENSIONS))
-    special = [("faces in a plane", shapes * (1, 1, 0)), ("five points", few)]
     rows = []
-    for name, points in (*[("cloud", cloud) for cloud in clouds], ("faces", shapes), *special):
-        distances = pairwise_distances(points)
-        matrices = (distances, np.square(distances), doubly_centred(distances))
-        of_faces = (np.linalg.matrix_rank(matrix, rtol=_ROUNDING) for matrix in matrices)
-        rows.append((name, points.shape[-1], *(int(np.median(each)) for each in of_faces)))
-    columns = ["points", "dimensions", "distances", "squared", "centred"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def spectra(evidence: Evidence) -> pd.DataFrame:
-    """Largest eigenvalues of squared dissimilarities, doubly centred, means over audited faces.
-
-    Returns:
-        `matrix` (`true` 3D distances, `learnt` dissimilarities, or distances in the `frontal`
-        view), number of the `eigenvalue` from the largest in absolute value, and its `share` of the
-        sum of absolute values, with the sign that it has for most faces.
-    """
-    model, views = evidence.method("ours"), evidence.test.views[evidence.audited]
-    shapes = evidence.test.shapes[evidence.audited].astype(float)
-    matrices = {
-        "true": pairwise_distances(shapes),
-        "learnt": check_dissimilarities(np.abs(model.dissimilarities(views))),
-        "frontal": pairwise_distances(model.frontalise(views).astype(float)),
-    }
-    rows = []
-    for name, dissimilarities in matrices.items():
-        values = np.linalg.eigvalsh(doubly_centred(dissimilarities))
-        order = np.argsort(-np.abs(values), axis=1)
-        shares = np.take_along_axis(values, order, 1) / np.abs(values).sum(1, keepdims=True)
-        means = np.abs(shares).mean(0) * np.where(np.median(shares, 0) < 0, -1, 1)
-        rows += [(name, place, share) for place, share in enumerate(means[:_EIGENVALUES], 1)]
-    return pd.DataFrame(rows, columns=["matrix", "eigenvalue", "share"])
+    for name, points in (*(("cloud", cloud) for cloud in clouds), ("faces", shapes)):
+        matrices = doubly_centred(pairwise_distances(points))
+        of_faces = np.linalg.matrix_rank(matrices, rtol=_ROUNDING)
+        rows.append((name, points.shape[-1], int(np.median(of_faces))))
+    return pd.DataFrame(rows, columns=["points", "dimensions", "centred"])
 
 
 def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
@@ -197,18 +123,16 @@ def samplings(evidence: Evidence) -> pd.DataFrame:
     """How often samplings of one test set tell methods apart that only chance does.
 
     Returns:
-        `samplings` (their number, or `faces`: the test over all faces) and `rate` of false
-        positives over `simulations`.
+        `samplings` (their number, or `faces`: over all faces) and `rate` of false positives.
     """
     preset = evidence.run.preset
     rates = false_positives(
         evidence.scores("ours").mse - evidence.scores("ours_stable").mse,
         sorted({preset.n_subsets, *SAMPLINGS}),
         preset.subset_size,
-        np.random.default_rng([evidence.run.seed, Stream.AUDIT_SIGNIFICANCE]),
+        evidence.rng(Stream.AUDIT_SIGNIFICANCE),
     )
-    table = pd.Series(rates, name="rate").rename_axis("samplings").reset_index()
-    return table.assign(simulations=SIMULATIONS)
+    return pd.Series(rates, name="rate").rename_axis("samplings").reset_index()
 
 
 def false_positives(

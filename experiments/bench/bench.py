@@ -17,12 +17,9 @@ import numpy as np
 import pandas as pd
 import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
-from matplotlib.figure import Figure
 
 from data_gen.datasets.dataset import make_dataset
-from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from data_gen.views.projections import sample_cameras
 from deepmds_keras.embedding import compiled_solver, embed
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import build_dissimilarity_net
@@ -32,7 +29,7 @@ from deepmds_keras.proximities import pair_features
 from deepmds_keras.training import Recipe, face_order, pairs_of_faces, steps_per_call, untuned
 from experiments.bench import released_code as released
 from experiments.figures.errors import Panel, error_lines
-from experiments.figures.style import Look, look, save
+from experiments.figures.style import Look, save
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
@@ -41,6 +38,12 @@ from experiments.tasks import single_threaded
 
 SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
 _AHEAD = 50  # faces, as in `train_dissimilarity_net`
+_LOOKS = {
+    "released": Look("authors' implementation", "#777777", "s"),
+    "ours": Look("ours", "#D55E00", "o"),
+    "sklearn": Look("ours, scikit-learn's solver", "#0072B2", "^"),
+    "batched": Look("ours, batched solver", "#D55E00", "o"),
+}
 
 
 def main(run: Run) -> dict:
@@ -52,7 +55,11 @@ def main(run: Run) -> dict:
     clear_results(folder)
     write_csv(folder / "bench.csv", table)
     write_text(folder / "bench.tex", plain_tabular(table.drop(columns="seconds")))
-    save(times_per_face(table), folder / "figures", "bench", run.preset.caution)
+    parts = table[table["comparison"] == "parts"]
+    parts = parts.rename(columns={"way": "method", "ms_per_face": "mean"})
+    panel = Panel(parts, "part", "Part, on one core")
+    figure = error_lines([panel], "Time per face", 1, "ms", looks=_LOOKS)
+    save(figure, folder / "figures", "bench", run.preset.caution)
     print(f"\n{table.to_string(index=False)}\n\n{folder}/")
     return {"results": [folder]}
 
@@ -72,7 +79,12 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         A comparison, its part and way, the number of faces, and what is timed.
     """
     model = load_model(run.model, run.data, SCHEME)
-    faces = draw_faces(run, model, run.preset.bench_faces)
+
+    def draw_faces(n: int):
+        rng = np.random.default_rng([run.seed, Stream.BENCH])
+        return make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)
+
+    faces = draw_faces(run.preset.bench_faces)
     shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
     methods = {
         solver: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
@@ -84,15 +96,10 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
     lifter = LandmarkLifter(N_LANDMARKS, steps=1).fit(faces.views, shapes)
     predictors = {way: method.predict for way, method in (*methods.items(), ("lifting", lifter))}
 
-    def generate_as_released(views):
-        rng, n = np.random.default_rng([run.seed, Stream.BENCH]), len(views)
-        identity = rng.standard_normal((n, model.n_identity))
-        return released.make_faces(model, identity, sample_cameras(n, rng, run.protocol), SCHEME)
-
     calls = {
         "data generation": {
-            "released": generate_as_released,
-            "ours": lambda views: draw_faces(run, model, len(views)),
+            "released": lambda views: released.make_faces(model, faces, len(views), SCHEME),
+            "ours": lambda views: draw_faces(len(views)),
         },
         "pair features": {
             "released": lambda views: [released.pair_features(view, pairs) for view in views],
@@ -163,24 +170,3 @@ def with_ratios(rows: list[tuple]) -> pd.DataFrame:
     for way in ("released", "sklearn", "batched"):
         table[f"times_{way}"] = table["part"].map(times[way]) / table["ms_per_face"]
     return table
-
-
-def times_per_face(table: pd.DataFrame) -> Figure:
-    """Time of a face: each part in each way."""
-    looks = {
-        "released": Look("released way", "#777777", "s"),
-        "ours": Look("ours", "#D55E00", "o"),
-        "sklearn": Look("ours, scikit-learn's solver", "#0072B2", "^"),
-        "batched": Look("ours, batched solver", "#D55E00", "o"),
-        "lifting": look("lifting"),
-    }
-    parts = table[table["comparison"] == "parts"]
-    parts = parts.rename(columns={"way": "method", "ms_per_face": "mean"})
-    panel = Panel(parts, "part", "Part, on one core")
-    return error_lines([panel], "Time per face", 1, "ms", looks=looks)
-
-
-def draw_faces(run: Run, model: MorphableModel, n: int):
-    """Faces and their views, the same for the same n."""
-    rng = np.random.default_rng([run.seed, Stream.BENCH])
-    return make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)

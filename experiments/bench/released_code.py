@@ -14,8 +14,9 @@ from itertools import product
 
 import numpy as np
 
+from data_gen.datasets.dataset import Dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import Cameras, project
+from data_gen.views.projections import project
 from deepmds_keras.embedding import check_dissimilarities, precomputed_mds
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import resolve_orientation
@@ -25,16 +26,13 @@ _STARTS = 4
 
 
 def make_faces(
-    model: MorphableModel, identity: np.ndarray, cameras: Cameras, scheme: str
+    model: MorphableModel, faces: Dataset, n: int, scheme: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks `(n, L, 3)` and views `(n, L, 2)` of `(n, K)` coefficients, by way of all vertices.
-
-    Each face has its own camera.
-    """
+    """Landmarks `(n, L, 3)` and views `(n, L, 2)` of the first faces, by way of all vertices."""
     landmarks, views = [], []
-    for k, coefficients in enumerate(identity):
-        landmarks.append(model.shape(coefficients)[model.landmarks[scheme]])
-        views.append(project(landmarks[-1][None], cameras[k : k + 1])[0])
+    for k in range(n):
+        landmarks.append(model.shape(faces.identity[k])[model.landmarks[scheme]])
+        views.append(project(landmarks[-1][None], faces.cameras[k : k + 1])[0])
     return np.stack(landmarks), np.stack(views)
 
 
@@ -58,12 +56,7 @@ def training_batches(
 
 
 def predict(model: DeepMDS, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frontal views `(n, L, 2)` and dissimilarities `(n, L, L)`, one `predict` a face and network.
-
-    Args:
-        model: Trained networks.
-        views: `(n, L, 2)` views.
-    """
+    """Frontal views `(n, L, 2)` and dissimilarities `(n, L, L)`, one `predict` a face and net."""
     frontal, matrices = [], []
     for view in views:
         view = normalise(centre(view) if model.centre_views else view)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -58,11 +57,12 @@ def learning_curves(
         for method, record in records.items():
             for mode, losses in record.items():
                 style = {"color": colour(method), "ls": _MODES[mode][0], "lw": 1.1}
-                axes.plot(range(1, len(losses) + 1), np.divide(losses, unit), **style)
+                first = min(_FIRST_EPOCH, max(1, len(losses) - 1))
+                epochs = range(first, len(losses) + 1)
+                axes.plot(epochs, np.divide(losses[first - 1 :], unit), **style)
         axes.set(title=name, ylabel=label, yscale="log", xlabel="Training time (epochs)")
         axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         axes.grid(axis="y")
-        _leave_out_first_epochs(axes)
         plain_log_ticks(axes.yaxis)
     methods = [{"color": colour(m), "label": title(m)} for m in [*histories, *of_images]]
     modes = [{"color": INK, "ls": s, "label": f"training faces, {m}"} for s, m in _MODES.values()]
@@ -71,15 +71,6 @@ def learning_curves(
         sizes = {"handlelength": 2.6, "columnspacing": 1.2}
         figure.legend(handles=handles, loc=f"outside {place} center", ncols=4, **sizes)
     return figure
-
-
-def _leave_out_first_epochs(axes: Axes) -> None:
-    """Limit the axes to what they show from `_FIRST_EPOCH`."""
-    points = np.concatenate([line.get_xydata() for line in axes.lines])
-    last = points[:, 0].max()
-    first = min(_FIRST_EPOCH, last)
-    shown = points[points[:, 0] >= first, 1]
-    axes.set(xlim=(first - 0.5, last + 0.5), ylim=(0.95 * shown.min(), 1.05 * shown.max()))
 
 
 def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[float]]]]) -> Figure:

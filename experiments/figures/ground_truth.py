@@ -143,14 +143,8 @@ def fits(
     below = 1.75 if distances else 0
     height = 2.1 + below
     figure = Figure(figsize=(max(1.35 * len(images), 4.2), height))
-    grid = {
-        "left": 0,
-        "right": 1,
-        "wspace": 0.05,
-        "bottom": below / height,
-        "top": 1 - 0.25 / height,
-    }
-    panels = figure.subplots(1, len(images), squeeze=False, gridspec_kw=grid)[0]
+    panels = figure.subplots(1, len(images), squeeze=False)[0]
+    figure.subplots_adjust(0, below / height, 1, 1 - 0.25 / height, wspace=0.05)
     for axes, image, model, points in zip(panels, images, fitted, detected, strict=True):
         draw_photo(axes, image)
         blue = {"colour": _FIT_COLOUR, "linewidth": 0.7, "dot_area": 1}

@@ -42,8 +42,9 @@ def qualitative(
     views: np.ndarray,
     frontal: np.ndarray,
     scores: Mapping[str, Scores],
-    scheme: LandmarkScheme,
+    faces: np.ndarray,
     row_titles: Sequence[str],
+    scheme: LandmarkScheme,
     photos: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Figure:
     """Input view, frontal view, truth and every method's shape from the front and the side.
@@ -54,15 +55,16 @@ def qualitative(
     N/A stands for a face that a method did not find.
 
     Args:
-        views: `(R, L, 2)`, one face a row.
-        frontal: `(R, L, 2)`, the autoencoder's output for `views`.
-        scores: Method id to its scores on these faces, R of them.
+        views: `(n, L, 2)`.
+        frontal: `(n, L, 2)`, the autoencoder's output for `views`.
+        scores: Method id to its scores on these faces.
+        faces: Numbers of the R faces that are drawn, one a row.
+        row_titles: `R` names of these.
         scheme: Landmark scheme, for its polylines.
-        row_titles: `R` names of the faces.
         photos: `(R, S, S, 3)` uint8 in which the views were detected, to be drawn in their place,
             and landmarks `(R, L, 2)` in their pixels, y down.
     """
-    truth = next(iter(scores.values())).truth
+    truth = next(iter(scores.values())).truth[faces]
     width, height, _ = np.ptp(truth, axis=1).max(axis=0)
     side, top = width + _GAP, height + _GAP / 2
     extent = (-side / 2, side / 2, -top - _ROW_GAP, top)
@@ -78,7 +80,8 @@ def qualitative(
         lines = textwrap.fill(name, 12, break_long_words=False)
         _write(axes, (0, top + 0.08), lines, va="bottom", color=ink, weight="bold")
 
-    for row, (view_axes, frontal_axes, truth_axes, *others) in enumerate(panels):
+    for row, face in enumerate(faces):
+        view_axes, frontal_axes, truth_axes, *others = panels[row]
         for axes in panels[row]:
             bare(axes, extent)
             if row:
@@ -86,8 +89,8 @@ def qualitative(
         title_place = (-side / 2 - _MARGIN / 2, 0)
         _write(view_axes, title_place, row_titles[row], rotation=90, va="center", size=7.5)
         if photos is None:
-            scale = min((width, height) / np.ptp(views[row], axis=0))
-            view = scale * (views[row] - _centre(views[row]))
+            scale = min((width, height) / np.ptp(views[face], axis=0))
+            view = scale * (views[face] - _centre(views[face]))
             draw_wireframe(view_axes, view, scheme.polylines, colour=INK)
         else:
             image, pixels = photos[0][row], photos[1][row]
@@ -97,21 +100,21 @@ def qualitative(
             view_axes.scatter(*points.T, s=0.8, c=DETECTED_COLOUR, linewidths=0, zorder=2)
 
         true_front = front_view(truth[row]) - _centre(front_view(truth[row]))
-        fitted = _fit_without_rotation(frontal[row], true_front)
+        fitted = _fit_without_rotation(frontal[face], true_front)
         for points, ink in ((true_front, TRUTH_COLOUR), (fitted, INK)):
             draw_wireframe(frontal_axes, points, scheme.polylines, colour=ink)
 
         _draw_views(truth_axes, truth[row], truth[row], scheme, INK, top / 2)
         _write(truth_axes, (0, -top), "MSE ($10^{-4}$)", va="top")
-        of_row = [score.mse[row] for score in scores.values()]
+        of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
-            if not score.found[row]:
+            if not score.found[face]:
                 _write(axes, (0, 0), "N/A", va="center")
                 continue
             _draw_views(axes, truth[row], truth[row], scheme, TRUTH_COLOUR, top / 2)
-            _draw_views(axes, score.aligned[row], truth[row], scheme, colour(method), top / 2)
-            digits = f"{score.mse[row] * 1e4:#.3g}".rstrip(".")
-            weight = "bold" if score.mse[row] == np.nanmin(of_row) else "normal"
+            _draw_views(axes, score.aligned[face], truth[row], scheme, colour(method), top / 2)
+            digits = f"{score.mse[face] * 1e4:#.3g}".rstrip(".")
+            weight = "bold" if score.mse[face] == np.nanmin(of_row) else "normal"
             _write(axes, (0, -top), digits, va="top", weight=weight)
     return figure
 

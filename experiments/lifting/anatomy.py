@@ -11,7 +11,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.embedding import embed, metric_embed, pairwise_distances
@@ -19,7 +18,7 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.contenders import limit
-from experiments.lifting.train import DEEP_MDS, LIFTING, PAIR_NETS, load_network, network_file
+from experiments.lifting.train import DEEP_MDS, LIFTING, PAIR_NETS, network_file
 from experiments.lifting.views import Views
 from experiments.methods import load, predict
 from experiments.progress import Bar
@@ -49,6 +48,8 @@ _UNIT = 1e-6
 
 def matrices(run: Run, test: Faces) -> Iterator[tuple[str, np.ndarray]]:
     """Yield each step with dissimilarities and its matrices `(n, L, L)`."""
+    import keras
+
     from experiments.lifting.pair_nets import dissimilarities
 
     deep_mds = load(run, DEEP_MDS)
@@ -56,7 +57,7 @@ def matrices(run: Run, test: Faces) -> Iterator[tuple[str, np.ndarray]]:
     yield "deep_mds", dissimilarities(net, frontal, test.views)
     yield "true_frontal", dissimilarities(net, test.shapes[..., :2], test.views)
     for step in PAIR_NETS:
-        net = load_network(network_file(run, f"anatomy-{step}"))
+        net = keras.saving.load_model(network_file(run, f"anatomy-{step}"), compile=False)
         yield step, dissimilarities(net, frontal, test.views)
     yield "lifting", pairwise_distances(predict(load(run, LIFTING), test.views))
     yield "true_distances", pairwise_distances(test.shapes)
@@ -88,23 +89,14 @@ def measure(run: Run) -> pd.DataFrame:
     )
 
 
-def cells(table: pd.DataFrame) -> pd.DataFrame:
-    """A row a step, a column an embedding: mean ± standard error, from the table of `measure`."""
-    texts = grid(table, "step", "embedding", _UNIT)[[*EMBEDDINGS]]
-    texts.columns = [look.title for look in EMBEDDINGS.values()]
-    return texts.rename(index=STEPS).rename_axis(f"MSE ({power(_UNIT)})")
-
-
-def figure(table: pd.DataFrame) -> Figure:
-    """Errors step by step, from the mean shape down to the limit, from the table of `measure`."""
+def main(run: Run) -> dict:
+    table = measure(run)
+    cells = grid(table, "step", "embedding", _UNIT)[[*EMBEDDINGS]]
+    cells.columns = [look.title for look in EMBEDDINGS.values()]
+    cells = cells.rename(index=STEPS).rename_axis(f"MSE ({power(_UNIT)})")
     # True distances give the shape itself, which a logarithmic axis cannot show.
     rows = table[table["step"] != "true_distances"]
     rows = rows.rename(columns={"embedding": "method", "mse": "mean"})
     rows["step"] = [textwrap.fill(STEPS[step], 18) for step in rows["step"]]
-    return error_lines([Panel(rows, "step")], unit=_UNIT, looks=EMBEDDINGS)
-
-
-def main(run: Run) -> dict:
-    table = measure(run)
-    figures = {"anatomy": figure(table)}
-    return write_results(run, "lifting/anatomy", {"table": table}, cells(table), (), figures)
+    figures = {"anatomy": error_lines([Panel(rows, "step")], unit=_UNIT, looks=EMBEDDINGS)}
+    return write_results(run, "lifting/anatomy", {"table": table}, cells, figures=figures)

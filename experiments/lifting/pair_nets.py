@@ -96,11 +96,10 @@ class PairNet:
             data = tf.data.Dataset.from_tensor_slices((faces, ends, views, points))
             return data.map(batch).prefetch(2)
 
-        def loss_in_training() -> float:
-            return net.history.history["loss"][0]
-
         label = {"network": net.name, "seed": seed, "faces": n, **asdict(recipe)}
-        train_by_epoch(net, batches, label, loss_in_training, checkpoint, progress)
+        train_by_epoch(
+            net, batches, label, lambda: net.history.history["loss"][0], checkpoint, progress
+        )
         return net
 
 

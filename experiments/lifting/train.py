@@ -55,11 +55,7 @@ def network_file(run: Run, name: str) -> Path:
 
 
 def load_network(file: Path):
-    """Read a `keras.Model`, a `LandmarkLifter` or a `DeepMDS`, as the name of its file says."""
-    if file.suffix == ".keras":
-        import keras
-
-        return keras.saving.load_model(file, compile=False)
+    """Read a `LandmarkLifter` or a `DeepMDS`, as the name of its file says."""
     if LIFTING in file.stem:
         from deepmds_keras.lifting.lifter import LandmarkLifter
 

@@ -22,16 +22,14 @@ from experiments.tasks import unordered
 if TYPE_CHECKING:
     from data_gen.datasets.portraits import Portraits
 
-_DETECTORS = "dlib", "mediapipe"
 _PER_TASK = 50
-_TESTS = 1  # in the seeds; 0 was of photos for training
 
 
 def main(run: Run) -> dict:
     models, left_out = open_models(run.data)
-    detectors = [name for name in _DETECTORS if DETECTORS[name].is_installed()]
+    detectors = [name for name, detector in DETECTORS.items() if detector.is_installed()]
     if not detectors:
-        raise InputError(f"One of {', '.join(_DETECTORS)} must be installed. Received none.")
+        raise InputError(f"One of {', '.join(DETECTORS)} must be installed. Received none.")
     n = run.preset.test_portraits
     numbers = [range(i, min(i + _PER_TASK, n)) for i in range(0, n, _PER_TASK)]
     for model in models:
@@ -59,10 +57,8 @@ def _file(run: Run, model: str) -> Path:
     return run.work / "portraits" / f"{model}.npz"
 
 
-def _draw(
-    run: Run, model: str, numbers: range, detectors: list[str]
-) -> tuple[range, dict[str, np.ndarray]]:
-    """What is known of, and found in, some photos, by their numbers."""
+def _draw(run: Run, model: str, numbers: range, detectors: list[str]) -> tuple[range, dict]:
+    """What is known of, and found in, some photos, by their numbers: arrays by name."""
     photos = [*_source(run, model).photos(numbers)]
     arrays = {"yaw": np.array([photo.yaw for photo in photos])}
     for scheme in photos[0].landmarks:
@@ -82,7 +78,7 @@ def _draw(
 def _source(run: Run, model: str) -> Portraits:
     from data_gen.datasets.portraits import Portraits
 
-    seed = (run.seed, Stream.PORTRAITS, OPEN.index(model), _TESTS)
+    seed = (run.seed, Stream.PORTRAITS, OPEN.index(model), 1)  # 0 was of photos for training
     return Portraits(load_model(model, run.data, "ibug68"), seed)
 
 

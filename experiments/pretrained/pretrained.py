@@ -95,27 +95,20 @@ def detections(run: Run) -> pd.DataFrame:
         the face model.
     """
     parts = []
-    photos = {model: read_portraits(run, model) for model in open_models(run.data)[0]}
     for detector, (scheme, *_) in SCHEMES.items():
-        for model, own in photos.items():
-            if detector in own:
-                errors, found = errors_of(own, detector)
+        for model in open_models(run.data)[0]:
+            photos = read_portraits(run, model)
+            if detector in photos:
+                errors, found = errors_of(photos, detector)
                 errors = convert(errors, scheme, "ibug51")
                 rows = pd.DataFrame({"detector": detector, "faces": model, "found": found})
-                rows["yaw"] = _YAWS[np.abs(_YAWS - own["yaw"][:, None]).argmin(1)]
+                rows["yaw"] = _YAWS[np.abs(_YAWS - photos["yaw"][:, None]).argmin(1)]
                 rows["square"] = np.where(found, (errors**2).mean((1, 2)), np.nan)
                 parts.append(rows.sort_values("yaw"))
     grouped = pd.concat(parts).groupby(["detector", "faces", "yaw"], sort=False, as_index=False)
     table = grouped.agg(n_photos=("found", "size"), found=("found", "mean"), rms=("square", "mean"))
     table["rms"] = 100 * np.sqrt(table["rms"])
     return table[["detector", "yaw", "n_photos", "found", "rms", "faces"]]
-
-
-def cells(table: pd.DataFrame) -> pd.DataFrame:
-    """A row a kind of landmarks, a column a method: mean ± standard error."""
-    texts = grid(table, ["scheme", "faces", "views"], "method", _UNIT).rename(columns=title)
-    texts = texts.rename(index=TITLES, level="faces")
-    return texts.rename_axis(["Landmarks", "Faces", f"MSE ({power(_UNIT)}), as found by"])
 
 
 def main(run: Run) -> dict:
@@ -125,5 +118,7 @@ def main(run: Run) -> dict:
     if run.preset.name == "paper" and not open_models(run.data)[1]:
         for name in NETWORKS:
             shutil.copyfile(weights_file(run, name), PRETRAINED / f"{name}.npz")
-    tables = {"table": table, "detection": detections(run)}
-    return write_results(run, "pretrained", tables, cells(table))
+    cells = grid(table, ["scheme", "faces", "views"], "method", _UNIT).rename(columns=title)
+    cells = cells.rename(index=TITLES, level="faces")
+    cells = cells.rename_axis(["Landmarks", "Faces", f"MSE ({power(_UNIT)}), as found by"])
+    return write_results(run, "pretrained", {"table": table, "detection": detections(run)}, cells)

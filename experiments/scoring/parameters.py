@@ -47,29 +47,23 @@ def parameter_table(
     from deepmds_keras.networks import count_trainable  # who only prints a table has no Keras
 
     measured = metrics[metrics["subset"].isna()].set_index(["method", "metric"])["value"]
-    quoted = printed("parameters", "n_parameters")
-    quoted_times = printed("parameters", "time_complexity")
-    rows = []
-    for method in METHODS.values():
-        if method.complexity is None:
-            continue
-        trainable = total = measured.get((method.id, "n_parameters"))
+    measured = measured.unstack().reindex(columns=["n_parameters", *_TIMES])
+    methods = [method for method in METHODS.values() if method.complexity]
+    table = measured.reindex([method.id for method in methods])
+    table["trainable"] = table["total"] = table.pop("n_parameters")
+    for method in methods:
         if method.networks:
             networks = method.networks(n_landmarks, n_coefficients)
-            trainable = count_trainable(*networks)
-            total = sum(network.count_params() for network in networks)
-        times = [measured.get((method.id, metric)) for metric in _TIMES]
-        rows.append(
-            (
-                method.id,
-                *("" if count is None else f"{count:.0f}" for count in (trainable, total)),
-                quoted.get(method.paper, ""),
-                quoted_times.get(method.paper, ""),
-                method.complexity,
-                *("" if time is None else f"{time:.3g}" for time in times),
-            )
-        )
-    return pd.DataFrame(rows, columns=[*HEADS])
+            table.loc[method.id, "trainable"] = count_trainable(*networks)
+            table.loc[method.id, "total"] = sum(network.count_params() for network in networks)
+    for column, metric in (("paper", "n_parameters"), ("complexity_paper", "time_complexity")):
+        quoted = printed("parameters", metric)
+        table[column] = [quoted.get(method.paper, "") for method in methods]
+    table["complexity"] = [method.complexity for method in methods]
+    formats = dict.fromkeys(("trainable", "total"), "{:.0f}") | dict.fromkeys(_TIMES, "{:.3g}")
+    for column, form in formats.items():
+        table[column] = ["" if pd.isna(n) else form.format(n) for n in table[column]]
+    return table.reset_index()[[*HEADS]]
 
 
 def latex(table: pd.DataFrame) -> str:

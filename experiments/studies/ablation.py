@@ -19,10 +19,9 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look
 from experiments.inputs import load_faces
 from experiments.run import Run
-from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import score, subsets
 from experiments.studies.seeds import spread
-from experiments.studies.study_results import write_results
+from experiments.studies.study_results import grid, write_results
 from experiments.studies.variant import VARIANTS, ablation_trainings, scores_file
 
 _HEADS = {
@@ -40,11 +39,8 @@ def main(run: Run) -> dict:
     table = spread(metrics, ["variant", "faces", "metric"])
     curve = training_curve(run, metrics)
     tables = {"metrics": metrics, "losses": losses, "table": table, "curves": curve}
-    points = curve.rename(columns={"mse": "mean"})
-    figures = {
-        "mini_batches": mini_batches(losses),
-        "training_faces": error_lines([Panel(points, "value", "Training faces", log_x=True)]),
-    }
+    panel = Panel(curve.rename(columns={"mse": "mean"}), "value", "Training faces", log_x=True)
+    figures = {"mini_batches": mini_batches(losses), "training_faces": error_lines([panel])}
     return write_results(run, "ablation", tables, cells(table), figures=figures)
 
 
@@ -65,13 +61,12 @@ def training_curve(run: Run, metrics: pd.DataFrame) -> pd.DataFrame:
     """Test error by number of training faces: ours with one seed, and two that need no seed.
 
     Returns:
-        `sweep, value, method, mse, sem`; the last number is that of all faces.
+        `sweep, value, method, mse, sem`, of which the last value is that of all faces.
     """
     train, test = load_faces(run, "train"), load_faces(run, "test")
     test = test[subsets(run, len(test.views))[0]]
-    errors = metrics[metrics["seed"] == run.seed].pivot(
-        index=["variant", "faces"], columns="metric", values="value"
-    )
+    first = metrics[metrics["seed"] == run.seed]
+    errors = first.set_index(["variant", "faces", "metric"])["value"].unstack()
     rows = []
     for n in (*run.preset.training_sizes, run.preset.train_faces):
         for method, model in (("mean_shape", MeanShape()), ("linear", Linear())):
@@ -89,15 +84,12 @@ def training_curve(run: Run, metrics: pd.DataFrame) -> pd.DataFrame:
 
 def cells(table: pd.DataFrame) -> pd.DataFrame:
     """Mean ± s.d. over the seeds of each `Variant`, as text, from `table.csv`."""
-    rows = []
-    for (variant, faces), own in table.groupby(["variant", "faces"], sort=False):
-        own = own.set_index("metric")
-        count = f"{own['count'].max()}"
-        row = {"Variant": VARIANTS[variant].title, "Faces": f"{faces:,}", "Seeds": count}
-        for metric, head in _HEADS.items():
-            row[head] = plus_minus(*own.loc[metric, ["mean", "std"]], 1e-4)
-        rows.append(row)
-    return pd.DataFrame(rows).set_index("Variant")
+    rows = table.rename(columns={"mean": "mse", "std": "sem", "count": "seeds"})
+    rows["variant"] = [VARIANTS[variant].title for variant in rows["variant"]]
+    rows["faces"], rows["seeds"] = rows["faces"].map("{:,}".format), rows["seeds"].astype(str)
+    texts = grid(rows, ["variant", "faces", "seeds"], "metric", 1e-4)[[*_HEADS]]
+    texts = texts.rename(columns=_HEADS).rename_axis(["Variant", "Faces", "Seeds"])
+    return texts.reset_index(["Faces", "Seeds"])
 
 
 def mini_batches(losses: pd.DataFrame) -> Figure:

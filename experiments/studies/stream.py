@@ -17,15 +17,14 @@ from data_gen.models.registry import load_model
 from deepmds_keras.io.archives import read_arrays, write_arrays
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures.errors import error_distribution
-from experiments.figures.style import save
 from experiments.inputs import as_seen
-from experiments.methods import DEEP_MDS, load, predict, title
+from experiments.methods import DEEP_MDS, load, predict
 from experiments.progress import Bar
-from experiments.records import clear_results, resumable, write_csv, write_text
+from experiments.records import resumable
 from experiments.run import Run
-from experiments.scoring.latex import plain_tabular
 from experiments.scoring.scores import score
 from experiments.streams import Stream
+from experiments.studies.study_results import statistics_cells, write_results
 from experiments.tasks import unordered
 
 _METHODS = ("mean_shape", "linear", "ours")
@@ -43,15 +42,8 @@ def main(run: Run) -> dict:
     table = pd.concat([statistics, values.quantile([0.05, 0.5, 0.95, 0.99])]).T
     table = table[[*_COLUMNS]].rename(columns=_COLUMNS).astype({"n_faces": int})
     table = table.rename_axis(["method", "metric"]).reset_index()
-    titled = table.assign(method=table["method"].map(title))
-    figure = error_distribution({method: values[method, "mse"] for method in _METHODS})
-    folder = run.experiment_results("stream")
-    clear_results(folder)
-    write_csv(folder / "table.csv", table)
-    write_text(folder / "table.tex", plain_tabular(titled))
-    save(figure, folder / "figures", "errors", run.preset.caution)
-    print(f"\n{run.model}, {len(values):,} faces\n\n{titled.to_string(index=False)}\n\n{folder}/")
-    return {"results": [folder]}
+    figures = {"errors": error_distribution({name: values[name, "mse"] for name in _METHODS})}
+    return write_results(run, "stream", {"table": table}, statistics_cells(table), figures=figures)
 
 
 def stream(run: Run) -> pd.DataFrame:
@@ -60,17 +52,14 @@ def stream(run: Run) -> pd.DataFrame:
     networks = checkpoint_files(run.networks, *DEEP_MDS["ours"]).values()
     folder = resumable(run.work / "stream", [run.work / "train.npz", *networks], faces=step)
     sizes = [min(step, n - start) for start in range(0, n, step)]
-    files = [folder / f"{shard:05}-{size}.npz" for shard, size in enumerate(sizes)]
-    missing = [
-        (run, path, shard, size)
-        for shard, (path, size) in enumerate(zip(files, sizes, strict=True))
-        if not path.exists()
-    ]
+    tasks = [(run, folder / f"{k:05}-{size}.npz", k, size) for k, size in enumerate(sizes)]
+    missing = [task for task in tasks if not task[1].exists()]
     done = n - sum(size for *_, size in missing)
     with Bar(total=n, initial=done, desc="faces", unit="face") as bar:
         for size in unordered(run.jobs, write_shard, missing):
             bar.update(size)
-    values = pd.concat([pd.DataFrame(read_arrays(path)[0]) for path in files], ignore_index=True)
+    shards = [pd.DataFrame(read_arrays(path)[0]) for _, path, *_ in tasks]
+    values = pd.concat(shards, ignore_index=True)
     values.columns = values.columns.str.split("/", expand=True)
     return values
 

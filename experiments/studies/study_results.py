@@ -1,4 +1,4 @@
-"""How the studies of lifting, and of the shipped weights, write and show their results."""
+"""How studies write and show their results."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from scipy.stats import sem
 
 from experiments.face_models import TITLES
 from experiments.figures.style import save
+from experiments.methods import title
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
-from experiments.scoring.numbers import plus_minus
+from experiments.scoring.numbers import plus_minus, scientific
 
 _NOTHING = 1e-12  # an error that is rounding
 
@@ -33,7 +34,7 @@ def write_results(
         run: The run.
         name: Of the folder of results.
         tables, figures: By name.
-        cells: The table as it is read, as from `grid`.
+        cells: The table as it is read, as from `grid` or `statistics_cells`.
         notes: To stand below it.
     """
     folder = run.experiment_results(name)
@@ -45,7 +46,8 @@ def write_results(
     write_text(folder / "table.tex", tabular(cells, columns, notes))
     for figure, drawn in figures.items():
         save(drawn, folder / "figures", figure, run.preset.caution)
-    print(f"\n{TITLES[run.model]}\n", cells.to_string(index=False), "", *notes, sep="\n")
+    shown = cells.to_string(index=False)
+    print(f"\n{TITLES[run.model]}\n", shown, "", *notes, f"{folder}/", sep="\n")
     return {"results": [folder]}
 
 
@@ -62,3 +64,9 @@ def grid(table: pd.DataFrame, rows: str | list[str], columns: str, unit: float) 
     ]
     cells = table.assign(text=texts).pivot_table("text", rows, columns, "first", sort=False)
     return cells.fillna("").rename_axis(columns=None)
+
+
+def statistics_cells(table: pd.DataFrame) -> pd.DataFrame:
+    """Texts of five digits, of statistics by `method` and `metric`."""
+    cells = table.assign(method=table["method"].map(title)).set_index(["method", "metric"])
+    return cells.map(scientific, digits=5).rename(columns=lambda name: name.replace("_", " "))

@@ -85,8 +85,7 @@ def main(run: Run, item: str, seed: str) -> None:
     name, _, size = item.partition("-")
     train, test = load_faces(run, "train"), load_faces(run, "test")
     test = test[subsets(run, len(test.views))[0]]
-    if size:
-        train = train[: int(size)]
+    train = train[: int(size or run.preset.train_faces)]
     model, history = train_variant(run, VARIANTS[name], int(seed), train)
     scores = score(model.predict(test.views), test)
     mse = pd.Series(scores.mse)

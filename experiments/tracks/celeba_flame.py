@@ -30,7 +30,6 @@ from experiments.streams import Stream
 from experiments.tracks.results import face_squares
 
 _PHOTO = 224  # pixels of a side of a photo in the picture
-_FACES = 12  # at most, in the picture
 _YAWS = (0, 15, 30, 45)  # degrees; of the photos drawn the nearest are shown
 _DRAWN = 60
 
@@ -43,12 +42,12 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
             down, in the order of iBUG's landmarks 18 to 68.
 
     Returns:
-        Paths in order of name, at most 12, and `(n, 51, 2)`.
+        Paths in order of name, and `(n, 51, 2)`.
 
     Raises:
         InputError: No such folder or none of these files in it, or landmarks of another shape.
     """
-    files = sorted(folder.glob("*_lmks.npy"))[:_FACES]
+    files = sorted(folder.glob("*_lmks.npy"))
     if not files:
         raise InputError(
             f"TF_FLAME={folder} must be a folder with photos NAME.jpeg and landmarks "
@@ -70,7 +69,7 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
         `(H, W, 3)` uint8 each, of heads turned by up to 45 degrees, and `(n, 51, 2)` pixels.
 
     Raises:
-        InputError: The face model cannot be drawn, or dlib finds too few faces.
+        InputError: The face model cannot be drawn, or dlib finds no face.
     """
     from data_gen.datasets.portraits import Portraits
     from data_gen.models.registry import load_model
@@ -81,17 +80,11 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
         landmarks = shared_detector().detect(photo.image)
         if landmarks is not None:
             detections.append((abs(photo.yaw), photo.image, convert(landmarks, "ibug68", "ibug51")))
-    if len(detections) < len(_YAWS):
-        raise InputError(
-            f"dlib must find {len(_YAWS)} faces in {_DRAWN} photos drawn of {run.model}. "
-            f"It found {len(detections)}."
-        )
-    chosen = []
-    for yaw in _YAWS:
-        nearest = min(range(len(detections)), key=lambda k: abs(detections[k][0] - yaw))
-        chosen.append(detections.pop(nearest)[1:])
-    images, landmarks = zip(*chosen, strict=True)
-    return [*images], np.stack(landmarks)
+    if not detections:
+        raise InputError(f"dlib must find a face in {_DRAWN} photos of {run.model}. None found.")
+    yaws, images, landmarks = zip(*detections, strict=True)
+    nearest = dict.fromkeys(np.abs(np.array(yaws) - yaw).argmin() for yaw in _YAWS)
+    return [images[k] for k in nearest], np.stack([landmarks[k] for k in nearest])
 
 
 def inputs_for(run: Run, method: str, images: list[np.ndarray], landmarks: np.ndarray):

@@ -119,11 +119,11 @@ class Evaluation:
             titles: Their names.
             photos: Whether the views were detected in photos, to be drawn in their place.
         """
-        frontal = load_prediction(self.run, "ours")[0]["frontal"][faces]
-        pictured = {m: s[faces] for m, s in self.drawn.items() if METHODS[m].pictured}
+        frontal = load_prediction(self.run, "ours")[0]["frontal"]
+        pictured = {m: scores for m, scores in self.drawn.items() if METHODS[m].pictured}
         seen = self.photos(faces) if photos else None
-        views, scheme = self.test.views[faces], load_scheme(self.run.scheme)
-        self.save(qualitative(views, frontal, pictured, scheme, titles, seen), name)
+        views, scheme = self.test.views, load_scheme(self.run.scheme)
+        self.save(qualitative(views, frontal, pictured, faces, titles, scheme, seen), name)
         errors = landmark_errors(self.drawn)
         maps = [method for method in errors if self.run.track in METHODS[method].mapped]
         figure = error_per_landmark(errors, scheme, self.test.shapes.mean(0), maps)

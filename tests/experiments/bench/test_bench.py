@@ -41,7 +41,7 @@ def faces(model):
 
 
 def test_faces_one_by_one_are_those_of_a_batch(model, faces):
-    landmarks, views = released.make_faces(model, faces.identity, faces.cameras, "bfm72")
+    landmarks, views = released.make_faces(model, faces, len(faces), "bfm72")
     np.testing.assert_allclose(landmarks, faces.landmarks, atol=1e-4)
     np.testing.assert_allclose(views, faces.views, atol=1e-4)
 

@@ -1,8 +1,5 @@
 """Laws of the figures: they show the data, in stated units, in small files of equal bytes."""
 
-import json
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,10 +9,8 @@ from deepmds_keras.io.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from experiments.figures import errors, style
 from experiments.figures.curves import batchnorm_lag, learning_curves
-from experiments.figures.face_figures import draw_faces, error_per_landmark
-from experiments.figures.gallery import FittedPhoto, fits, gallery, renders
-from experiments.figures.ground_truth import Example, ground_truth
-from experiments.figures.qualitative import Photos, qualitative
+from experiments.figures.ground_truth import fits, ground_truth
+from experiments.figures.qualitative import gallery, qualitative, renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
 from experiments.methods import METHODS
@@ -34,7 +29,7 @@ def faces(rng, n=2, scheme="bfm72"):
 
 def draw_learning(rng):
     histories = {"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
-    return learning_curves(histories, mobileface={"train": [9.0, 2.0]}, ringnet={"train": [7, 3]})
+    return learning_curves(histories, {m: {"train": [9.0, 2.0]} for m in ("mobileface", "ringnet")})
 
 
 def draw_lag(rng):
@@ -50,23 +45,26 @@ def face_errors(rng, n=60):
             "projection": np.where(perspective, "perspective", "orthographic"),
             "yaw": np.where(perspective, -rng.uniform(0, 45, n), rng.choice([-45, 0, 45], n)),
             "pitch": np.where(perspective, -rng.uniform(0, 30, n), 0),
-            "condition": np.resize(["neutral", "eyes_closed", "smile"], n),
             "mse": rng.uniform(1e-5, 1e-3, n),
         }
     )
 
 
-def draw_ground_truth(rng):
-    truth, points = faces(rng, 6, "ibug51"), rng.normal(0, 40, (500, 3))
-    image, pixels = np.zeros((32, 32, 3), np.uint8), rng.uniform(0, 32, (51, 2))
-    examples = [Example(image, pixels, points, face, face, face) for face in truth[:2]]
-    return ground_truth(examples, IBUG51, truth + rng.normal(0, 2, truth.shape), truth)
+def scans(rng, n=6):
+    truth = faces(rng, n, "ibug51")
+    table = {"truth": truth, "landmarks": truth + [3.0, 0, 4], "fitted": truth + 1}
+    return table | {"example_points": rng.normal(0, 40, (2, 500, 3))}
+
+
+def draw_ground_truth(rng, **table):
+    images, pixels = np.zeros((2, 32, 32, 3), np.uint8), rng.uniform(0, 32, (2, 51, 2))
+    return ground_truth(table or scans(rng), np.arange(2), images, pixels, IBUG51)
 
 
 def draw_fits(rng):
-    (fitted, truth), pixels = faces(rng), rng.uniform(0, 32, (72, 2))
-    photo = FittedPhoto(np.zeros((32, 32, 3), np.uint8), pixels, pixels, fitted, truth)
-    return fits([photo], BFM72, {"fit": rng.gamma(9, 1, 99), "mean": rng.gamma(8, 1, 99)})
+    pixels, images = rng.uniform(0, 32, (2, 72, 2)), np.zeros((2, 32, 32, 3), np.uint8)
+    distances = {"model_fit": rng.gamma(9, 1, 99), "mean_shape": rng.gamma(8, 1, 99)}
+    return fits(images, pixels[:, :68], pixels, BFM72, distances)
 
 
 def seed_metrics(rng):
@@ -90,21 +88,20 @@ def headline_table():
 def draw_qualitative(rng, methods=("ours", "linear"), n=1, found=True, photos=None):
     truth = faces(rng, n) / 200
     predictions = {method: truth + rng.normal(0, 0.01, truth.shape) for method in methods}
-    predictions[methods[-1]][:, 0] += 0 if found else np.nan
-    scores = {m: np.mean((p - truth) ** 2, axis=(1, 2)) for m, p in predictions.items()}
+    predictions[methods[-1]][0] += 0 if found else np.nan
+    scores = {m: Scores(p, truth, np.full(n, 200.0), np.zeros(n)) for m, p in predictions.items()}
     frontal, names = 1.7 * truth[..., :2] + (3, -2), [f"View {row}" for row in range(n)]
     views = truth @ [[0.7, 0], [0, 1], [-0.7, 0]]
-    return qualitative(views, frontal, truth, predictions, BFM72, names, scores, photos)
+    return qualitative(views, frontal, scores, np.arange(n), names, BFM72, photos)
 
 
 PLOTS = {
     "learning_curves": draw_learning,
     "batchnorm_lag": draw_lag,
-    "error_per_landmark": lambda rng: error_per_landmark(
+    "error_per_landmark": lambda rng: errors.error_per_landmark(
         {method: rng.uniform(1, 9, 72) for method in DRAWN}, BFM72, faces(rng)[0], DRAWN[:3]
     ),
     "error_per_pose": lambda rng: errors.error_per_pose(face_errors(rng)),
-    "error_per_condition": lambda rng: errors.error_per_condition(face_errors(rng)),
     "errors": lambda rng: errors.error_distribution({"ours": rng.uniform(1e-5, 1e-3, 50)}),
     "qualitative": lambda rng: draw_qualitative(rng, DRAWN[:11], 4),
     "scans": draw_ground_truth,
@@ -181,28 +178,21 @@ def test_errors_by_pose_are_means_of_the_faces_in_it():
             np.testing.assert_allclose(band.get_paths()[0].vertices[:, 1], 2)
 
 
-def test_a_face_that_was_not_found_has_no_part_in_the_errors_by_condition():
-    table = face_errors(np.random.default_rng(0)).assign(mse=1e-4)
-    table.loc[table["condition"] == "smile", "mse"] = np.nan
-    (axes,) = errors.error_per_condition(table).axes
-    assert [text.get_text() for text in axes.get_xticklabels()] == ["neutral", "eyes closed"]
-    np.testing.assert_allclose(axes.containers[0].lines[0].get_xydata()[:, 1], 1)
-
-
 def test_region_errors_are_root_mean_squares():
     squares = np.where(np.arange(72) % 2, 16.0, 2.0)
     groups = pd.Series(squares).groupby(np.array(BFM72.groups)).mean()
-    figure = error_per_landmark({"ours": np.sqrt(squares)}, BFM72, faces(np.random)[0], ["ours"])
+    figure = errors.error_per_landmark(
+        {"ours": np.sqrt(squares)}, BFM72, faces(np.random)[0], ["ours"]
+    )
     regions = next(axes for axes in figure.axes if "Region" in axes.get_xlabel())
     drawn = regions.containers[0].lines[0].get_xydata()[:, 1]
     np.testing.assert_allclose(drawn, np.sqrt(np.sort(groups)))
 
 
 def test_curves_are_the_losses_by_epoch_and_leave_out_the_first_of_training():
-    axes = draw_learning(None).axes[0]
-    np.testing.assert_allclose(axes.lines[0].get_ydata(), np.array(RECORD["train"]) / 1e-4)
-    assert axes.get_xlim()[0] > 2 and axes.get_ylim()[1] < 20
-    inference, _, again = draw_lag(None).axes[0].lines[:3]
+    train, _ = draw_learning(None).axes[0].lines
+    np.testing.assert_allclose(train.get_xydata(), [[3, 2], [4, 1]])
+    inference, _, again = draw_lag(None).axes[0].lines
     np.testing.assert_allclose(inference.get_ydata(), np.sqrt(RECORD["inference"]))
     np.testing.assert_allclose(again.get_xydata(), [[4, 0.004]])
 
@@ -244,19 +234,19 @@ def test_wireframe_joins_the_landmarks_of_each_polyline():
 
 
 def test_qualitative_shows_the_best_score_and_what_was_not_found():
-    corners = np.resize([(0, 0), (20, 0)], (1, 72, 2))
-    photos = Photos(np.zeros((1, 20, 20, 3), np.uint8), corners)
+    photos = np.zeros((2, 20, 20, 3), np.uint8), np.resize([(0, 0), (20, 0)], (2, 72, 2))
     methods = ("ours", "linear", "mediapipe")
-    figure = draw_qualitative(np.random.default_rng(0), methods, 1, False, photos)
-    texts = [text for text in figure.axes[0].texts if text.get_text()[0].isdigit()]
+    figure = draw_qualitative(np.random.default_rng(0), methods, 2, False, photos)
+    photo, frontal, _, *others = figure.axes[:6]
+    texts = [text for axes in others for text in axes.texts if text.get_text()[0].isdigit()]
     scores = {float(text.get_text()): text.get_weight() for text in texts}
     assert scores == {min(scores): "bold", max(scores): "normal"}
-    assert [text.get_text() for text in figure.axes[0].texts].count("N/A") == 2  # front and side
-    left, right, _, top = figure.axes[0].images[0].get_extent()
-    dots = [c.get_offsets() for c in figure.axes[0].collections if len(c.get_offsets()) == 72]
-    np.testing.assert_allclose(dots[0][:2], [[left, top], [right, top]])
+    assert [text.get_text() for axes in others for text in axes.texts].count("N/A") == 1
+    left, right, _, top = photo.images[0].get_extent()
+    np.testing.assert_allclose(photo.collections[0].get_offsets()[:2], [[left, top], [right, top]])
     # The truth lies beneath a frontal view that is normalised by itself.
-    np.testing.assert_allclose(dots[1], dots[2], atol=1e-12)
+    truth, drawn = (frontal.collections[k].get_offsets() for k in (1, 3))
+    np.testing.assert_allclose(drawn, truth, atol=1e-12)
 
 
 def test_gallery_marks_what_was_not_found():
@@ -268,27 +258,13 @@ def test_gallery_marks_what_was_not_found():
 
 
 def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
-    truth = faces(np.random.default_rng(0), 40, "ibug51")
-    found = truth + [3.0, 0.0, 4.0]
-    example = Example(np.zeros((8, 8, 3), np.uint8), truth[0, :, :2], truth[0], *truth[:2], None)
-    figure = ground_truth([example], IBUG51, found, truth)
-    shares = next(axes for axes in figure.axes if "Share" in axes.get_ylabel())
+    rng = np.random.default_rng(0)
+    table = scans(rng)
+    shares = next(a for a in draw_ground_truth(rng, **table).axes if "Share" in a.get_ylabel())
     for line in shares.lines:
         np.testing.assert_allclose(line.get_xdata(), 5.0)
-    assert len(ground_truth([example], IBUG51, found, None).axes) == 3
-
-
-def test_examples_are_the_faces_of_the_figure_as_numbers(tmp_path):
-    rng, unit_mm = np.random.default_rng(0), np.full(3, 200.0)
-    truth, aligned = faces(rng, 3) / 200, faces(rng, 3) / 200
-    aligned[2] = np.nan
-    test = SimpleNamespace(unit_mm=unit_mm, views=truth[..., :2], shapes=truth)
-    scores = {"ours": Scores(aligned, truth, unit_mm, mirrored=np.zeros(3))}
-    shown = np.array([0, 2]), ["one\nface", "another"]
-    draw_faces(tmp_path, "faces", BFM72, test, truth[..., :2], scores, *shown)
-    first, second = json.loads((tmp_path / "examples.json").read_text())["faces"]
-    assert first["title"] == "one, face" and second["mse"] == {"ours": None} == second["shapes"]
-    np.testing.assert_allclose(first["shapes"]["ours"], aligned[0], atol=1e-4)
+    del table["truth"]
+    assert len(draw_ground_truth(rng, **table).axes) == 6
 
 
 def test_contact_sheet_has_landmarks_in_its_lower_half():

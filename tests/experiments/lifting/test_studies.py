@@ -52,13 +52,6 @@ def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
     assert cells.loc["Deep-MDS, cosine schedule"].tolist() == 4 * ["1,000"] + 3 * ["–"]
 
 
-def test_curves_by_yaw_hold_every_hard_face_of_the_first_seed_once(errors):
-    curves = hard.by_yaw(errors)
-    assert (curves.groupby(["method", "condition"])["n_faces"].sum() == 40).all()
-    assert {*curves["yaw"]} == {5, 15, 25, 35, 45, 55}
-    assert [*dict.fromkeys(curves["condition"])] == [c.id for c in CONDITIONS[1:]]
-
-
 def test_every_condition_has_its_network_and_one_has_three_seeds():
     names = lifting_networks(Run("openhead", PAPER), "hard")
     assert len({*names}) == len(names) == 4 + 5 + 2

@@ -8,7 +8,7 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras.alignment import align
 from deepmds_keras.metrics import depth_corr, mse
 from deepmds_keras.normalisation import normalise
-from experiments.tracks.released_evaluator import TRUE_DEPTH, as_released
+from experiments.tracks.bfm import TRUE_DEPTH, as_released
 
 
 @pytest.fixture(scope="module")

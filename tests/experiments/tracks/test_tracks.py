@@ -83,7 +83,6 @@ def test_everything_is_written(whole, track):
         files = {f"figures/{figure}.{kind}" for figure in (*figures, "summary")
                  for kind in ("png", "pdf")}  # fmt: skip
         files |= {"metrics.csv", "table.csv", "table.tex", "wilcoxon.csv"}
-        files |= {"examples.json"} if name == track else set()
         assert {*read_manifest(folder)["files"]} == files
         assert all((folder / file).stat().st_size for file in files)
 
