@@ -31,7 +31,10 @@ from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
 # Of the process of `make`: a step ends with it.
 PARENT = "EXPERIMENTS_PARENT"
+# Sums are split between threads: their last digits depend on the number, not on the machine's.
 _THREADS = 2
+# Of these several run at once: NumPy has one thread, TensorFlow two as everywhere.
+_TRAININGS = ("tracks.train", "lifting.train", "pretrained.train", "studies.variant")
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)
@@ -53,7 +56,9 @@ def main(arguments: list[str] | None = None) -> None:
             raise InputError(
                 f"STEP must be a module of experiments, such as tracks.faces. Received {module}."
             )
-        prepare(onednn=_is_onednn(values["step"], values["items"]))
+        onednn = _is_onednn(values["step"], values["items"])
+        alone = onednn or values["step"] not in _TRAININGS
+        prepare(onednn=onednn, threads=_THREADS if alone else 1)
         end_with_parent()
         _run_step(module, run, values)
         sys.stdout.flush()
@@ -99,17 +104,16 @@ def _is_onednn(step: str, items: list[str]) -> bool:
     return bool(of_method) and METHODS[items[0]].onednn
 
 
-def prepare(*, onednn: bool = False) -> None:
+def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:
     """Set what numbers depend on, before TensorFlow reads it, and silence its notices."""
     os.environ["TF_ENABLE_ONEDNN_OPTS"] = str(int(onednn))
     # What is compiled is the same whatever the processor offers beyond AVX2.
     flags = os.environ.get("XLA_FLAGS", "")
     if _XLA not in flags:
         os.environ["XLA_FLAGS"] = f"{_XLA} {flags}".strip()
-    # Sums are split between threads: their last digits depend on the number, not on the machine's.
-    for library in ("TF_NUM_INTRAOP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[library] = str(_THREADS)
-    threadpool_limits(_THREADS)  # of libraries that are loaded already
+    os.environ["TF_NUM_INTRAOP_THREADS"] = str(_THREADS)
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(threads)
+    threadpool_limits(threads)  # of libraries that are loaded already
     os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
     # Each network of a step is traced once, which TensorFlow takes for one traced too often.
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
