@@ -73,6 +73,7 @@ def _spec(module: str):
 def _run_step(module: str, run: Run, values: dict) -> None:
     """Run a step, then write its record and the manifests of its results."""
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    machine = environment()  # before the step, lest a commit made meanwhile is taken for its code
     said = import_module(module).main(run, *values["items"]) or {}
     records = [path for path in values["inputs"] if path.parent.name == "records"]
     outside = [p for p in values["inputs"] if p not in records and run.build not in p.parents]
@@ -86,7 +87,7 @@ def _run_step(module: str, run: Run, values: dict) -> None:
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(time.perf_counter() - clock, 1),
         "peak_memory_mb": peak_memory_mb(),
-        **environment(),
+        **machine,
         "inputs": outside_files(outside),
         "needs": [str(path) for path in dict.fromkeys(records)],
         **{name: value for name, value in said.items() if name != "results"},
