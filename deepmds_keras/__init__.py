@@ -6,11 +6,11 @@ TensorFlow, and neither need be installed.
 
 from importlib import import_module
 
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import needs
 
 _HOME = {
     "DeepMDS": "pipeline",
-    "InputError": "io.errors",
+    "InputError": "errors",
     "LandmarkLifter": "lifting.lifter",
     "align": "alignment",
     "build_autoencoder": "networks",

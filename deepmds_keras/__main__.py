@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.predict.arguments import Export, parse
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped

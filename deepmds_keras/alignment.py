@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 class Similarity(NamedTuple):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.checks import check_points
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 

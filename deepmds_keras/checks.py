@@ -6,7 +6,7 @@ from numbers import Integral
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:

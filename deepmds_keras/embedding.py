@@ -11,7 +11,7 @@ from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
 from deepmds_keras.eigenpairs import leading_eigenpairs
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 # Regressed distances of near neighbours may fall slightly below zero; beyond this share of the
 # largest one the matrix is not one of distances.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.weights import check_finite
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
 from deepmds_keras.alignment import align
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.normalisation import centre, normalise
 
 if TYPE_CHECKING:

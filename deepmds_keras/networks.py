@@ -12,7 +12,7 @@ import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.checks import check_n_landmarks
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.proximities import VARIANTS
 
 

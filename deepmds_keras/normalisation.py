@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 def normalise(points: np.ndarray) -> np.ndarray:

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 256_000_000

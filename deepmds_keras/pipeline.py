@@ -13,8 +13,8 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import weights
 from deepmds_keras.checks import check_faces, check_fitted
 from deepmds_keras.embedding import embed
-from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 VARIANTS = {"paper": 6, "released": 5}  # name: features of a pair
 

@@ -12,8 +12,8 @@ import numpy as np
 import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
 from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities

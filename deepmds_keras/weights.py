@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, write_arrays
 
 if TYPE_CHECKING:
     import keras

@@ -22,7 +22,7 @@ from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import Lights, Renderer, square_frames
 from data_gen.views.photo_views import sample_expressive
 from data_gen.views.projections import in_camera_frame, sample_hard_cameras
-from deepmds_keras.io.atomic import write_bytes
+from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.normalisation import centre, normalise

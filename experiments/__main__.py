@@ -24,7 +24,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
 from experiments.records import environment, outside_files, write_manifest, write_record
 from experiments.run import OPTIONS, Parser, Run, add_options, run_of

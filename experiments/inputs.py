@@ -12,7 +12,7 @@ from data_gen.datasets.image_files import ImageFiles
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
 from data_gen.views.projections import Cameras, in_camera_frame
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.records import load_record

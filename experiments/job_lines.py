@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from statistics import median
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.progress import duration
 from experiments.records import MANIFEST, read_manifest, read_record, steps_of
 

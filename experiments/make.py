@@ -20,7 +20,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from data_gen.models.registry import model_files
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.__main__ import PARENT, one_line_errors
 from experiments.records import is_current, read_record
 from experiments.run import Run, check_authors, run_of_variables

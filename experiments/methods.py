@@ -12,7 +12,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.normalisation import normalise
 from experiments import recipes
 from experiments.inputs import Faces, load_landmark_model

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 PUBLISHED = Path(__file__).parents[1] / "results" / "published" / "published.csv"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import load_faces, load_images, load_landmark_model

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING
 
 from filelock import FileLock
 
-from deepmds_keras.io.atomic import write_bytes
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import sha256_of, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd

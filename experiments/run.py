@@ -9,7 +9,7 @@ from pathlib import Path
 
 from data_gen.models.registry import MODELS
 from data_gen.views.projections import PROTOCOLS
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
 EVALUATORS = ("paper", "released")

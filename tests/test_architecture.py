@@ -11,7 +11,8 @@ from places import ROOT
 MAY_IMPORT = {
     "data_gen": (
         "data_gen",
-        "deepmds_keras.io",
+        "deepmds_keras.errors",
+        "deepmds_keras.files",
         "deepmds_keras.alignment",
         "deepmds_keras.camera",
     ),

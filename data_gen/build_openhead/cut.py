@@ -18,7 +18,7 @@ import numpy as np
 
 from data_gen.build_openhead.makehuman import MakeHumanAssets
 from data_gen.build_openhead.tables import KEPT_FACES, LANDMARKS
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.files import read_table
 
 # base.obj closes the front of each eyeball by a flat octagon without a centre.
 RIGHT_PUPIL_RING = np.arange(14670, 14734, 9)

@@ -13,7 +13,7 @@ import numpy as np
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.makehuman import MakeHumanAssets
 from data_gen.build_openhead.tables import IDENTITY_PRIOR
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.files import read_table
 
 SEXES = ("female", "male")
 AGES = ("young", "old")

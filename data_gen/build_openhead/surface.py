@@ -13,7 +13,7 @@ import numpy as np
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead, read_openhead
 from data_gen.views.photo_views import sample_expressive
-from deepmds_keras.io.atomic import atomic_write
+from deepmds_keras.files import atomic_write
 
 RANK = 48  # more gain nothing: 32 lose 0.03 mm
 _EXPRESSIONS, _SEED = 20_000, 1

@@ -17,9 +17,8 @@ import numpy as np
 
 from data_gen.datasets.photo_files import read_image
 from data_gen.formats.vrml import read_asc_points, read_vrml_points
-from deepmds_keras.io.atomic import write_bytes
-from deepmds_keras.io.errors import InputError, brief
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError, brief
+from deepmds_keras.files import read_table, write_bytes
 
 LAYOUT = "3D-Face-WRL/001/001-001.wrl and 3D-Face-BMP/001/001-001.bmp, in folders of any depth"
 COLUMNS = ("subject", "scan", "use", "condition")

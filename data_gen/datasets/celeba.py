@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.datasets.photo_files import read_image
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 PARTITIONS = ("train", "valid", "test")  # as numbered in the file, from 0
 _IMAGES = "img_align_celeba"

@@ -19,7 +19,7 @@ from joblib import Parallel, delayed
 
 from data_gen.formats.ply import read_ply
 from data_gen.models.flame_embedding import LandmarkEmbedding
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _MM = 1e3  # the files are in metres
 _LARGEST_HEAD = 5.0  # metres; larger numbers are another unit

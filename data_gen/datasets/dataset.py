@@ -11,9 +11,8 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import PROJECTIONS, Cameras, project, sample_cameras
-from deepmds_keras.io.archives import read_npz
-from deepmds_keras.io.atomic import atomic_write
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
+from deepmds_keras.files import atomic_write, read_npz
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
 

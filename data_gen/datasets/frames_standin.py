@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.models.expressions import SEQUENCES, sequence_weights
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _LEAST = 3  # frames of a performance: neutral, something, neutral
 

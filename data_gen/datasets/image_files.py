@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.archives import map_npy
-from deepmds_keras.io.atomic import atomic_write
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import atomic_write, map_npy, sha256_of
 
 FACES_PER_FILE = 500
 _LANDMARKS = "-landmarks"  # in the name of the file beside one of images

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from deepmds_keras.io.errors import brief
+from deepmds_keras.errors import brief
 
 
 def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:

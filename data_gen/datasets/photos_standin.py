@@ -24,7 +24,7 @@ from data_gen.rendering.photograph import photograph
 from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.rendering.visibility import part_of, seen_vertices
 from data_gen.views.projections import Cameras, in_camera_frame, project_with_depth
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 WIDTH, HEIGHT = 178, 218  # of CelebA's aligned images
 SCHEME = "bfm72"

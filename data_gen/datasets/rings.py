@@ -7,7 +7,7 @@ import numpy as np
 from data_gen.datasets.dataset import Dataset, dataset_of
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import sample_cameras
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 def make_rings(

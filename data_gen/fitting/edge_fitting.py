@@ -14,7 +14,7 @@ from data_gen.landmarks import load_vertices
 from data_gen.models.mesh import largest_component
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.rendering.visibility import part_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _N_LANDMARKS = len(load_vertices("ibug68").numbers)
 _N_JAW = load_vertices("ibug51").numbers[0] - 1

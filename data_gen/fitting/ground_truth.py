@@ -15,7 +15,7 @@ from data_gen.fitting.icp import IcpResult, icp
 from data_gen.fitting.landmark_fitting import LandmarkFit, LandmarkFitter
 from data_gen.models.mesh import largest_component, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 # Blendshapes go from 0 to 1; FLAME's expressions are principal components at one s.d.
 _EXPRESSION_SD = {"flame": 1.0}

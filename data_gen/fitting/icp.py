@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras.alignment import procrustes
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _MIN_POINTS = 3  # fewer leave the rotation open
 _STRETCH = 1.5  # growth of the steps while they keep their direction

@@ -9,7 +9,7 @@ import numpy as np
 from data_gen.fitting.orthographic_camera import N_POSE, OrthographicCamera
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.camera import orthographic_cameras
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _DAMPING = 1e-3  # of the first step, as a share of the diagonal
 _LEAST_DAMPING = 1e-7  # far below any effect, yet a few failed steps bring it back

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 # Type of the numbers by the number of a data type, and of an array's class.
 _STORED = {

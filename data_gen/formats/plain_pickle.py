@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
 
 _DTYPE = re.compile(r"[biufcSU][0-9]+")
 _SPARSE = re.compile(r"scipy\.sparse(?:\._?(?:csc|csr|coo))?:(csc|csr|coo)_(?:matrix|array)")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {

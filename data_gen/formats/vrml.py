@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 MAX_BYTES = 1 << 27  # five times per scan of 200,000 points with normals, colours and triangles
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 
 # Of each scheme the table, and the number of its first landmark there.
 _TABLES = {"bfm72": ("bfm72", 1), "ibug68": ("ibug68", 1), "ibug51": ("ibug68", 18)}

@@ -19,8 +19,8 @@ from data_gen.models.model_files import (
     model_of,
 )
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import sha256_of
 
 FILENAME = "01_MorphableModel.mat"
 CANDIDATES = (

@@ -21,8 +21,8 @@ from data_gen.models.mesh import orient_outwards
 from data_gen.models.model_files import as_basis, expect_format, find_path, model_of
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
+from deepmds_keras.files import sha256_of
 
 CANDIDATES = {
     name: tuple(folder + file for file in files for folder in ("", f"{name}/", "BaselFaceModel/"))

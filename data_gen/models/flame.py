@@ -19,9 +19,8 @@ from data_gen.models.flame_embedding import find_embedding, load_embedding
 from data_gen.models.mesh import orient_outwards
 from data_gen.models.model_files import find_path, model_of
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.archives import read_npz
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_npz, sha256_of
 
 CANDIDATES = (
     "generic_model.pkl",

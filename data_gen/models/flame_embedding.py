@@ -9,7 +9,7 @@ import numpy as np
 
 from data_gen.formats.plain_pickle import load_plain_pickle
 from data_gen.landmarks import load_vertices
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 SOURCE = "the public repository github.com/TimoBolkart/TF_FLAME"
 # The last landmarks of ibug68 are those of ibug51.

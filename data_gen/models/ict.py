@@ -19,9 +19,8 @@ from data_gen.models.model_files import (
     model_of,
 )
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.archives import read_npz
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
+from deepmds_keras.files import read_npz, sha256_of
 
 CANDIDATES = (
     "generic_neutral_mesh.obj",

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from data_gen.models.mesh import largest_component, vertex_normals
 from deepmds_keras.alignment import procrustes
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 MIN_ANCHORS = 6
 # Number of surface points, spline smoothing (mm), farthest match (mm): stiff and far-sighted first.

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_gen.landmarks import SCHEMES, load_vertices
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _PICKLE_OPCODES = b"(]}c)lN"  # what a text pickle (protocol 0 or 1) of a container begins with
 

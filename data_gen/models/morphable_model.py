@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 _BASES = ("mean", "identity_basis_times_sd", "expression_basis")
 

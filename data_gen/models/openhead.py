@@ -9,9 +9,8 @@ import numpy as np
 from data_gen.landmarks import load_vertices
 from data_gen.models.model_files import model_of
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.archives import read_npz
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_npz, sha256_of
 
 OPENHEAD = Path(__file__).parents[1] / "assets" / "openhead.npz"
 

@@ -13,7 +13,7 @@ from data_gen.models.flame_embedding import find_embedding
 from data_gen.models.model_files import find_path
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import OPENHEAD, load_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 MODELS = ("openhead", "ict", "bfm2009", "bfm2017", "bfm2019", "flame")
 

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from data_gen.models.mesh import components, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 # Ramps of sRGB colours that faces are drawn from, evenly along each.
 _SKIN = np.array([[246, 214, 194], [214, 164, 132], [156, 104, 76], [92, 58, 44]]) / 255

@@ -18,7 +18,7 @@ from vtkmodules.vtkRenderingCore import (
     vtkRenderWindow,
 )
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 BACKGROUND = 255  # white, as in the authors' images
 # By which system library VTK draws without a display, the preferred first.

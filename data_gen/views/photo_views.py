@@ -11,7 +11,7 @@ from data_gen.models.expressions import (
 )
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views.projections import Cameras, project, sample_perspective_cameras
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 # Uniform, to either side, degrees; the field of view is that of a head from afar to arm's length.
 YAW, PITCH, ROLL, FIELD_OF_VIEW = 50.0, 25.0, 30.0, 25.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepmds_keras.camera import camera_angles
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 PROJECTIONS = ("orthographic", "perspective")
 PROTOCOLS = ("paper", "released", "posed")

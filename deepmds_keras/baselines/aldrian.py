@@ -7,7 +7,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.camera import affine_cameras, orthographic_cameras
 from deepmds_keras.checks import check_faces, check_points
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 CAMERAS = ("affine", "orthographic")
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB

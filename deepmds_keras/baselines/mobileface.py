@@ -12,7 +12,7 @@ from keras import ops
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_fitted, check_images
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.networks import count_trainable, draw_kernels, forward_images
 from deepmds_keras.photos import IMAGE_SIZE

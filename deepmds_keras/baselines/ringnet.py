@@ -18,7 +18,7 @@ from deepmds_keras.baselines.ringnet_losses import (
 )
 from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
 from deepmds_keras.checks import check_fitted, check_images, check_points
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.networks import count_trainable, forward_images
 from deepmds_keras.streams import Stream
 from deepmds_keras.training import (

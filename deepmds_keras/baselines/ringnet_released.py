@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
 from deepmds_keras.checks import check_images
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 IMAGE_SIZE = 224
 N_VERTICES = 5023  # FLAME's

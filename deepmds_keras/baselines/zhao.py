@@ -11,7 +11,7 @@ import tensorflow as tf
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_faces, check_fitted, check_n_landmarks
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.networks import forward
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmds_keras.detection import dlib_landmarks, mediapipe_landmarks
 from deepmds_keras.detection.mediapipe_models import has_face_mesh
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 Find = Callable[[np.ndarray], tuple[np.ndarray, float]]
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
 from deepmds_keras.photos import check_photo
 
 N_LANDMARKS = 68

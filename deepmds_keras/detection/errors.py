@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 
 INNER = "ibug51"  # landmarks whose radius is the unit
 FOLDER = Path(__file__).with_name("measured_errors")

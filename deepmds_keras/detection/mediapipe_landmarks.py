@@ -12,8 +12,8 @@ import numpy as np
 
 from deepmds_keras.detection.mediapipe_loading import silenced
 from deepmds_keras.detection.mediapipe_models import N_POINTS, FaceLandmarker, FaceMesh
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.photos import check_photo
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.detection.mediapipe_loading import bare_package, without_tensorflow
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 N_POINTS = 468
 _GRAPH = "modules/face_landmark/face_landmark_front_cpu.binarypb"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 
 FOLDER = Path(__file__).parent
 

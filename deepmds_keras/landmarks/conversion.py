@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme, load_schemes
 
 MISSING = ("raise", "nan")

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert, face_sizes, scheme_of
 from deepmds_keras.normalisation import rms_radius

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepmds_keras.checks import check_faces
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.views import LEAST_VISIBLE, prepare_views, standardise
 from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.streams import Stream

@@ -10,8 +10,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras import weights
 from deepmds_keras.checks import check_fitted
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
 from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
 from deepmds_keras.lifting.network import SIZES, initial_weights
 from deepmds_keras.lifting.trained import SETTERS, TrainedLifter, not_a_lifter, read_lifter

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.checks import check_fitted
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.network import SIZES, UNIT, Lift, check_weights, lift

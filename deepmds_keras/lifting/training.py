@@ -11,7 +11,7 @@ import keras
 import numpy as np
 import tensorflow as tf
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.faces import Faces
 from deepmds_keras.lifting.layer import build_lifting_net, lifting_loss
 from deepmds_keras.lifting.network import lift

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 LEAST_VISIBLE = 6
 _FLAT = 1e-6  # variance across a line as a share of all: less is rounding

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmds_keras.checks import check_points
 from deepmds_keras.detection.detectors import DETECTORS, default_detector, describe_detector
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.photos import check_photo, in_colour, open_photo, photo_step

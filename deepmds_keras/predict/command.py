@@ -11,7 +11,7 @@ from joblib import cpu_count, delayed
 from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import DETECTORS
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict import source_files
 from deepmds_keras.predict.arguments import Options

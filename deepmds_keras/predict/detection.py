@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.detection.detectors import DETECTORS, Find
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.models import taken

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmds_keras.camera import HeadPose, head_poses
 from deepmds_keras.detection.errors import INNER, detector_errors
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.landmarks.y_axis import quarter_turns

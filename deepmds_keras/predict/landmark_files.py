@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.checks import find_faults
-from deepmds_keras.io.archives import map_npy
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
+from deepmds_keras.files import map_npy
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import said_sizes
 from deepmds_keras.predict.landmark_tables import EMPTY, check_count, read_csv, row_lengths

@@ -11,7 +11,7 @@ from typing import TextIO
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.landmarks.conversion import face_sizes, said_sizes
 
 EMPTY = "NaN or an empty cell"  # what a cell of a gap has

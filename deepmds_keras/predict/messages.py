@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.predict import source_files
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.videos import tell_tracks

@@ -10,9 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.lifting.trained import TrainedLifter

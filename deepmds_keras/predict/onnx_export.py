@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras import __version__
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import scheme_of
 from deepmds_keras.lifting.network import SIZES, UNIT, lift

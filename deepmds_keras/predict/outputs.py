@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from deepmds_keras import __version__
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.writing import new_file

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from deepmds_keras import __version__
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.writing import write_bytes
 

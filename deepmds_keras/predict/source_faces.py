@@ -11,7 +11,7 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from deepmds_keras.detection.detectors import describe_detector
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import find_flipped
 from deepmds_keras.predict import source_files

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.arguments import Options
 from deepmds_keras.predict.faces import Face

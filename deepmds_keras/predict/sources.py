@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.predict.landmark_files import SUFFIXES as LANDMARK_SUFFIXES
 from deepmds_keras.predict.record import NAME as RECORD
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.alignment import procrustes
-from deepmds_keras.io.archives import read_npz
+from deepmds_keras.files import read_npz
 
 FILE = Path(__file__).with_name("surface.npz")  # CC0, see data_gen/assets/LICENSE-openhead.md
 # Landmarks are off by themselves, and faces off the model by a smooth field: standard deviations of

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from deepmds_keras.io import atomic
-from deepmds_keras.io.errors import InputError
+from deepmds_keras import files
+from deepmds_keras.errors import InputError
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -25,7 +25,7 @@ def new_file(path: str | Path) -> Iterator[BinaryIO]:
         InputError: It cannot be written.
     """
     try:
-        with atomic.atomic_write(path) as file:
+        with files.atomic_write(path) as file:
             yield file
     except OSError as error:
         raise InputError(

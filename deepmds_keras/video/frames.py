@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.extras import needs
+from deepmds_keras.errors import InputError, needs
 from deepmds_keras.photos import MIN_SIDE
 
 _TAIL = {True: 1.0, False: 0.1}  # seconds by which sound may outlast the pictures, or these err

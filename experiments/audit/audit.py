@@ -10,7 +10,7 @@ import pandas as pd
 from jinja2 import StrictUndefined, Template
 from matplotlib.figure import Figure
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.audit.claims import decide, numbers_of
 from experiments.audit.estimates import Tables
 from experiments.audit.poses import TRAINED

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import wilcoxon_table
 from experiments.audit.estimates import (

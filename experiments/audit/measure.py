@@ -11,7 +11,7 @@ from importlib import import_module
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, load_dataset
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.inputs import Faces, load_faces
 from experiments.methods import load
 from experiments.records import write_csv

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from deepmds_keras.io.atomic import write_bytes
+from deepmds_keras.files import write_bytes
 from experiments.methods import METHODS, title
 
 # Decorates a function so that it draws in this style, whatever the settings of its caller are.

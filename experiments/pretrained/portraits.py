@@ -12,8 +12,8 @@ import numpy as np
 from data_gen.models.registry import OPEN, load_model, open_models
 from deepmds_keras.detection.detectors import DETECTORS
 from deepmds_keras.detection.mediapipe_landmarks import landmarks51, shared_detector
-from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, write_arrays
 from experiments.progress import Bar
 from experiments.run import Run
 from experiments.streams import Stream

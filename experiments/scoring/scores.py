@@ -11,8 +11,8 @@ import pandas as pd
 
 from deepmds_keras import metrics
 from deepmds_keras.alignment import align, is_mirrored
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays
 from experiments.inputs import Faces
 from experiments.metrics import METRICS, Metric
 from experiments.records import load_record

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, title
 from experiments.metrics import METRICS, metrics_of
 from experiments.published import published

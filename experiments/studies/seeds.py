@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures.curves import batchnorm_lag
 from experiments.figures.summary import seed_spread

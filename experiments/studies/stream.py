@@ -14,7 +14,7 @@ import pandas as pd
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures.errors import error_distribution
 from experiments.inputs import as_seen

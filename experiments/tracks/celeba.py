@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.figures.ground_truth import fits
 from experiments.inputs import Faces

@@ -14,8 +14,8 @@ import numpy as np
 
 from deepmds_keras.alignment import align
 from deepmds_keras.detection.dlib_landmarks import shared_detector
-from deepmds_keras.io.archives import map_npy
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import map_npy
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.normalisation import centre, normalise

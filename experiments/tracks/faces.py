@@ -6,7 +6,7 @@ import numpy as np
 
 from data_gen.datasets.dataset import make_dataset, save_dataset
 from data_gen.models.registry import load_model
-from deepmds_keras.io.archives import write_arrays
+from deepmds_keras.files import write_arrays
 from experiments.progress import Bar
 from experiments.run import Run
 from experiments.streams import Stream

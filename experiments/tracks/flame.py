@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import Panel, error_lines, mean_errors

@@ -17,9 +17,8 @@ from data_gen.datasets.dataset import Dataset, save_dataset
 from data_gen.views.projections import Cameras
 from deepmds_keras.camera import camera_angles
 from deepmds_keras.detection.dlib_landmarks import shared_detector
-from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.io.atomic import atomic_write
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import atomic_write, read_arrays, write_arrays
 from experiments.inputs import image_files, in_photos
 from experiments.progress import Bar
 from experiments.run import Run

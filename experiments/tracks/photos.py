@@ -16,7 +16,7 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.fitting.edge_fitting import EdgeFitter
 from data_gen.rendering.crops import crop
 from data_gen.rendering.renderer import MARGIN
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import face_model
 from experiments.records import listing, resumable

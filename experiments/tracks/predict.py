@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
-from deepmds_keras.io.archives import write_arrays
+from deepmds_keras.files import write_arrays
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import load_faces, load_images
 from experiments.method import Method

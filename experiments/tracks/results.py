@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from data_gen.rendering.crops import crop
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures import style

@@ -7,7 +7,7 @@ import numpy as np
 from data_gen.datasets.dataset import save_dataset
 from data_gen.datasets.rings import make_rings
 from data_gen.models.expressions import sample_expressions
-from deepmds_keras.io.archives import write_arrays
+from deepmds_keras.files import write_arrays
 from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream

@@ -13,7 +13,7 @@ from data_gen.datasets.scans import Scan
 from data_gen.datasets.scans_standin import ScansStandin
 from data_gen.fitting.ground_truth import GroundTruth
 from data_gen.rendering.crops import crop
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks.conversion import convert
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, face_model
 from experiments.records import listing, resumable

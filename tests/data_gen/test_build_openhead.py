@@ -21,7 +21,7 @@ from data_gen.build_openhead.cut import (
 )
 from data_gen.build_openhead.makehuman import ASSETS, TARGETS, MakeHumanAssets
 from data_gen.build_openhead.prior import MACRO_TARGETS, IdentityPrior, macro_weights
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

@@ -59,9 +59,8 @@ from data_gen.models.flame_embedding import LandmarkEmbedding, load_embedding
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import LAYOUT, load_openhead, read_openhead
 from data_gen.views.projections import sample_cameras
-from deepmds_keras.io.archives import read_arrays, write_arrays
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, read_table, write_arrays
 from deepmds_keras.keras2_weights import read_keras2_weights
 from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.landmark_files import read_landmarks

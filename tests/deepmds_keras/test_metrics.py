@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, wilcoxon
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.metrics import depth_corr, depth_corr_across_faces, mse, wilcoxon_table
 
 

@@ -11,7 +11,7 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
 from deepmds_keras.alignment import is_mirrored
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.orientation import front_landmark, resolve_orientation
 

@@ -18,7 +18,7 @@ from deepmds_keras import InputError, align, embed, pair_features
 from deepmds_keras.alignment import is_mirrored
 from deepmds_keras.camera import camera_angles, head_pose
 from deepmds_keras.checks import check_points
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.landmarks.conversion import face_sizes
 from deepmds_keras.metrics import depth_corr, mse, wilcoxon_table
 from deepmds_keras.normalisation import centre, normalise, unit

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import runs
 
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from experiments.inputs import load_faces
 from experiments.methods import DEEP_MDS, load, methods_of
 from experiments.presets import TINY

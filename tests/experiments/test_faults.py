@@ -16,8 +16,8 @@ import runs
 from places import MEDIAPIPE
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.io.archives import read_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays
 from experiments.inputs import image_files
 from experiments.presets import TINY
 from experiments.records import load_record, read_record

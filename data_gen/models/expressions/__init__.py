@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 
 _SIDES = {"left": ("Left",), "right": ("Right",), "both": ("Left", "Right"), "none": ("",)}
 # What else moves a little in a performing face; each harmless with any pose.

@@ -19,7 +19,7 @@ from data_gen.datasets.casia import (
 )
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import Cameras, rotations
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 DISTANCE = 1000.0  # mm from the scanner
 # What a camera that looks along +z with y down has, from our frame.

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from data_gen.datasets.celeba import PARTITIONS, CelebaImage, find_images, load_image
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 NAMES = [f"{number:06d}.jpg" for number in range(1, 13)]
 NUMBERS = [0, 0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]  # train, valid, test

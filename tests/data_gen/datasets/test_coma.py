@@ -11,7 +11,7 @@ from writers.scans import write_ply
 from data_gen.datasets.coma import find_meshes, load_coma
 from data_gen.formats.ply import read_ply
 from data_gen.models.flame_embedding import LandmarkEmbedding
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 SUBJECTS = ("FaceTalk_170725_00137_TA", "FaceTalk_170728_03272_TA")
 SEQUENCES = ("bareteeth", "mouth_open")

@@ -7,7 +7,7 @@ from data_gen.datasets import dataset as module
 from data_gen.datasets.dataset import load_dataset, make_dataset, save_dataset
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import project
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from data_gen.datasets import image_files
 from data_gen.datasets.image_files import ImageFiles
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import Cameras, rotations
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 N, SEED = 36, (0, 11)
 RIGHT_EYE, LEFT_EYE = slice(36, 42), slice(42, 48)  # of iBUG's landmarks

@@ -10,7 +10,7 @@ from data_gen.datasets.dataset import load_dataset, save_dataset
 from data_gen.datasets.rings import make_rings
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import project
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 SUBJECTS, IMAGES = 7, 4
 

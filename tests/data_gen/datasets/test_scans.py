@@ -9,7 +9,7 @@ from data_gen.fitting.ground_truth import GroundTruth
 from data_gen.models.registry import load_model
 from data_gen.views.projections import Cameras, in_camera_frame, rotations
 from deepmds_keras.camera import camera_angles
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 N = 7
 

@@ -17,7 +17,7 @@ from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import Frames, Renderer, sample_lights
 from data_gen.views.projections import Cameras, in_camera_frame, rotations
 from deepmds_keras.alignment import align
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.normalisation import normalise
 
 pytestmark = pytest.mark.usefixtures("one_thread")

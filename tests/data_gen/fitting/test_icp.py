@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.fitting.icp import icp
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 MOTION = Rotation.from_rotvec(np.deg2rad([6, 15, -8])).as_matrix()  # 18 degrees
 SHIFT = np.array([12.0, -7.0, 400.0])

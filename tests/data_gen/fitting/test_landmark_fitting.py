@@ -8,7 +8,7 @@ import pytest
 from data_gen.fitting.landmark_fitting import LandmarkFitter
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import Cameras, rotations
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels

@@ -7,7 +7,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from data_gen.formats.mat5 import read_mat
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 RNG = np.random.default_rng(0)
 KINDS = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")

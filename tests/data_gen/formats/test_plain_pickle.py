@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, csc_array, csc_matrix, csr_matrix, issparse
 from writers.pickles import LYING, PYTHON2, Calls, chumpy_pickle
 
 from data_gen.formats.plain_pickle import load_plain_pickle
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from data_gen.formats.vrml import MAX_BYTES, read_asc_points, read_vrml_points
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 POINTS = np.array([[-12.5, 3.25, -1015.0], [0.0, 1e-3, 998.5], [7.0, -80.0, 1500.0]])
 

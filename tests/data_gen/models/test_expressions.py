@@ -16,7 +16,7 @@ from data_gen.models.expressions import (
 )
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
 ICT = SHARED / "ict-facekit"

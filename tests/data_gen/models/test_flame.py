@@ -15,7 +15,7 @@ from writers.pickles import chumpy_pickle
 from data_gen.formats.ply import read_ply
 from data_gen.models.flame import Flame, load_flame, read_flame, skin
 from data_gen.models.flame_embedding import load_embedding
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 TF_FLAME = SHARED / "tf_flame"
 needs_shared = pytest.mark.skipif(not TF_FLAME.is_dir(), reason="../shared/tf_flame is absent")

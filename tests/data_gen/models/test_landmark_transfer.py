@@ -10,7 +10,7 @@ from data_gen.models.ict import load_ict
 from data_gen.models.landmark_transfer import transfer_landmarks
 from data_gen.models.mesh import largest_component, orient_outwards, vertex_normals
 from data_gen.models.openhead import load_openhead, read_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 PUPILS = [4, 53]  # landmarks 5 and 54
 

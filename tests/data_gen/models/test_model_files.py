@@ -18,7 +18,7 @@ from data_gen.models.bfm2017 import load_bfm2017
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import MODELS, load_model
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 K = 5  # components of the synthetic models
 SD = np.array([50.0, 20.0, 9.0, 4.0, 1.0])  # mm; unlike its own square everywhere but at the end

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 @pytest.fixture

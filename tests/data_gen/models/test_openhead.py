@@ -10,8 +10,8 @@ from places import SHARED
 
 from data_gen.build_openhead.tables import IDENTITY_PRIOR, LANDMARKS
 from data_gen.models.openhead import OPENHEAD, load_openhead, read_openhead
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

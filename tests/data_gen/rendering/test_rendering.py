@@ -16,7 +16,7 @@ from data_gen.rendering.albedo import Albedo
 from data_gen.rendering.renderer import Lights, Renderer, sample_lights, square_frames
 from data_gen.rendering.visibility import part_of, seen_vertices
 from data_gen.views.projections import Cameras, in_camera_frame, project, project_with_depth
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 SIZE = 96
 NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN = 28, 6, 50, 33

@@ -15,7 +15,7 @@ from data_gen.views.photo_views import (
     sample_photo_views,
 )
 from data_gen.views.projections import project
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
 N = 3000

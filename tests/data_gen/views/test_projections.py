@@ -12,7 +12,7 @@ from data_gen.views.projections import (
     sample_cameras,
     sample_hard_cameras,
 )
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 
 def cameras(n=1, **angles):

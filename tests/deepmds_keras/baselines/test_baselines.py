@@ -11,7 +11,7 @@ from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
 from deepmds_keras.baselines.linear import Linear
 from deepmds_keras.baselines.mean_shape import MeanShape
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net, normalise_view
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.normalisation import normalise
 
 N_LANDMARKS, N_COMPONENTS = 20, 4

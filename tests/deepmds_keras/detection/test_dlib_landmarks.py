@@ -12,7 +12,7 @@ from writers.heads import drawn_heads, nme
 
 from deepmds_keras.detection import dlib_landmarks
 from deepmds_keras.detection.dlib_landmarks import DlibLandmarks, find_shape_predictor
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
 EYES_AND_MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)

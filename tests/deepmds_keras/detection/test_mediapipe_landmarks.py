@@ -10,7 +10,7 @@ from places import MEDIAPIPE, SHARED
 from writers.heads import CANTHI, NOSE_TIP, drawn_heads, nme
 
 from deepmds_keras.detection.mediapipe_landmarks import MediaPipeLandmarks, detect, landmarks51
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.photos import open_photo
 

@@ -10,7 +10,7 @@ from places import MEDIAPIPE, ROOT
 
 from deepmds_keras.detection.mediapipe_landmarks import MediaPipeLandmarks
 from deepmds_keras.detection.mediapipe_models import FaceMesh, has_face_mesh
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 
 IMAGE = np.zeros((40, 80, 3), np.uint8)
 

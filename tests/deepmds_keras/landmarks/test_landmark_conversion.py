@@ -10,8 +10,8 @@ from places import ROOT, SHARED
 from data_gen.landmarks import load_vertices
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER, load_scheme, load_schemes
 from deepmds_keras.landmarks.conversion import convert, scheme_of
 from docs.make_pictures import numbered, place_numbers

@@ -8,7 +8,7 @@ from places import SHARED
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.openhead import load_openhead, read_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme, load_schemes
 
 SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}

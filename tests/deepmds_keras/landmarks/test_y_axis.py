@@ -5,7 +5,7 @@ import pytest
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views.projections import Cameras, project
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.landmarks.conversion import convert
 from deepmds_keras.landmarks.y_axis import check_y_axis, quarter_turns

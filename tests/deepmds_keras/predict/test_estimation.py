@@ -10,7 +10,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views.photo_views import sample_photo_views
 from deepmds_keras import DeepMDS, InputError, weights
 from deepmds_keras.alignment import align
-from deepmds_keras.io.archives import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.normalisation import normalise

@@ -10,7 +10,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import load_model
 from data_gen.views.photo_views import sample_expressive
 from deepmds_keras.camera import head_pose
-from deepmds_keras.io.archives import read_npz
+from deepmds_keras.files import read_npz
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.mesh_files import MESH_SUFFIXES, write_mesh
 from deepmds_keras.predict.surface import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from writers.videos import write_video
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.video.frames import Video
 
 pytest.importorskip("av")

@@ -9,7 +9,7 @@ import pytest
 from places import committed
 from scipy.stats import binom, ttest_rel
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.estimates import (

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from experiments.figures import errors, style
 from experiments.figures.curves import batchnorm_lag, learning_curves

@@ -6,7 +6,7 @@ from decimal import Decimal
 import pandas as pd
 import pytest
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
 from experiments.metrics import METRICS
 from experiments.published import PUBLISHED, printed, published

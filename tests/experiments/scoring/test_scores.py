@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from deepmds_keras import normalise
-from deepmds_keras.io.archives import write_arrays
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import write_arrays
 from experiments.inputs import Faces
 from experiments.metrics import METRICS, Metric
 from experiments.presets import SMOKE

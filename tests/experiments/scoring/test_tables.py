@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from deepmds_keras.io.errors import InputError
+from deepmds_keras.errors import InputError
 from experiments.metrics import metrics_of
 from experiments.presets import SMOKE
 from experiments.progress import duration

@@ -10,7 +10,7 @@ from scipy.stats import sem
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from experiments.inputs import as_seen
 from experiments.methods import load, predict
 from experiments.presets import TINY

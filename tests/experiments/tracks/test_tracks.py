@@ -12,7 +12,7 @@ from PIL import Image
 from places import MEDIAPIPE, SHARED
 
 from data_gen.datasets.dataset import load_dataset, save_dataset
-from deepmds_keras.io.archives import read_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.methods import methods_of
 from experiments.presets import TINY

@@ -5,11 +5,17 @@ import errno
 import numpy as np
 import pytest
 
-from deepmds_keras.io.archives import map_npy, read_arrays, read_npz, write_arrays
-from deepmds_keras.io.atomic import atomic_write, write_bytes
-from deepmds_keras.io.checksums import sha256_of
-from deepmds_keras.io.errors import InputError
-from deepmds_keras.io.tables import read_table
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import (
+    atomic_write,
+    map_npy,
+    read_arrays,
+    read_npz,
+    read_table,
+    sha256_of,
+    write_arrays,
+    write_bytes,
+)
 
 
 def test_what_is_not_written_to_the_end_leaves_what_was_there(tmp_path):

@@ -1,15 +1,25 @@
-"""Packages that not every installation has: the error that says how to get one."""
+"""The exceptions that the project raises for bad files, bad arguments and missing packages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from deepmds_keras.io.errors import InputError
+_LONGEST = 200
+
+
+class InputError(ValueError):
+    """A file or argument is unusable; the message names it, what was found and what is needed."""
 
 
 class MissingPackageError(InputError, ImportError):
     """A package is not installed; the message names the extra that brings it."""
+
+
+def brief(message: object, longest: int = _LONGEST) -> str:
+    """Message of a library about a file, or what is in it, on one line that is not too long."""
+    line = " ".join(str(message).split())
+    return line if len(line) <= longest else f"{line[:longest]}…"
 
 
 @contextmanager

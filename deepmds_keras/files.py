@@ -1,0 +1,157 @@
+"""Files that appear whole or not at all, arrays in NumPy's files, tables and checksums."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import json
+import os
+import secrets
+import warnings
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from deepmds_keras.errors import InputError, brief
+
+_LONGEST_NAME = 32  # characters of a file's name in that of its temporary one: names have a limit
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file to write to, under a temporary name until it is complete; its folder is made.
+
+    Raises:
+        InputError: The path is that of a folder.
+        OSError: It cannot be written; `filename` is the path.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} must be a file to write. Received a folder.")
+    partial = path.with_name(f".{path.name[:_LONGEST_NAME]}.{secrets.token_hex(4)}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(partial, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())  # some file systems only tell here that they are full
+        os.replace(partial, path)
+    except OSError as error:
+        number = error.errno or errno.ENOSPC  # NumPy has none for what it could not write
+        raise OSError(number, os.strerror(number), str(path)) from error
+    finally:
+        with suppress(OSError):  # there is none when all went well
+            partial.unlink()
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file as `atomic_write` does, and raise as it does."""
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def write_arrays(
+    path: str | Path,
+    arrays: dict[str, np.ndarray],
+    description: dict,
+    *,
+    compressed: bool = True,
+) -> None:
+    """Write arrays and a JSON description into one npz, complete or not at all.
+
+    Raises:
+        InputError, OSError: As for `atomic_write`.
+    """
+    save = np.savez_compressed if compressed else np.savez
+    with atomic_write(path) as file:
+        save(file, description=np.array(json.dumps(description)), **arrays)
+
+
+def read_arrays(
+    path: str | Path, kind: str = "an npz written by save()"
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Read what `write_arrays` wrote.
+
+    Raises:
+        InputError: The file is missing, damaged or not of this kind.
+    """
+    arrays = read_npz(path, kind)
+    with _named(path, kind):
+        description = json.loads(str(arrays.pop("description")))
+        if not isinstance(description, dict):
+            raise ValueError("a description that is no dict")
+    return arrays, description
+
+
+def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dict[str, np.ndarray]:
+    """Return all arrays of an npz by name; nothing in the file is executed.
+
+    Args:
+        path: The file.
+        kind: Its kind with an article, for the message.
+
+    Raises:
+        InputError: The file is missing, damaged or foreign, or holds anything but plain arrays.
+    """
+    with _named(path, kind), open(path, "rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise zipfile.BadZipFile("no zip archive")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            return dict(archive)
+
+
+def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
+    """Return the array of an npy file, read-only; only the pages that are asked for are read.
+
+    Raises:
+        InputError: As `read_npz`.
+    """
+    with _named(path, kind):  # mapped, a header cannot claim more memory than the file has
+        return np.lib.format.open_memmap(path, mode="r")
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows, by column name, of a CSV table whose comments are lines that begin with `#`.
+
+    Raises:
+        InputError: The file cannot be read or is no such table.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"{path} must be a table (CSV). Received {brief(error)}.") from None
+
+
+def sha256_of(paths: Iterable[Path]) -> str:
+    """Return the hash of the files' bytes, one after the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            while chunk := file.read(1 << 22):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+@contextmanager
+def _named(path: str | Path, kind: str) -> Iterator[None]:
+    """Make one line of whatever goes wrong, which names the file."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's of odd headers, NumPy's of those of Python 2
+            yield
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be {kind}.") from None
+    except Exception as error:  # zipfile, zlib and NumPy's parser of headers raise many kinds
+        received = f"{type(error).__name__}: {brief(error)}"
+        if isinstance(error, OSError) and error.strerror:
+            received = error.strerror
+        elif "allow_pickle" in str(error):  # NumPy's advice, not to be followed
+            received = "an array of objects, which can run code when read"
+        raise InputError(f"{path} must be {kind}. Received {received}.") from None

@@ -1,1 +1,0 @@
-"""Errors, files and tables: the lowest floor, which imports nothing of the project."""
