@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -19,6 +20,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError, brief
 
+_ZIP_END_SIZE = 22
 _LONGEST_NAME = 32  # characters of a file's name in that of its temporary one: names have a limit
 
 
@@ -98,12 +100,24 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
     Raises:
         InputError: The file is missing, damaged or foreign, or holds anything but plain arrays.
     """
-    with _named(path, kind), open(path, "rb") as file:
-        if not zipfile.is_zipfile(file):
-            raise zipfile.BadZipFile("no zip archive")
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as archive:
-            return dict(archive)
+    with _named(path, kind), zipfile.ZipFile(path) as archive:
+        arrays = {}
+        for member in archive.infolist():
+            # All of it, so that its checksum is compared; NumPy stops where an array may end.
+            content = io.BytesIO(archive.read(member))
+            name = member.filename.removesuffix(".npy")
+            arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
+        _check_number(archive)
+    return arrays
+
+
+def _check_number(archive: zipfile.ZipFile) -> None:
+    """Python reads a damaged list of contents up to the damage, and does not count what it read."""
+    archive.fp.seek(-_ZIP_END_SIZE, os.SEEK_END)
+    end = archive.fp.read()
+    n, listed = len(archive.infolist()), int.from_bytes(end[10:12], "little")
+    if end.startswith(b"PK\5\6") and n != listed:
+        raise zipfile.BadZipFile(f"{n} arrays of {listed}")
 
 
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:

@@ -78,3 +78,20 @@ def test_objects_are_refused(tmp_path):
     for read, name in ((map_npy, "a.npy"), (read_npz, "a.npz")):
         with pytest.raises(InputError, match=f"{name} must be .* Received"):
             read(tmp_path / name)
+
+
+def test_no_changed_bit_of_an_archive_goes_unnoticed(tmp_path):
+    # Repeated rows are packed so that a changed bit can end the stream where the array would end.
+    path, array = tmp_path / "a.npz", np.repeat(np.random.default_rng(0).random((1, 216)), 10, 0)
+    write_arrays(path, {"a": np.float32(array)}, {})
+    whole, content = path.read_bytes(), read_npz(path)
+    for bit in range(0, 8 * len(whole), 3):
+        changed = bytearray(whole)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        try:
+            unnoticed = read_npz(path)
+        except InputError:
+            continue
+        assert unnoticed.keys() == content.keys(), bit
+        assert all(np.array_equal(unnoticed[key], content[key]) for key in content), bit
