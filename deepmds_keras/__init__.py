@@ -1,42 +1,74 @@
 """Deep-MDS: the 3D shape of 2D landmarks from a single image (Kamyab and Azimifar).
 
 Names are loaded when they are first used: to predict with a lifter takes neither Keras nor
-TensorFlow, and neither need be installed.
+TensorFlow nor scikit-learn, and none of them need be installed.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from deepmds_keras.errors import needs
+from deepmds_keras.errors import InputError, MissingPackageError, needs
+
+if TYPE_CHECKING:  # for editors and type checkers: the same names as below
+    from deepmds_keras import baselines as baselines
+    from deepmds_keras import metrics as metrics
+    from deepmds_keras.alignment import align as align
+    from deepmds_keras.alignment import normalise as normalise
+    from deepmds_keras.camera import HeadPose as HeadPose
+    from deepmds_keras.camera import head_pose as head_pose
+    from deepmds_keras.embedding import embed as embed
+    from deepmds_keras.landmarks import convert as convert
+    from deepmds_keras.landmarks import load_scheme as load_scheme
+    from deepmds_keras.lifting.lifter import LandmarkLifter as LandmarkLifter
+    from deepmds_keras.networks import build_autoencoder as build_autoencoder
+    from deepmds_keras.networks import build_dissimilarity_net as build_dissimilarity_net
+    from deepmds_keras.pipeline import DeepMDS as DeepMDS
+    from deepmds_keras.predict.face_lifter import FaceLifter as FaceLifter
+    from deepmds_keras.predict.face_lifter import predict_landmarks as predict_landmarks
+    from deepmds_keras.predict.face_lifter import predict_photo as predict_photo
+    from deepmds_keras.predict.faces import Face as Face
+    from deepmds_keras.predict.landmark_files import read_landmarks as read_landmarks
+    from deepmds_keras.proximities import pair_features as pair_features
 
 _HOME = {
     "DeepMDS": "pipeline",
-    "InputError": "errors",
+    "Face": "predict.faces",
+    "FaceLifter": "predict.face_lifter",
+    "HeadPose": "camera",
     "LandmarkLifter": "lifting.lifter",
     "align": "alignment",
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",
+    "convert": "landmarks",
     "embed": "embedding",
     "head_pose": "camera",
-    "normalise": "normalisation",
-    "predict_landmarks": "predict.api",
-    "predict_photo": "predict.api",
+    "load_scheme": "landmarks",
+    "normalise": "alignment",
     "pair_features": "proximities",
-    "read_photo": "photos",
+    "predict_landmarks": "predict.face_lifter",
+    "predict_photo": "predict.face_lifter",
+    "read_landmarks": "predict.landmark_files",
 }
 _MODULES = ("baselines", "metrics")
+_KERAS = ("h5py", "keras", "sklearn", "tensorflow")  # what the extra of that name brings
 
-__all__ = [*_HOME, *_MODULES]
+__all__ = ["InputError", "MissingPackageError", *_HOME, *_MODULES]
 __version__ = "0.2.0"
 
 
 def __getattr__(name):
     if name not in (*_HOME, *_MODULES):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with needs(f"TensorFlow with Keras and scikit-learn, which {name} needs,", "keras"):
-        if name in _MODULES:
-            return import_module(f"{__name__}.{name}")
-        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
+    module = f"{__name__}.{_HOME.get(name, name)}"
+    try:
+        value = import_module(module)
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] not in _KERAS:
+            raise
+        with needs(f"What {name} needs", "keras"):
+            raise
+    if name in _HOME:
+        value = globals()[name] = getattr(value, name)
     return value
 
 

@@ -1,4 +1,4 @@
-"""`deepmds`, the command: 3D face landmarks of photos, or of landmarks that are given."""
+"""`deepmds`, the command: 3D face landmarks of photos, videos, or landmarks that are given."""
 
 from __future__ import annotations
 
@@ -9,39 +9,44 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.predict.arguments import Export, parse
+from deepmds_keras.predict.cli import parse, printable
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Do what the arguments ask for, and end the process with the status that `--help` states."""
-    options = parse(arguments)
+    options = vars(parse(arguments))
     _be_quiet()
     stopped = _stopped_by_ctrl_c()
+    failed = 0
     try:
-        # Not before: --help and wrong arguments are answered without its many imports.
-        from deepmds_keras.predict.command import run
-        from deepmds_keras.predict.messages import complain
-
-        if isinstance(options, Export):
+        if options.pop("command") == "export":
             from deepmds_keras.predict.onnx_export import export
 
-            export(options.out, options.model)
-            print(f"{options.model} → {options.out}")
-            return
-        failed = run(options, stopped)
+            export(options["out"], options["model"])
+            print(f"{options['model']} → {options['out']}")
+        else:
+            # Not before: --help and wrong arguments are answered without its many imports.
+            from deepmds_keras.predict.run import run
+
+            failed = run(**options, stopped=stopped)
+        sys.stdout.flush()
     except InputError as error:
-        complain(error)
-        sys.exit(1)
+        sys.exit(f"error: {printable(str(error))}")
     except KeyboardInterrupt:
         print("Stopped. The same command goes on from here.", file=sys.stderr)
         sys.exit(_STOPPED)
-    except BrokenPipeError:  # who read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except OSError as error:  # of the output: who read it has seen enough, or the disk is full
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            sys.exit(1)
+        place = printable(str(error.filename or "the output"))
+        sys.exit(f"error: {place} cannot be written: {error.strerror}.")
     sys.exit(1 if failed else 0)
 
 

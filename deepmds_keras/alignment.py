@@ -1,4 +1,4 @@
-"""Procrustes alignment of one set of landmarks onto another, for many faces at once."""
+"""Procrustes alignment of one set of landmarks onto another, and the units they are compared in."""
 
 from __future__ import annotations
 
@@ -40,7 +40,14 @@ def procrustes(
     Raises:
         InputError: Shapes that do not match, NaN or infinity.
     """
-    source, target = _check(source, target)
+    source, target = np.asarray(source, float), np.asarray(target, float)
+    if source.ndim not in (2, 3) or target.shape not in (source.shape, source.shape[-2:]):
+        raise InputError(
+            "source must have shape (n, L, d) or (L, d), and target the same shape or that of one "
+            f"face. Received {source.shape} and {target.shape}."
+        )
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise InputError("source and target must be finite. Received NaN or infinity.")
     source_centre, target_centre = source.mean(-2), target.mean(-2)
     centred = source - source_centre[..., None, :]
     u, singular, vt = np.linalg.svd(
@@ -64,10 +71,9 @@ def align(
 ) -> np.ndarray:
     """Map each source onto its target by the best rotation, translation and scale.
 
-    The paper names rotation, translation and scale; its released
-    evaluation calls MATLAB's `procrustes`, which allows a reflection too, so that a face turned
-    inside out scores a perfect zero. That is the default here, for comparison with the published
-    numbers; `is_mirrored` counts how often it was needed.
+    The paper names these three; its released evaluation calls MATLAB's `procrustes`, which allows
+    a reflection too, so that a face turned inside out scores a perfect zero. That is the default
+    here, for comparison with the published numbers; `is_mirrored` tells where it was needed.
 
     Args:
         source, target, scaling, reflection: As for `procrustes`.
@@ -89,18 +95,49 @@ def is_mirrored(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.linalg.det(procrustes(source, target).rotation) < 0
 
 
-def _check(source, target):
-    source, target = np.asarray(source, float), np.asarray(target, float)
-    if source.ndim not in (2, 3) or source.shape[-2:] != target.shape[-2:]:
+def normalise(points: np.ndarray) -> np.ndarray:
+    """Each face min-max scaled to [0, 1] over all its coordinates together.
+
+    The unit of every MSE in the paper's tables. It is not invariant to a shift of one axis alone:
+    where the origin of a face model lies changes the unit, which for the BFM is about 207 mm.
+
+    Args:
+        points: `(n, L, d)` or `(L, d)`.
+
+    Returns:
+        Array of the same shape.
+
+    Raises:
+        InputError: A face whose coordinates are all equal, or NaN or infinity.
+    """
+    low, size = unit(points)
+    return (np.asarray(points, float) - low) / size
+
+
+def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
+    points = np.asarray(points, float)
+    low = points.min((-2, -1), keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity is refused
+        size = points.max((-2, -1), keepdims=True) - low
+    if not (size > 0).all() or not np.isfinite(size).all():
         raise InputError(
-            "source and target must have the same shape (n, L, d) or (L, d). "
-            f"Received {source.shape} and {target.shape}."
+            "points must be finite and not all equal within a face. "
+            f"Received a face of range {np.min(size)}."
         )
-    if target.ndim == 3 and source.shape != target.shape:
-        raise InputError(
-            f"target must be one face or one for each source. Received {target.shape[0]} "
-            f"targets for sources of shape {source.shape}."
-        )
-    if not (np.isfinite(source).all() and np.isfinite(target).all()):
-        raise InputError("source and target must be finite. Received NaN or infinity.")
-    return source, target
+    return low, size
+
+
+def centre(points: np.ndarray) -> np.ndarray:
+    """Each face moved so that the mean of its landmarks is 0: `(n, L, d)` → `(n, L, d)`.
+
+    Since `normalise` depends on where the origin is, landmarks of photos, whose origin is the
+    corner of an image, are centred before.
+    """
+    points = np.asarray(points, float)
+    return points - points.mean(-2, keepdims=True)
+
+
+def rms_radius(points: np.ndarray) -> np.ndarray:
+    """Root mean square distance of the landmarks from their mean: `(n, L, d)` → `(n,)`."""
+    return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,50 +12,89 @@ from deepmds_keras.errors import InputError
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 
 
-class OrthographicCameras(NamedTuple):
-    """Scaled orthographic cameras: `view = scale * (shape @ rotation.T)[:, :2] + translation`.
+@dataclass(frozen=True, eq=False)
+class HeadPose:
+    """The camera that sees a face, or those of n faces, whose numbers then have `n` in front.
 
     Attributes:
-        rotations: `(n, 3, 3)`, of determinant 1, to be multiplied from the left.
-        scales: `(n,)` units of the view for a unit of the shape.
-        translations: `(n, 2)` where the shape's origin is seen.
+        rotation: `(3, 3)`, to be multiplied from the left: from the frame of the shape to that of
+            the camera, +x to the right of the view, +y up, +z towards the viewer.
+        scale: Units of the view for a unit of the shape, at the depth of the shape's origin.
+        translation: `(2,)` where the shape's origin is seen.
+        perspective: One over the distance of the camera from the shape's origin, in units of the
+            shape; 0 of a scaled orthographic camera.
+        residual: Root mean square distance of the projected shape from the view, in units of the
+            larger side of the view's box; NaN where it is not known.
     """
 
-    rotations: np.ndarray
-    scales: np.ndarray
-    translations: np.ndarray
+    rotation: np.ndarray
+    scale: float | np.ndarray
+    translation: np.ndarray
+    perspective: float | np.ndarray = 0.0
+    residual: float | np.ndarray = np.nan
+
+    @property
+    def yaw(self) -> float | np.ndarray:
+        """Degrees, positive when the head turns to its left; the first turn. 0 from the front."""
+        return self.as_dict()["yaw"]
+
+    @property
+    def pitch(self) -> float | np.ndarray:
+        """Degrees, positive when the head looks up; the second turn. 0 from the front."""
+        return self.as_dict()["pitch"]
+
+    @property
+    def roll(self) -> float | np.ndarray:
+        """Degrees, positive when its top leans towards its right; the last turn."""
+        return self.as_dict()["roll"]
+
+    def project(self, shape: np.ndarray) -> np.ndarray:
+        """Where points of the shape are seen: `(..., 3)` → `(..., 2)`, y up; n shapes of n."""
+        scale, perspective, translation = self.scale, self.perspective, self.translation
+        if np.ndim(self.rotation) == 3:
+            scale, perspective = np.reshape(scale, (-1, 1, 1)), np.reshape(perspective, (-1, 1, 1))
+            translation = translation[:, None]
+        posed = shape @ np.swapaxes(self.rotation, -1, -2)
+        near = 1 / (1 - perspective * posed[..., 2:])
+        return scale * near * posed[..., :2] + translation
+
+    def as_dict(self) -> dict[str, float | np.ndarray]:
+        """Angles and attributes by name, in the order that files have."""
+        angles = camera_angles(np.reshape(self.rotation, (-1, 3, 3)))
+        angles = angles if np.ndim(self.rotation) == 3 else angles[:, 0].tolist()
+        return dict(zip(("yaw", "pitch", "roll"), angles, strict=True)) | vars(self)
+
+    def __len__(self) -> int:
+        if np.ndim(self.rotation) != 3:
+            raise TypeError("This HeadPose is of one face.")
+        return len(self.rotation)
+
+    def __getitem__(self, index: int | slice | np.ndarray) -> HeadPose:
+        """Of n faces, that of one by its number, or those of several."""
+        len(self)  # raises TypeError of one face
+        values = vars(self).values()
+        return HeadPose(*(value[index] if np.ndim(value) else value for value in values))
 
 
 def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Return the affine camera of each face that has the least squared distances in its view.
 
-    Centring is all that is kept of the normalising similarities of the normalised DLT: without
-    a projective row they change the rounding of the solution, not the solution. Of a flat shape,
-    which leaves the camera open, the smallest is taken.
-
-    Args:
-        views: `(n, L, 2)`.
-        shapes: `(n, L, 3)`.
-
-    Returns:
-        `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
+    Of a flat shape, which leaves the camera open, the smallest is taken. Views `(n, L, 2)` and
+    shapes `(n, L, 3)` give `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
     """
     seen, centre = views.mean(1, keepdims=True), shapes.mean(1, keepdims=True)
     linear = np.linalg.pinv(shapes - centre) @ (views - seen)
     return np.swapaxes(np.concatenate([linear, seen - centre @ linear], axis=1), 1, 2)
 
 
-def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> OrthographicCameras:
-    """Return the scaled orthographic camera of each face that is nearest to its affine one.
+def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
+    """Return the scaled orthographic cameras of n faces that are nearest to their affine ones.
 
     Of the affine camera's matrix, the nearest rotation times a scale (the POS algorithm of
     DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
     minimise the distances in the image over rotations instead would not do: shapes are estimates,
-    and the pitch of a nearly frontal one then depends on their errors most.
-
-    Args:
-        views: `(n, L, 2)`.
-        shapes: `(n, L, 3)`.
+    and the pitch of a nearly frontal one then depends on their errors most. Views are `(n, L, 2)`,
+    shapes `(n, L, 3)`.
     """
     linear = np.swapaxes(affine_cameras(views, shapes)[..., :3], 1, 2)
     u, sizes, vt = np.linalg.svd(linear, full_matrices=False)
@@ -64,37 +102,27 @@ def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> OrthographicC
     rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
     scales = sizes.mean(1)
     seen = scales[:, None] * np.einsum("nrd,nd->nr", rows, shapes.mean(1))
-    return OrthographicCameras(rotations, scales, views.mean(1) - seen)
+    return HeadPose(rotations, scales, views.mean(1) - seen)
 
 
-@dataclass(frozen=True, eq=False)
-class HeadPose:
-    """A scaled orthographic camera, by the angles of the head that it sees.
+def refit(poses: HeadPose, views: np.ndarray, shapes: np.ndarray) -> HeadPose:
+    """Cameras of the same rotations that see n shapes nearest to their views (least squares).
 
-    Yaw is positive when the head turns to its own left, pitch when it looks up, roll when its top
-    leans towards its own right; they apply in this order. All are 0 from the front.
-
-    Attributes:
-        yaw, pitch, roll: Degrees.
-        rotation: `(3, 3)`, to be multiplied from the left: from the frame of the shape to that of
-            the camera, +x to the right of the view, +y up, +z towards the viewer.
-        scale: Units of the view for a unit of the shape.
-        translation: `(2,)` where the shape's origin is seen.
-        residual: Root mean square distance of the projected shape from the view, in units of the
-            larger side of the view's box.
+    The distance of each camera in sizes of the face in the view stays what it was. Views are
+    `(n, L, 2)`, y up, NaN where a landmark is missing; shapes `(n, L, 3)`.
     """
-
-    yaw: float
-    pitch: float
-    roll: float
-    rotation: np.ndarray
-    scale: float
-    translation: np.ndarray
-    residual: float
-
-    def project(self, shape: np.ndarray) -> np.ndarray:
-        """Where points of the shape are seen: `(..., 3)` → `(..., 2)`, y up."""
-        return self.scale * shape @ self.rotation[:2].T + self.translation
+    posed = shapes @ np.swapaxes(poses.rotation, 1, 2)
+    seen = ~np.isnan(views[..., :1])
+    n_seen, views = seen.sum(1), np.where(seen, views, 0)
+    scale, perspective = poses.scale, poses.perspective
+    for _ in range(2):  # the perspective hardly depends on the scale
+        flat = seen * posed[..., :2] / (1 - perspective[:, None, None] * posed[..., 2:])
+        flat_middle, middle = flat.sum(1) / n_seen, views.sum(1) / n_seen
+        off = seen * (flat - flat_middle[:, None])
+        before, scale = scale, (off * views).sum((1, 2)) / (off**2).sum((1, 2))
+        perspective = perspective * scale / before
+    translation = middle - scale[:, None] * flat_middle
+    return replace(poses, scale=scale, translation=translation, perspective=perspective)
 
 
 def camera_angles(rotations: np.ndarray) -> np.ndarray:
@@ -130,7 +158,7 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
             "view and shape must be of one face, (L, 2) and (L, 3). "
             f"Received shapes {np.shape(view)} and {np.shape(shape)}."
         )
-    (pose,) = head_poses(view, shape)
+    pose = head_poses(view, shape)[0]
     if pose.rotation[2, 2] <= 0:
         raise InputError(
             "view must show the face from in front, x to the right and y up. "
@@ -139,34 +167,15 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
     return pose
 
 
-def head_poses(views: np.ndarray, shapes: np.ndarray) -> list[HeadPose]:
-    """`head_pose` of many faces; one that is mirrored comes out as seen from behind.
-
-    Args:
-        views: `(n, L, 2)`, y up.
-        shapes: `(n, L, 3)` as for `head_pose`.
-
-    Raises:
-        InputError: Unequal numbers, NaN, infinity or degenerate landmarks.
-    """
+def head_poses(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
+    """`head_pose` of n faces as one `HeadPose`; a mirrored one comes out as seen from behind."""
     views, shapes = check_points(views, "view", 2), check_points(shapes, "shape", 3)
     if views.shape[:2] != shapes.shape[:2]:
         raise InputError(
             "view and shape must have the same faces and landmarks. "
             f"Received {views.shape[:2]} and {shapes.shape[:2]}."
         )
-    rotations, scales, translations = orthographic_cameras(views, shapes)
-    projected = scales[:, None, None] * (shapes @ np.swapaxes(rotations[:, :2], 1, 2))
-    off = projected + translations[:, None] - views
+    poses = orthographic_cameras(views, shapes)
+    off = poses.project(shapes) - views
     residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
-    return [
-        HeadPose(*angle, rotation, scale, translation, residual)
-        for angle, rotation, scale, translation, residual in zip(
-            camera_angles(rotations).T.tolist(),
-            rotations,
-            scales.tolist(),
-            translations,
-            residuals.tolist(),
-            strict=True,
-        )
-    ]
+    return replace(poses, residual=residuals)

@@ -1,7 +1,8 @@
-"""Checks of input that every method shares: landmarks are checked once, at the door."""
+"""Checks of input that every method shares: input is validated once, where it enters."""
 
 from __future__ import annotations
 
+import functools
 from numbers import Integral
 
 import numpy as np
@@ -10,7 +11,7 @@ from deepmds_keras.errors import InputError
 
 
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:
-    """Landmarks as a finite float array `(n, L, n_dimensions)`, checked at the door.
+    """Landmarks as a validated finite float array `(n, L, n_dimensions)`.
 
     Args:
         points: `(n, L, d)`, or `(L, d)` for one face.
@@ -21,17 +22,20 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
         InputError: Wrong shape, NaN or infinity, or a face whose landmarks all coincide or (in
             two or more dimensions) lie on one line, from which no shape can be told.
     """
-    points = np.asarray(points)
+    try:
+        points = points if np.ma.isMaskedArray(points) else np.asarray(points)
+    except ValueError:  # lists of unequal lengths
+        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
     if not np.issubdtype(points.dtype, np.number):
         raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
-    points = np.asarray(points, float)
+    points = np.ma.filled(points.astype(float), np.nan)  # what is masked is unknown
     if points.ndim == 2:
         points = points[None]
     if (
         points.ndim != 3
         or not len(points)
-        or points.shape[2] != n_dimensions
         or points.shape[1] < 3
+        or points.shape[2] != n_dimensions
     ):
         raise InputError(
             f"{name} must have shape (faces >= 1, landmarks >= 3, {n_dimensions}). "
@@ -120,14 +124,8 @@ def check_images(images: np.ndarray, image_size: int) -> np.ndarray:
     Raises:
         InputError: Not `(n, image_size, image_size, 3)` uint8, n at least 1.
     """
-    images = np.asarray(images)
-    needed = (image_size, image_size, 3)
-    if (
-        images.dtype != np.uint8
-        or images.ndim != 4
-        or images.shape[1:] != needed
-        or not len(images)
-    ):
+    images, needed = np.asarray(images), (image_size, image_size, 3)
+    if images.dtype != np.uint8 or images.shape[1:] != needed or not images.size:
         raise InputError(
             f"images must be uint8 of shape (n >= 1, {image_size}, {image_size}, 3), RGB. "
             f"Received {images.dtype} of shape {images.shape}."
@@ -139,8 +137,20 @@ def check_fitted(estimator, attribute: str, setters: str = "fit"):
     """The attribute that `fit`, or another of `setters`, sets.
 
     Raises:
-        InputError: None of them was called.
+        InputError: None of them was called. Where scikit-learn is installed, it is its
+            `NotFittedError` too.
     """
     if not hasattr(estimator, attribute):
-        raise InputError(f"This {type(estimator).__name__} is not trained: call {setters} first.")
+        raise _not_fitted_error()(
+            f"This {type(estimator).__name__} is not trained: call {setters} first."
+        )
     return getattr(estimator, attribute)
+
+
+@functools.cache
+def _not_fitted_error() -> type[InputError]:
+    try:
+        from sklearn.exceptions import NotFittedError
+    except ImportError:
+        return InputError
+    return type("NotFittedError", (InputError, NotFittedError), {})

@@ -105,9 +105,9 @@ def _pair_distances(points, distances):
     for landmark in range(n_landmarks - 1):
         row = distances[first : first + n_landmarks - 1 - landmark]
         for axis in range(len(points)):
-            own, others = points[axis, landmark], points[axis, landmark + 1 :]
+            here, others = points[axis, landmark], points[axis, landmark + 1 :]
             for i in range(len(row)):
-                row[i] += (own - others[i]) ** 2
+                row[i] += (here - others[i]) ** 2
         first += len(row)
     for pair in range(len(distances)):
         distances[pair] = np.sqrt(distances[pair])
@@ -134,10 +134,10 @@ def _move(points, distances, disparities, ratios, moved):
     for landmark in range(n_landmarks - 1):
         row = ratios[first : first + n_landmarks - 1 - landmark]
         for axis in range(len(points)):
-            own, others = points[axis, landmark], points[axis, landmark + 1 :]
+            here, others = points[axis, landmark], points[axis, landmark + 1 :]
             pulled, total = moved[axis, landmark + 1 :], 0.0
             for i in range(len(row)):
-                pull = row[i] * (own - others[i])
+                pull = row[i] * (here - others[i])
                 pulled[i] -= pull
                 total += pull
             moved[axis, landmark] += total
@@ -156,23 +156,13 @@ def _raw_stress(distances, disparities):
 
 @_compiled
 def _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights):
-    """Isotonic regression by pooling adjacent violators, begun from the blocks of another one.
+    """Isotonic regression of `(P,)` values by pooling adjacent violators; the number of blocks.
 
-    Violators may be pooled in any order. A block of which no beginning lies below its mean would
-    end in one piece, so it enters whole; any other enters value by value, ties together. From one
-    iteration to the next over nine of ten blocks stay whole, which leaves little to pool.
-
-    Args:
-        values: `(P,)` numbers to make ascending.
-        tied: `(P,)` whether each belongs together with the one before it.
-        blocks: `(n_blocks + 1,)` where the given blocks begin, and the end.
-        n_blocks: Their number.
-        new_blocks: Filled with where the blocks of the solution begin, and the end.
-        sums: Filled with the sums of their values.
-        weights: Filled with the numbers of their values.
-
-    Returns:
-        The number of blocks of the solution.
+    Violators may be pooled in any order. Blocks, which `blocks` gives by where they begin and the
+    end, are taken over from the last regression: one of which no beginning lies below its mean
+    would end in one piece, so it enters whole; any other enters value by value, those that are
+    `tied` to the one before together. From one iteration to the next over nine of ten blocks stay
+    whole, which leaves little to pool. The solution is filled into the last three arrays.
     """
     n_new = 0
     for block in range(n_blocks):

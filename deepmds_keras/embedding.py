@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import functools
-import inspect
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
-from deepmds_keras.eigenpairs import leading_eigenpairs
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, needs
 
 # Regressed distances of near neighbours may fall slightly below zero; beyond this share of the
 # largest one the matrix is not one of distances.
 _NEGATIVE_SHARE = 0.1
-SOLVERS = ("sklearn", "batched")
-_FACES_PER_TASK = {"sklearn": 32, "batched": 128}
+SOLVERS = ("auto", "numba", "sklearn")
+_STEPS = 18  # of Lanczos' method: the Gram matrices of faces need 12 to 18
+_RESIDUAL = 1e-13
+_ROUNDING = 1e-14  # both relative to the norm of the matrix
 
 
 def embed(
     dissimilarities: np.ndarray,
     n_components: int = 3,
     *,
-    solver: str = "sklearn",
+    solver: str = "auto",
     max_iter: int = 300,
     eps: float = 1e-6,
     n_jobs: int | None = None,
@@ -33,9 +34,9 @@ def embed(
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Points whose distances have the order of the dissimilarities (paper, equation of c_2).
 
-    scikit-learn's non-metric `MDS` (SMACOF, Kruskal's stress-1) from a classical-scaling start,
-    as the `mdscale` of the released code starts. Being non-metric it loses the scale, which is put
-    back by least squares; points are centred and turned to their principal axes, of the sign that
+    Non-metric MDS (SMACOF, Kruskal's stress-1) from a classical-scaling start, as the `mdscale` of
+    the released code starts. Being non-metric it loses the scale, which is put back by least
+    squares; points are centred and turned to their principal axes, of the sign that
     `classical_scaling` gives them. Which of the two mirror images that makes says nothing about the
     face: distances cannot tell, see `DeepMDS.predict`.
 
@@ -43,8 +44,9 @@ def embed(
         dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
             negative values, as a regression may give for near neighbours, are folded.
         n_components: Dimensions of the embedding.
-        solver: `"sklearn"`, or `"batched"`, which makes the same steps compiled by numba (extra
-            `fast`), many times faster, see `compiled_mds`; without numba it is scikit-learn's too.
+        solver: `"sklearn"`, scikit-learn's `MDS`; `"numba"`, which takes the same steps compiled
+            (extra `fast`), many times faster, see `compiled_mds`; or `"auto"`, numba's where it is
+            installed and scikit-learn's elsewhere. Results are equal to rounding.
         max_iter: Most SMACOF iterations for a face.
         eps: Relative decrease of stress at which to stop.
         n_jobs: Processes, or threads where the solver is compiled; None or 1 works in this one,
@@ -57,31 +59,60 @@ def embed(
 
     Raises:
         InputError: Not square, not symmetric, NaN or infinity, clearly negative, or all zero; or
-            an unknown solver.
+            an unknown solver or more dimensions than landmarks.
+        MissingPackageError: `"numba"` without numba.
     """
-    if solver not in SOLVERS:
-        raise InputError(f"solver must be one of {', '.join(SOLVERS)}. Received {solver!r}.")
+    solve = _choose(solver)
     dissimilarities = np.asarray(dissimilarities)
     _check_shape(dissimilarities.shape)
+    if not 1 <= n_components <= dissimilarities.shape[-1]:
+        raise InputError(
+            f"n_components must be 1 to {dissimilarities.shape[-1]}, the number of landmarks. "
+            f"Received {n_components}."
+        )
     single = dissimilarities.ndim == 2
     matrices = dissimilarities[None] if single else dissimilarities
-    step = _FACES_PER_TASK[solver]
-    tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     # Compiled code runs beside other threads: nothing has to be sent to another process.
-    prefer = "threads" if solver == "batched" and compiled_solver() else None
+    step, prefer = (32, None) if solve is sklearn_mds else (128, "threads")
+    tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
-        delayed(_embed_faces)(matrices[task], n_components, solver, max_iter, eps) for task in tasks
+        delayed(_embed_faces)(matrices[task], n_components, solve, max_iter, eps) for task in tasks
     )
-    points, stress = [], []
-    for some_points, some_stress in done:
-        points.append(some_points)
-        stress.append(some_stress)
+    points, stress = np.empty((*matrices.shape[:2], n_components)), np.empty(len(matrices))
+    for task, embedded in zip(tasks, done, strict=True):
+        points[task], stress[task] = embedded
         if progress is not None:
-            progress(len(some_points))
-    points, stress = np.concatenate(points), np.concatenate(stress)
+            progress(len(embedded[0]))
     if single:
         points, stress = points[0], stress[0]
     return (points, stress) if return_stress else points
+
+
+def _choose(solver: str) -> Callable:
+    """`sklearn_mds` or `compiled_mds`."""
+    if solver == "batched":
+        warnings.warn(
+            'solver="batched" is now called "numba", or "auto" where numba may be missing.',
+            DeprecationWarning,
+            stacklevel=3,
+        )
+        solver = "auto"
+    if solver not in SOLVERS:
+        raise InputError(f"solver must be one of {', '.join(SOLVERS)}. Received {solver!r}.")
+    if solver == "numba":
+        with needs('numba, which solver="numba" needs,', "fast"):
+            import numba  # noqa: F401
+    return (solver != "sklearn" and compiled_solver()) or sklearn_mds
+
+
+@functools.cache
+def compiled_solver() -> Callable | None:
+    """Return `compiled_mds`, None where numba cannot be imported, which takes it a second."""
+    try:
+        from deepmds_keras.compiled_mds import compiled_mds
+    except ImportError:
+        return None
+    return compiled_mds
 
 
 def pairwise_distances(points: np.ndarray) -> np.ndarray:
@@ -97,7 +128,11 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
     sign of a component, which distances leave open, is such that the first landmark far out on it
     has a positive coordinate.
     """
-    values, vectors = leading_eigenpairs(_doubly_centred(dissimilarities), n_components)
+    squared = np.square(np.asarray(dissimilarities, float))
+    rows = squared.mean(-1, keepdims=True)
+    # Gram matrices of the points, about their mean, that have these distances.
+    gram = -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
+    values, vectors = leading_eigenpairs(gram, n_components)
     return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
 
 
@@ -112,18 +147,8 @@ def metric_embed(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarr
     """
     matrices = check_dissimilarities(dissimilarities)
     starts = classical_scaling(matrices, n_components)
-    found = (sklearn_mds(*face, metric=True)[0] for face in zip(matrices, starts, strict=True))
-    return np.array([*found])
-
-
-@functools.cache
-def compiled_solver() -> Callable | None:
-    """Return `compiled_mds`, None where numba cannot be imported, which takes it a second."""
-    try:
-        from deepmds_keras.compiled_mds import compiled_mds
-    except ImportError:
-        return None
-    return compiled_mds
+    embedded = (sklearn_mds(*face, metric=True)[0] for face in zip(matrices, starts, strict=True))
+    return np.array([*embedded])
 
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
@@ -161,17 +186,10 @@ def _check_shape(shape: tuple[int, ...]) -> None:
         )
 
 
-def _doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
-    """Gram matrices of the points, about their mean, that have these distances."""
-    squared = np.square(np.asarray(dissimilarities, float))
-    rows = squared.mean(-1, keepdims=True)
-    return -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
-
-
 def _with_signs(points: np.ndarray) -> np.ndarray:
     """Points `(..., L, k)`, each axis turned so that the first landmark far out on it is positive.
 
-    The sign of an eigenvector hangs on rounding, hence on the processor. So would that of the
+    The sign of an eigenvector depends on rounding, hence on the processor. So would that of the
     farthest landmark in a symmetric face, where two are equally far out on either side. Of all that
     are at least 0.6 times as far out as the farthest, the first is the same on any processor.
     """
@@ -180,9 +198,8 @@ def _with_signs(points: np.ndarray) -> np.ndarray:
     return points * np.sign(np.take_along_axis(points, first[..., None, :], -2))
 
 
-def _embed_faces(matrices, n_components, solver, max_iter, eps):
+def _embed_faces(matrices, n_components, solve, max_iter, eps):
     matrices = check_dissimilarities(matrices)
-    solve = (solver == "batched" and compiled_solver()) or sklearn_mds
     points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
     for face, matrix in enumerate(matrices):
         points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
@@ -210,23 +227,81 @@ def sklearn_mds(
     *,
     metric: bool = False,
 ) -> tuple[np.ndarray, float, int]:
-    """Points, stress-1 and iterations of one face, as `compiled_mds`, by scikit-learn."""
-    scaling = precomputed_mds(start.shape[1], metric, n_init=1, max_iter=max_iter, eps=eps)
+    """Points, stress-1 and iterations of one face, as `compiled_mds`, by scikit-learn's `MDS`.
+
+    Distances are to have the order of the dissimilarities, or with `metric` their size.
+    """
+    options = {"metric": "precomputed", "init": "random", "normalized_stress": True, "n_init": 1}
+    scaling = MDS(start.shape[1], metric_mds=metric, max_iter=max_iter, eps=eps, **options)
     points = scaling.fit_transform(dissimilarities, init=start)
     return points, scaling.stress_, scaling.n_iter_
 
 
-def precomputed_mds(n_components: int, metric: bool = False, **options) -> MDS:
-    """scikit-learn's `MDS` of dissimilarities, with Kruskal's stress-1.
+def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest eigenvalues and their eigenvectors, to rounding those of `numpy.linalg.eigh`.
+
+    Lanczos' method with full reorthogonalisation (Golub & Van Loan, Matrix Computations, chapter
+    10) where its answer is proven right, `eigh` for the other matrices. The result for a matrix
+    does not depend on those beside it.
 
     Args:
-        n_components: Dimensions of the embedding.
-        metric: Whether the distances are to have the size of the dissimilarities, or their order.
-        **options: Of `MDS`.
+        matrices: `(n, L, L)`, symmetric.
+        count: Eigenvalues of each.
+
+    Returns:
+        `(n, count)` eigenvalues in descending order and `(n, L, count)` eigenvectors of length 1.
     """
-    # scikit-learn renamed two arguments in 1.8; Python 3.10 only has 1.7.
-    if "metric_mds" in inspect.signature(MDS).parameters:
-        kind = {"metric_mds": metric, "metric": "precomputed", "init": "random"}
+    # SciPy's eigh(subset_by_index=) would make the compiled solver a fifth slower on one core, and
+    # its threads would wait for each other, since it holds Python's lock.
+    n, size, _ = matrices.shape
+    if size > _STEPS > count:
+        values, vectors, proven = _lanczos(matrices, count)
     else:
-        kind = {"metric": metric, "dissimilarity": "precomputed"}
-    return MDS(n_components, normalized_stress=True, **kind, **options)
+        values, vectors = np.empty((n, count)), np.empty((n, size, count))
+        proven = np.zeros(n, bool)
+    if not proven.all():
+        all_values, all_vectors = np.linalg.eigh(matrices[~proven])
+        top = slice(None, -count - 1, -1)
+        values[~proven], vectors[~proven] = all_values[:, top], all_vectors[..., top]
+    return values, vectors
+
+
+def _lanczos(matrices, count):
+    """Ritz values, Ritz vectors and whether they are proven to be the largest eigenpairs."""
+    n, size, _ = matrices.shape
+    squared_norms = np.einsum("nij,nij->n", matrices, matrices)
+    norms = np.sqrt(squared_norms)
+    basis = np.zeros((n, _STEPS + 1, size))
+    diagonal, beside = np.empty((n, _STEPS)), np.empty((n, _STEPS))
+    # A start that no symmetry of a face leaves as it is: its Krylov space would miss eigenvectors.
+    start = matrices @ np.random.default_rng(0).standard_normal(size)
+    basis[:, 0] = _unit(start, _ROUNDING * norms)[0]
+    for step in range(_STEPS):
+        image = matrices @ basis[:, step, :, None]
+        diagonal[:, step] = np.einsum("ni,ni->n", basis[:, step], image[..., 0])
+        known = basis[:, : step + 1]
+        for _ in range(2):  # once would leave rounding errors that grow
+            image -= np.swapaxes(known, 1, 2) @ (known @ image)
+        basis[:, step + 1], beside[:, step] = _unit(image[..., 0], _ROUNDING * norms)
+    reduced, steps = np.zeros((n, _STEPS, _STEPS)), np.arange(_STEPS)
+    reduced[:, steps, steps] = diagonal
+    reduced[:, steps[1:], steps[:-1]] = beside[:, :-1]
+    values, vectors = np.linalg.eigh(reduced)  # reads the lower triangle only
+    values, vectors = values[:, ::-1], vectors[..., ::-1]
+    last = beside[:, -1]
+    residuals = last * np.abs(vectors[:, -1, :count]).max(1)
+    # In this basis, completed, the matrix is the reduced one, a rest, and `last` to couple them.
+    # Without the coupling no other eigenvalue exceeds the next Ritz value or the norm of the rest,
+    # and the coupling adds no more than itself (Weyl's inequality).
+    rest = squared_norms - np.square(diagonal).sum(1) - 2 * np.square(beside).sum(1)
+    others = np.maximum(values[:, count], np.sqrt(np.maximum(rest, 0))) + last
+    proven = (residuals <= _RESIDUAL * norms) & (others < values[:, count - 1])
+    vectors = np.swapaxes(basis[:, :-1], 1, 2) @ vectors[..., :count]
+    return values[:, :count].copy(), vectors, proven
+
+
+def _unit(vectors, rounding):
+    """Vectors over their lengths, and the lengths; zeros where there is only rounding error."""
+    lengths = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    lengths[lengths <= rounding] = 0
+    return vectors / np.where(lengths > 0, lengths, np.inf)[:, None], lengths

@@ -9,7 +9,7 @@ _LONGEST = 200
 
 
 class InputError(ValueError):
-    """A file or argument is unusable; the message names it, what was found and what is needed."""
+    """A file or argument is unusable; the message names it, what it is and what is needed."""
 
 
 class MissingPackageError(InputError, ImportError):
@@ -35,7 +35,10 @@ def needs(package: str, extra: str) -> Iterator[None]:
     """
     try:
         yield
+    except MissingPackageError:  # says what is missing itself
+        raise
     except ImportError as error:
         raise MissingPackageError(
-            f"{package} must be installed: pip install 'deepmds-keras[{extra}]'. Received: {error}."
+            f"{package} must be installed: from the repository, pip install '.[{extra}]'. "
+            f"Received: {error}."
         ) from None

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
-from deepmds_keras.alignment import align
+from deepmds_keras.alignment import align, centre, normalise
 from deepmds_keras.errors import InputError
-from deepmds_keras.normalisation import centre, normalise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,15 +47,11 @@ def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
     Raises:
         InputError: As for `mse`, or fewer than two faces.
     """
-    prediction, truth = _pair(prediction, truth)
-    if prediction.ndim != 3 or len(prediction) < 2:
-        raise InputError(
-            f"explained_share needs two faces or more, (n, L, 3). Received {prediction.shape}."
-        )
+    prediction, truth = _pair(prediction, truth, least=2)
     truth = normalise(centre(truth))
     mean = np.broadcast_to(truth.mean(0), truth.shape)
-    own, worst = (mse(align(shapes, truth), truth).mean() for shapes in (prediction, mean))
-    return float(1 - own / worst)
+    error, worst = (mse(align(shapes, truth), truth).mean() for shapes in (prediction, mean))
+    return float(1 - error / worst)
 
 
 def depth_corr(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
@@ -93,12 +88,7 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
     Raises:
         InputError: As for `mse`, or fewer than two faces.
     """
-    prediction, truth = _pair(prediction, truth)
-    if prediction.ndim != 3 or len(prediction) < 2:
-        raise InputError(
-            "depth_corr_across_faces needs two faces or more, (n, L, 3). "
-            f"Received shape {prediction.shape}."
-        )
+    prediction, truth = _pair(prediction, truth, least=2)
     return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())
 
 
@@ -124,20 +114,16 @@ def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
     for method, array in arrays.items():
         if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
             raise InputError(
-                f"values of {method} must be a row of finite numbers. Received shape {array.shape}"
-                f" with {np.count_nonzero(~np.isfinite(array))} not finite."
+                f"values of {method} must be a row of finite numbers. "
+                f"Received {np.isfinite(array).sum()} finite ones in shape {array.shape}."
             )
     if len({len(array) for array in arrays.values()}) > 1:
         lengths = ", ".join(f"{method} {len(array)}" for method, array in arrays.items())
         raise InputError(f"values must be as many for every method. Received {lengths}.")
     columns = ("method_a", "method_b", "n", "statistic", "p_value", "p_value_normal")
-    return pd.DataFrame(
-        [
-            (a, b, len(arrays[a]), *_signed_rank(arrays[a] - arrays[b]))
-            for a, b in combinations(arrays, 2)
-        ],
-        columns=[*columns, "median_difference"],
-    )
+    pairs = combinations(arrays, 2)
+    rows = [(a, b, len(arrays[a]), *_signed_rank(arrays[a] - arrays[b])) for a, b in pairs]
+    return pd.DataFrame(rows, columns=[*columns, "median_difference"])
 
 
 def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
@@ -151,7 +137,8 @@ def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
     return float(test.statistic), *p_values, float(np.median(difference))
 
 
-def _pair(prediction: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Both as valid arrays of floats, of at least so many faces."""
     prediction, truth = np.asarray(prediction, float), np.asarray(truth, float)
     for name, array in (("prediction", prediction), ("truth", truth)):
         if array.ndim not in (2, 3) or array.shape[-1] != 3 or not array.size:
@@ -159,14 +146,16 @@ def _pair(prediction: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.nda
                 f"{name} must have shape (n, L, 3) or (L, 3). Received shape {array.shape}."
             )
         if not np.isfinite(array).all():
-            raise InputError(
-                f"{name} must be finite. Received {np.count_nonzero(~np.isfinite(array))} numbers "
-                "that are not."
-            )
+            n_bad = np.count_nonzero(~np.isfinite(array))
+            raise InputError(f"{name} must be finite. Received {n_bad} numbers that are not.")
     if prediction.shape != truth.shape:
         raise InputError(
             "prediction and truth must have one shape. "
             f"Received {prediction.shape} and {truth.shape}."
+        )
+    if least and (prediction.ndim != 3 or len(prediction) < least):
+        raise InputError(
+            f"prediction must be of {least} faces or more, (n, L, 3). Received {prediction.shape}."
         )
     return prediction, truth
 

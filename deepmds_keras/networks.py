@@ -36,12 +36,9 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
     check_n_landmarks(n_landmarks)
     dense = dense_blocks(seed)
     view = keras.Input((2 * n_landmarks,), name="view")
-    x = dense(view, 64, "encode_1")
-    x = dense(x, 32, "encode_2")
-    x = dense(x, 16, "encode_3")
+    x = dense(dense(dense(view, 64, "encode_1"), 32, "encode_2"), 16, "encode_3")
     x = dense(x, 16, "code", normalised=False)
-    x = dense(x, 32, "decode_1")
-    x = dense(x, 64, "decode_2")
+    x = dense(dense(x, 32, "decode_1"), 64, "decode_2")
     frontal = dense(x, 2 * n_landmarks, "frontal")
     return keras.Model(view, frontal, name=f"autoencoder_{n_landmarks}")
 
@@ -98,7 +95,7 @@ def distance_layers(dense: Callable, pair, units: int):
 
 
 def draw_kernels(network: keras.Model, seed: int) -> None:
-    """Draw every kernel anew, in Keras's default way: for networks that take no initialiser."""
+    """Draw every kernel again, in Keras's default way: for networks that take no initialiser."""
     kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
     for number, kernel in enumerate(kernels):
         initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
@@ -126,10 +123,12 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
     Returns:
         `(n, d_out)` float32.
     """
+    outputs = functools.partial(network, training=False)
     if len(inputs) > batch_size and isinstance(network, keras.Model):
-        outputs, inputs = _graph(network), np.asarray(inputs, np.float32)
-    else:
-        outputs = functools.partial(network, training=False)
+        if not hasattr(network, "inference_graph"):
+            rows = tf.TensorSpec((None, *network.input_shape[1:]), tf.float32)
+            network.inference_graph = tf.function(outputs, input_signature=[rows])
+        outputs, inputs = network.inference_graph, np.asarray(inputs, np.float32)
     batches = range(0, len(inputs), batch_size)
     return np.concatenate([np.asarray(outputs(inputs[i : i + batch_size])) for i in batches])
 
@@ -152,15 +151,6 @@ def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 1
 def scale_images(images):
     """[0, 255] → [-1, 1]."""
     return ops.cast(images, "float32") / 127.5 - 1
-
-
-def _graph(network: keras.Model) -> Callable:
-    """A network in inference mode as a graph, which is kept with the network."""
-    if not hasattr(network, "inference_graph"):
-        rows = tf.TensorSpec((None, *network.input_shape[1:]), tf.float32)
-        inference = functools.partial(network, training=False)
-        network.inference_graph = tf.function(inference, input_signature=[rows])
-    return network.inference_graph
 
 
 def dense_blocks(seed: int) -> Callable:

@@ -25,8 +25,8 @@ def resolve_orientation(shapes: np.ndarray, frontal: np.ndarray, front_landmark:
     Returns:
         `(n, L, 3)` turned shapes: x, y centred on the frontal view, mean z 0.
     """
-    rotations, _, _ = orthographic_cameras(frontal, shapes)
-    turned = (shapes - shapes.mean(1, keepdims=True)) @ np.swapaxes(rotations, 1, 2)
+    rotation = orthographic_cameras(frontal, shapes).rotation
+    turned = (shapes - shapes.mean(1, keepdims=True)) @ np.swapaxes(rotation, 1, 2)
     turned[..., 2] *= np.where(turned[:, front_landmark, 2] < 0, -1, 1)[:, None]
     turned[..., :2] += frontal.mean(1, keepdims=True)
     return turned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -10,32 +11,19 @@ import keras
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from deepmds_keras import weights
-from deepmds_keras.checks import check_faces, check_fitted
+from deepmds_keras import networks, training, weights
+from deepmds_keras.alignment import centre, normalise
+from deepmds_keras.checks import check_faces, check_fitted, check_training_faces
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
-from deepmds_keras.keras2_weights import read_keras2_weights
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import scheme_of
+from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.metrics import explained_share
-from deepmds_keras.networks import (
-    build_autoencoder,
-    build_dissimilarity_net,
-    count_trainable,
-    forward,
-)
-from deepmds_keras.normalisation import centre, normalise
 from deepmds_keras.orientation import front_landmark, resolve_orientation
 from deepmds_keras.proximities import proximities
-from deepmds_keras.training import (
-    Recipe,
-    restore_network,
-    train_autoencoder,
-    train_dissimilarity_net,
-)
 
+_NETWORKS = ("autoencoder", "dissimilarity_net")
 _FACES_PER_CHUNK = 64
 _FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
 
@@ -49,9 +37,8 @@ class DeepMDS(BaseEstimator):
         n_landmarks: L.
         variant: `"paper"` or `"released"`, see `pair_features`.
         centre_views: Whether the mean of each view's landmarks is moved to the origin before the
-            view is normalised. The authors' code does not, and min-max scaling of both axes
-            together depends on the origin: then views must come in the coordinates of the face
-            model. With it, a face may lie anywhere in its image.
+            view is normalised, so that a face may lie anywhere in its image. The authors' code does
+            not: then views must come in the coordinates of the face model.
         schedule: Learning rate, `"constant"` as the paper has it or `"cosine"`. The constant one
             leaves the moving statistics of batch normalisation behind the weights, and the
             error of the networks in use far above that in training.
@@ -73,11 +60,11 @@ class DeepMDS(BaseEstimator):
     Weights that ship: `"deepmds-ibug51"` and `"deepmds-bfm72"`.
 
     Examples:
-        >>> import numpy as np
-        >>> from deepmds_keras import DeepMDS
-        >>> method = DeepMDS.pretrained("deepmds-ibug51")
-        >>> views = np.load("landmarks.npy") * (1, -1)  # (n, 51, 2), y up  # doctest: +SKIP
-        >>> method.predict(views)  # (n, 51, 3)  # doctest: +SKIP
+        >>> from deepmds_keras import DeepMDS, LandmarkLifter
+        >>> face = LandmarkLifter.pretrained("ibug51").weights_["mean"].T  # (51, 3): a mean face
+        >>> shapes = DeepMDS.pretrained("deepmds-ibug51").predict(face[:, :2])  # y up
+        >>> shapes.shape
+        (1, 51, 3)
     """
 
     def __init__(
@@ -91,7 +78,7 @@ class DeepMDS(BaseEstimator):
         dissimilarity_epochs: int = 30,
         dissimilarity_steps: int = 1000,
         seed: int = 0,
-        solver: str = "batched",
+        solver: str = "auto",
         n_jobs: int | None = None,
     ):
         self.n_landmarks = n_landmarks
@@ -128,32 +115,24 @@ class DeepMDS(BaseEstimator):
             InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity, or a
                 checkpoint of another run.
         """
-        views = self._normalised(views)
-        shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
-        if len(views) != len(shapes):
-            raise InputError(
-                f"views and shapes must be of the same faces. Received {len(views)} views and "
-                f"{len(shapes)} shapes."
-            )
+        views, shapes = check_training_faces(views, shapes)
+        views, shapes = self._normalised(views), normalise(shapes)
+        recipes, files, self.history_ = self._recipes(), {}, {}
+        if checkpoint is not None:
+            files = weights.checkpoint_files(checkpoint, self.variant, self.schedule)
 
-        files = {} if checkpoint is None else self._files(checkpoint)
-        recipes = self._recipes()
+        def train(name, function, *faces, **options):
+            options |= {"seed": self.seed, "checkpoint": files.get(name)}
+            if progress is not None:
+                options["progress"] = functools.partial(progress, name)
+            network, self.history_[name] = function(*faces, recipes[name], **options)
+            return network
 
-        def options(name):
-            own = None if progress is None else lambda losses: progress(name, losses)
-            return {"seed": self.seed, "checkpoint": files.get(name), "progress": own}
-
-        self.autoencoder_, first = train_autoencoder(
-            views, shapes[..., :2], recipes["autoencoder"], **options("autoencoder")
+        self.autoencoder_ = train("autoencoder", training.train_autoencoder, views, shapes[..., :2])
+        frontal, options = self.frontalise(views), {"variant": self.variant}
+        self.dissimilarity_net_ = train(
+            "dissimilarity_net", training.train_dissimilarity_net, frontal, shapes, **options
         )
-        self.dissimilarity_net_, second = train_dissimilarity_net(
-            self.frontalise(views),
-            shapes,
-            recipes["dissimilarity_net"],
-            variant=self.variant,
-            **options("dissimilarity_net"),
-        )
-        self.history_ = {"autoencoder": first, "dissimilarity_net": second}
         self.front_landmark_ = front_landmark(shapes)
         return self
 
@@ -169,9 +148,10 @@ class DeepMDS(BaseEstimator):
         """
         self._build()
         self.history_ = {}
-        for name, file in self._files(checkpoint).items():
+        files = weights.checkpoint_files(checkpoint, self.variant, self.schedule)
+        for name, file in files.items():
             label = {"seed": self.seed, **asdict(self._recipes()[name])}
-            self.history_[name] = restore_network(getattr(self, f"{name}_"), file, label)
+            self.history_[name] = training.restore_network(getattr(self, f"{name}_"), file, label)
         self.front_landmark_ = front_landmark(shapes)
         return self
 
@@ -212,9 +192,8 @@ class DeepMDS(BaseEstimator):
             faces = slice(start, start + _FACES_PER_EMBEDDING)
             # Without signs, as the released code has them before mdscale.
             matrices = np.abs(self._matrices(frontal[faces]))
-            shapes[faces] = embed(
-                matrices, solver=self.solver, n_jobs=self.n_jobs, progress=progress
-            )
+            options = {"solver": self.solver, "n_jobs": self.n_jobs, "progress": progress}
+            shapes[faces] = embed(matrices, **options)
         return resolve_orientation(shapes, frontal, self.front_landmark_)
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
@@ -228,9 +207,8 @@ class DeepMDS(BaseEstimator):
             InputError: As for `predict`.
         """
         views = self._normalised(views)
-        network = self._trained("autoencoder_")
         flat = np.float32(views).reshape(len(views), -1)
-        return forward(network, flat).reshape(views.shape)
+        return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
         """Estimated 3D distances of all pairs, as the net gives them: `(n, L, L)`, symmetric.
@@ -251,7 +229,7 @@ class DeepMDS(BaseEstimator):
         """
         arrays = {
             f"{name}/{key}": array
-            for name in ("autoencoder", "dissimilarity_net")
+            for name in _NETWORKS
             for key, array in weights.network_arrays(self._trained(f"{name}_")).items()
         }
         described = {
@@ -270,17 +248,21 @@ class DeepMDS(BaseEstimator):
         """
         arrays, described = read_arrays(path)
         try:
-            model = cls(**described["parameters"])
+            parameters = described["parameters"]
+            if parameters.get("solver") == "batched":  # its name until version 0.2
+                parameters["solver"] = "auto"
+            model = cls(**parameters)
             model.front_landmark_ = range(model.n_landmarks)[described["front_landmark"]]
             model.history_ = described["history"]
             if len(arrays["autoencoder/encode_1/kernel"]) != 2 * model.n_landmarks:
                 raise ValueError(f"its weights are not of {model.n_landmarks} landmarks")
             model._build()
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path} was not written by DeepMDS.save(): {error}.") from None
-        for name in ("autoencoder", "dissimilarity_net"):
-            own = {k.split("/", 1)[1]: a for k, a in arrays.items() if k.startswith(f"{name}/")}
-            weights.set_network_arrays(getattr(model, f"{name}_"), own, str(path))
+        for name in _NETWORKS:
+            prefix = f"{name}/"
+            held = {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
+            weights.set_network_arrays(getattr(model, f"{name}_"), held, str(path))
         return model
 
     @classmethod
@@ -306,14 +288,14 @@ class DeepMDS(BaseEstimator):
         tip = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model = cls(n_landmarks, "released")
         model._build()
-        read_keras2_weights(model.autoencoder_, autoencoder_h5)
-        read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
+        weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
+        weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
         model.front_landmark_, model.history_ = tip, {}
         return model
 
     @property
     def n_parameters(self) -> int:
-        return count_trainable(self._trained("autoencoder_"), self._trained("dissimilarity_net_"))
+        return networks.count_trainable(*(self._trained(f"{name}_") for name in _NETWORKS))
 
     def _normalised(self, views: np.ndarray) -> np.ndarray:
         views = check_faces(views, "views", 2, self.n_landmarks)
@@ -328,25 +310,21 @@ class DeepMDS(BaseEstimator):
             chunk = points[start : start + _FACES_PER_CHUNK]
             features = proximities(chunk[:, first], chunk[:, second], self.variant)
             flat = features.reshape(-1, features.shape[-1])
-            distances = forward(network, flat).reshape(len(chunk), -1)
-            matrices[start : start + len(chunk), first, second] = distances
-            matrices[start : start + len(chunk), second, first] = distances
+            distances = networks.forward(network, flat).reshape(len(chunk), -1)
+            faces = matrices[start : start + len(chunk)]
+            faces[:, first, second] = faces[:, second, first] = distances
         return matrices
 
-    def _recipes(self) -> dict[str, Recipe]:
+    def _recipes(self) -> dict[str, training.Recipe]:
+        steps, schedule = self.dissimilarity_steps, self.schedule
         return {
-            "autoencoder": Recipe(self.autoencoder_epochs, schedule=self.schedule),
-            "dissimilarity_net": Recipe(
-                self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule
-            ),
+            "autoencoder": training.Recipe(self.autoencoder_epochs, schedule=schedule),
+            "dissimilarity_net": training.Recipe(self.dissimilarity_epochs, steps, schedule),
         }
 
-    def _files(self, checkpoint: str | Path) -> dict[str, Path]:
-        return weights.checkpoint_files(checkpoint, self.variant, self.schedule)
-
     def _build(self) -> None:
-        self.autoencoder_ = build_autoencoder(self.n_landmarks)
-        self.dissimilarity_net_ = build_dissimilarity_net(self.variant)
+        self.autoencoder_ = networks.build_autoencoder(self.n_landmarks)
+        self.dissimilarity_net_ = networks.build_dissimilarity_net(self.variant)
 
     def _trained(self, name: str) -> keras.Model:
         return check_fitted(self, name, "fit, restore, load or pretrained")

@@ -12,17 +12,12 @@ import numpy as np
 import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
+from deepmds_keras.alignment import normalise
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
-from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import proximities
-from deepmds_keras.streams import Stream
-from deepmds_keras.weights import (
-    read_checkpoint,
-    set_network_arrays,
-    write_checkpoint,
-)
+from deepmds_keras.weights import Stream, read_checkpoint, set_network_arrays, write_checkpoint
 
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
@@ -74,16 +69,14 @@ def train_autoencoder(
         frontal: `(n, L, 2)` x and y of the normalised shapes.
         recipe: Epochs, batch size and learning rate.
         seed: Of the initial weights and of the order of the faces.
-        checkpoint: File to go on from, and to write after every epoch.
-        progress: Called after every epoch with its losses.
+        checkpoint, progress: As for `train_by_epoch`.
 
     Returns:
         The network, and the loss of each epoch: `train` in training mode, while the weights
         change, and `inference` of the network as it is afterwards, over the same faces.
     """
     n, n_landmarks = views.shape[:2]
-    views = np.float32(views).reshape(n, -1)
-    frontal = np.float32(frontal).reshape(n, -1)
+    views, frontal = (np.float32(points).reshape(n, -1) for points in (views, frontal))
     size = min(recipe.batch_size, n)
     steps = recipe.steps_per_epoch or n // size
     model = build_autoencoder(n_landmarks, seed=seed)
@@ -94,8 +87,7 @@ def train_autoencoder(
         return tf.data.Dataset.from_tensor_slices((views[faces], frontal[faces]))
 
     def inference() -> float:
-        predicted = forward(model, views)
-        return float(np.mean((predicted - frontal) ** 2))
+        return float(np.mean((forward(model, views) - frontal) ** 2))
 
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
     return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
@@ -126,38 +118,31 @@ def train_dissimilarity_net(
         shuffled: Whether a mini-batch is as many pairs as one face has, drawn from all faces (the
             other scheme of the paper's "Ablation Study").
         seed: Of the initial weights and of the order of the faces.
-        checkpoint: File to go on from, and to write after every epoch.
-        progress: Called after every epoch with its losses.
+        checkpoint, progress: As for `train_by_epoch`.
 
     Returns:
         The network, and the loss of each epoch, as `train_autoencoder`; `inference` is over a
         fixed fifty of the faces.
     """
     n, n_landmarks = shapes.shape[:2]
-    frontal = np.float32(normalise(frontal))
-    shapes = np.float32(shapes)
+    frontal, shapes = np.float32(normalise(frontal)), np.float32(shapes)
+    first, second = np.triu_indices(n_landmarks, 1)
     if variant == "released":
         first, second = (index.ravel() for index in np.indices((n_landmarks, n_landmarks)))
-    else:
-        first, second = np.triu_indices(n_landmarks, 1)
     steps = recipe.steps_per_epoch or n
     model = build_dissimilarity_net(variant, seed=seed, chain=chain)
     # Element-wise work on thousands of pairs is most of a step, which XLA fuses.
-    model.compile(
-        recipe.optimizer(steps),
-        "mse",
-        steps_per_execution=steps_per_call(steps),
-        jit_compile=True,
-    )
+    calls = steps_per_call(steps)
+    model.compile(recipe.optimizer(steps), "mse", steps_per_execution=calls, jit_compile=True)
 
     def batches(epoch: int) -> tf.data.Dataset:
-        # Pairs are made beside the training, a few faces ahead: all at once fill the memory.
+        # Pairs are made in parallel to the training, a few faces ahead: all would fill the memory.
         if shuffled:
             rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
             faces, drawn = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
             ends = [(faces, landmarks[drawn]) for landmarks in (first, second)]
-            drawn = tuple([array[end] for end in ends] for array in (frontal, shapes))
-            data = tf.data.Dataset.from_tensor_slices((*map(tuple, drawn),))
+            pairs = tuple(tuple(array[end] for end in ends) for array in (frontal, shapes))
+            data = tf.data.Dataset.from_tensor_slices(pairs)
             data = data.map(lambda *pair: features_and_distances(*pair, variant, tnp))
         else:
             faces = face_order(n, steps, seed, epoch)
@@ -165,15 +150,12 @@ def train_dissimilarity_net(
             data = data.map(lambda *face: pairs_of_faces(*face, (first, second), variant, tnp))
         return data.prefetch(_STEPS_PER_CALL)
 
-    check = slice(min(n, _DISSIMILARITY_CHECK_FACES))
-    check_features, check_distances = pairs_of_faces(
-        frontal[check], shapes[check], (first, second), variant
-    )
-    check_features = check_features.reshape(-1, check_features.shape[-1])
+    check = slice(_DISSIMILARITY_CHECK_FACES)
+    features, distances = pairs_of_faces(frontal[check], shapes[check], (first, second), variant)
+    features, distances = features.reshape(-1, features.shape[-1]), distances.reshape(-1, 1)
 
     def inference() -> float:
-        predicted = forward(model, check_features)
-        return float(np.mean((predicted - check_distances.reshape(-1, 1)) ** 2))
+        return float(np.mean((forward(model, features) - distances) ** 2))
 
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
     if shuffled:
@@ -234,15 +216,16 @@ def train_by_epoch(
         description = read_checkpoint(checkpoint, model)
         _check_run(checkpoint, description["label"], label)
         history = description["history"]
-        for epoch in range(len(history["train"])):
-            _report(progress, history, epoch)
-    for epoch in range(len(history["train"]), label["epochs"]):
-        fitted = model.fit(untuned(batches(epoch)), shuffle=False, verbose=0)
-        history["train"].append(float(fitted.history["loss"][0]))
-        history["inference"].append(inference())
-        if checkpoint is not None:
-            write_checkpoint(checkpoint, model, {"label": label, "history": history})
-        _report(progress, history, epoch)
+    done = len(history["train"])
+    for epoch in range(label["epochs"]):
+        if epoch >= done:
+            fitted = model.fit(untuned(batches(epoch)), shuffle=False, verbose=0)
+            history["train"].append(float(fitted.history["loss"][0]))
+            history["inference"].append(inference())
+            if checkpoint is not None:
+                write_checkpoint(checkpoint, model, {"label": label, "history": history})
+        if progress is not None:
+            progress({name: losses[epoch] for name, losses in history.items()})
     return history
 
 
@@ -265,9 +248,9 @@ def restore_network(
     if not os.path.exists(checkpoint):
         raise InputError(f"{checkpoint} does not exist; {model.name} is not trained yet.")
     arrays, description = read_arrays(checkpoint)
-    found, history = description.get("label", {}), description.get("history", {"train": []})
+    written, history = description.get("label", {}), description.get("history", {"train": []})
     label = {"network": model.name, **label}
-    _check_run(checkpoint, {name: found.get(name) for name in label}, label)
+    _check_run(checkpoint, {name: written.get(name) for name in label}, label)
     done = len(history["train"])
     if done < label["epochs"]:
         raise InputError(
@@ -277,11 +260,11 @@ def restore_network(
     return history
 
 
-def _check_run(checkpoint: str | Path, found: dict, needed: dict) -> None:
-    if found != needed:
+def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
+    if received != needed:
         raise InputError(
             f"{checkpoint} is of another run; delete it to train anew. "
-            f"Received {found}, needed {needed}."
+            f"Received {received}, needed {needed}."
         )
 
 
@@ -313,7 +296,7 @@ def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Data
         tf.TensorSpec((batch, targets.shape[1]), tf.float32),
     )
     data = tf.data.Dataset.from_generator(
-        lambda: ((images[own], targets[own]) for own in rows), output_signature=signature
+        lambda: ((images[batch], targets[batch]) for batch in rows), output_signature=signature
     )
     data = data.apply(tf.data.experimental.assert_cardinality(steps))
     return data.map(lambda image, target: (scale_images(image), target)).prefetch(8)
@@ -325,20 +308,10 @@ def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray
     Epochs that are shorter than the data go on where the one before stopped, so that every face
     is seen equally often.
     """
-    start = epoch * n_wanted
-    rounds = range(start // n_faces, (start + n_wanted - 1) // n_faces + 1)
-    faces = np.concatenate(
-        [
-            np.random.default_rng([seed, Stream.FACE_ORDER, number]).permutation(n_faces)
-            for number in rounds
-        ]
-    )
-    return faces[start - rounds[0] * n_faces :][:n_wanted]
-
-
-def _report(progress, history, epoch):
-    if progress is not None:
-        progress({name: losses[epoch] for name, losses in history.items()})
+    first, skipped = divmod(epoch * n_wanted, n_faces)
+    streams = ([seed, Stream.FACE_ORDER, first + k] for k in range(-(-n_wanted // n_faces) + 1))
+    faces = [np.random.default_rng(stream).permutation(n_faces) for stream in streams]
+    return np.concatenate(faces)[skipped : skipped + n_wanted]
 
 
 def steps_per_call(steps: int) -> int:

@@ -1,13 +1,14 @@
-"""Files of trained networks and checkpoints."""
+"""Trained networks: their files, checkpoints, and the random streams that training draws from."""
 
 from __future__ import annotations
 
+from enum import IntEnum, unique
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_arrays, write_arrays
 
 if TYPE_CHECKING:
@@ -16,14 +17,27 @@ if TYPE_CHECKING:
 PRETRAINED = Path(__file__).with_name("pretrained")
 
 
+@unique
+class Stream(IntEnum):
+    """Random streams of training: `default_rng([seed, Stream.FACE_ORDER, epoch])`.
+
+    Numbers after the seed, below 100; `experiments.streams` goes on from there. None is 0: NumPy
+    pads short seeds with zeros, so that `default_rng(s)` is `default_rng([s, 0])`.
+    """
+
+    FACE_ORDER = 1
+    SHUFFLED_PAIRS = 2
+    RINGS = 3
+    LIFTING_SPLIT = 11
+    LIFTING_BASIS = 12
+    LIFTING_CHECK = 13
+    LIFTING_TRAINING = 14
+    LIFTING_WEIGHTS = 15
+
+
 def network_arrays(network: keras.Model) -> dict[str, np.ndarray]:
     """The weights of a network by layer and name, such as `encode_1/kernel`."""
-    return {
-        f"{layer.name}/{weight.name}": weight.numpy()
-        for layer in network.layers
-        for weight in layer.weights
-        if "seed_generator" not in weight.path
-    }
+    return {key: weight.numpy() for key, weight in _variables(network).items()}
 
 
 def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], source: str) -> None:
@@ -33,18 +47,8 @@ def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], sour
         InputError: A weight is missing, no number, NaN, infinite or of another shape; the message
             names `source`.
     """
-    for layer in network.layers:
-        for weight in layer.weights:
-            key = f"{layer.name}/{weight.name}"
-            array = arrays.get(key, np.empty(0, object))
-            if array.dtype.kind not in "fiu" or array.shape != tuple(weight.shape):
-                found = f"{array.dtype} {array.shape}" if key in arrays else "nothing"
-                raise InputError(
-                    f"{source}: {key} of {network.name} must have shape {tuple(weight.shape)}. "
-                    f"Received {found}."
-                )
-            check_finite(array, f"{source}: {key} of {network.name}")
-            weight.assign(array)
+    for key, weight in _variables(network).items():
+        _assign(weight, arrays.get(key), f"{source}: {key} of {network.name}")
 
 
 def write_checkpoint(path: str | Path, network: keras.Model, description: dict) -> None:
@@ -64,10 +68,7 @@ def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
     set_network_arrays(network, arrays, str(path))
     network.optimizer.build(network.trainable_variables)
     for i, variable in enumerate(network.optimizer.variables):
-        array = arrays.get(f"optimizer/{i}", np.empty(0, object))
-        if array.dtype.kind not in "fiu" or array.shape != tuple(variable.shape):
-            raise InputError(f"{path} holds no optimiser state; delete it to train anew.")
-        variable.assign(array)
+        _assign(variable, arrays.get(f"optimizer/{i}"), f"{path}: state {i} of the optimiser")
     return description
 
 
@@ -96,7 +97,69 @@ def pretrained_path(name: str) -> Path:
     return path
 
 
-def check_finite(array: np.ndarray, name: str) -> None:
-    """Raise InputError, which names the array, where it holds NaN or infinity."""
+def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
+    """Load a Keras 2 weight file (HDF5, weights only), as the authors released, into a network.
+
+    Layers correspond by order, since their names differ. The file is parsed, never executed.
+
+    Raises:
+        InputError: Missing or truncated file, or one whose layers have other shapes or hold NaN
+            or infinity.
+    """
+    import h5py  # of the extra `keras`, which lifters do without
+
+    layers = [layer for layer in network.layers if layer.weights]
+    needed = [[tuple(weight.shape) for weight in layer.weights] for layer in layers]
+    try:
+        with h5py.File(path, "r") as file:
+            groups = [file[name] for name in _read_names(file, "layer_names")]
+            groups = [[g[name] for name in _read_names(g, "weight_names")] for g in groups]
+            groups = [group for group in groups if group]
+            shapes = [[dataset.shape for dataset in group] for group in groups]
+            # Shapes come first: a damaged file may claim more numbers than memory holds.
+            arrays = [[d[()] for d in group] for group in groups] if shapes == needed else []
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be a Keras 2 weight file.") from None
+    except Exception as error:  # h5py raises many kinds for a damaged file
+        received = f"{type(error).__name__}: {brief(error)}"
+        raise InputError(
+            f"{path} must be a Keras 2 weight file (HDF5). Received {received}."
+        ) from None
+    if shapes != needed:
+        pairs = enumerate(zip(shapes, needed, strict=False), start=1)
+        differing = [f"layer {i} has {a}, not {b}" for i, (a, b) in pairs if a != b]
+        differing.append(f"it has {len(shapes)} layers with weights, not {len(needed)}")
+        raise InputError(f"{path} does not fit the network {network.name}: {differing[0]}.")
+    for layer, group in zip(layers, arrays, strict=True):
+        for variable, array in zip(layer.weights, group, strict=True):
+            _assign(variable, array, f"{path}: layer {layer.name} of {network.name}")
+
+
+def _read_names(group, key: str) -> list:
+    """An attribute that lists names; other kinds crash HDF5 when they are damaged."""
+    import h5py
+
+    attribute = group.attrs.get_id(key)
+    if 0 in attribute.shape:  # of a layer without weights, which Keras writes as no numbers
+        return []
+    if attribute.dtype.kind != "S" and h5py.check_string_dtype(attribute.dtype) is None:
+        raise ValueError(f"{key} are no text but {attribute.dtype}")
+    return [*group.attrs[key]]
+
+
+def _variables(network: keras.Model) -> dict:
+    """Weights by layer and name; Keras counts the state of random generators to none."""
+    layers = network.layers
+    return {f"{layer.name}/{weight.name}": weight for layer in layers for weight in layer.weights}
+
+
+def _assign(variable, array: np.ndarray | None, name: str) -> None:
+    """Set a variable, or raise InputError, which names the array, where it does not fit."""
+    if array is None or array.dtype.kind not in "fiu" or array.shape != tuple(variable.shape):
+        received = "nothing" if array is None else f"{array.dtype} {array.shape}"
+        raise InputError(
+            f"{name} must be numbers of shape {tuple(variable.shape)}. Received {received}."
+        )
     if not np.isfinite(array).all():
         raise InputError(f"{name} must be finite. Received NaN or infinity.")
+    variable.assign(array)

@@ -16,16 +16,14 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
+from data_gen.appearance import Albedo, Lights
 from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.models.openhead import load_openhead
-from data_gen.rendering.albedo import Albedo
-from data_gen.rendering.renderer import Lights, Renderer, square_frames
-from data_gen.views.photo_views import sample_expressive
-from data_gen.views.projections import in_camera_frame, sample_hard_cameras
+from data_gen.renderer import Renderer, square_frames
+from data_gen.views import in_camera_frame, sample_expressive, sample_hard_cameras
+from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.files import write_bytes
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.normalisation import centre, normalise
+from deepmds_keras.landmarks import convert, load_scheme
 from experiments.figures.style import INK, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view
 

@@ -11,9 +11,9 @@ from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from data_gen.views.projections import Cameras, in_camera_frame
+from data_gen.views import Cameras, in_camera_frame
+from deepmds_keras.alignment import centre, normalise, unit
 from deepmds_keras.files import read_arrays
-from deepmds_keras.normalisation import centre, normalise, unit
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.records import load_record
 from experiments.run import Run

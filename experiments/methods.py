@@ -12,8 +12,8 @@ from operator import attrgetter
 
 import numpy as np
 
+from deepmds_keras.alignment import normalise
 from deepmds_keras.errors import InputError
-from deepmds_keras.normalisation import normalise
 from experiments import recipes
 from experiments.inputs import Faces, load_landmark_model
 from experiments.method import Method

@@ -90,19 +90,19 @@ def frontal_faces(run: Run) -> tuple[np.ndarray]:
 
 
 def mean_shape(run: Run):
-    from deepmds_keras.baselines.mean_shape import MeanShape
+    from deepmds_keras.baselines.closed_form import MeanShape
 
     return MeanShape()
 
 
 def linear(run: Run):
-    from deepmds_keras.baselines.linear import Linear
+    from deepmds_keras.baselines.closed_form import Linear
 
     return Linear()
 
 
 def aldrian(run: Run):
-    from deepmds_keras.baselines.aldrian import Aldrian
+    from deepmds_keras.baselines.closed_form import Aldrian
 
     return Aldrian(*load_landmark_model(run))
 
@@ -112,7 +112,7 @@ def aldrian_authors(run: Run):
     import numpy as np
 
     from data_gen.models.registry import load_model
-    from deepmds_keras.baselines.aldrian_authors import AldrianAuthors
+    from deepmds_keras.baselines.closed_form import AldrianAuthors
 
     model = load_model(run.model, run.data)
     # The basis is orthonormal over the mesh, so that a component's s.d. is the norm of its offsets.
@@ -293,12 +293,12 @@ def _licensed_ringnet(run: Run):
             "DATA= must be the folder of FLAME, on whose mesh the licensed RingNet has its "
             "landmarks. Received none."
         )
-    from data_gen.models.flame import read_flame
-    from data_gen.models.flame_embedding import embedding_near
+    from data_gen.models.flame import load_embedding, read_flame
+    from data_gen.models.registry import find_model
     from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 
-    embedding = embedding_near(run.data)
-    corners = read_flame(run.data).triangles[embedding.triangles]
+    embedding = load_embedding(run.data)
+    corners = read_flame(find_model("flame", run.data))["f"][embedding.triangles]
     return ReleasedRingNet(run.ringnet, corners, embedding.weights)
 
 
@@ -317,6 +317,6 @@ def ringnet_file(run: Run) -> Path | None:
 
 def ringnet_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
     """Build the published network, to count its parameters."""
-    from deepmds_keras.baselines.ringnet_net import build_ringnet
+    from deepmds_keras.baselines.networks import build_ringnet
 
     return [build_ringnet(*_RINGNET)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 from data_gen.models.registry import MODELS
-from data_gen.views.projections import PROTOCOLS
+from data_gen.views import PROTOCOLS
 from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 

@@ -9,7 +9,7 @@ from enum import IntEnum, unique
 class Stream(IntEnum):
     """Number that stands after the seed; those of single files, subjects or photos follow it.
 
-    From 100 on, since `deepmds_keras.streams` has those of training below.
+    From 100 on, since `deepmds_keras.weights` has those of training below.
     """
 
     TRAIN_FACES = 101

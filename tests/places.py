@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from deepmds_keras.detection.mediapipe_models import has_face_mesh
+from deepmds_keras.detection.mediapipe_landmarks import has_face_mesh
 
 ROOT = Path(__file__).parents[1]
 # Reference material beside the repository; tests that need it skip where it is not.

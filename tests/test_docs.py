@@ -13,9 +13,9 @@ import pytest
 from documents import FOLDER, PAGES, text_of
 from places import ROOT, SHARED
 
-from data_gen.models import bfm2009, bfm2017, flame, flame_embedding, ict
-from data_gen.models.registry import MODELS, load_model
-from data_gen.views.projections import PROTOCOLS
+from data_gen.models import basel, flame
+from data_gen.models.registry import FILES, MODELS, load_model
+from data_gen.views import PROTOCOLS
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.ringnet import RingNet
@@ -237,15 +237,13 @@ def test_the_table_of_recipes_is_that_of_the_code():
 
 def test_every_file_name_that_a_loader_looks_for_is_documented():
     data = text_of("docs/data.md")
-    candidates = [*bfm2009.CANDIDATES, *flame.CANDIDATES, *flame_embedding.FILENAMES]
-    candidates += [name for names in bfm2017.CANDIDATES.values() for name in names]
+    candidates = [*flame.EMBEDDINGS, *(name for names in FILES.values() for name in names)]
     candidates += [name for names in AUTHORS_FILES.values() for name in names]
-    candidates += [name for name in ict.CANDIDATES if "." in name]
     for candidate in candidates:
         *folders, name = candidate.split("/")
         assert f"`{name}`" in data, name
         assert all(f"{folder}/" in data for folder in folders), candidate
-    assert f"{bfm2009.N_VERTICES:,} vertices" in data
+    assert f"{basel.N_VERTICES_2009:,} vertices" in data
 
 
 def test_sizes_and_hashes_of_files():

@@ -1,8 +1,9 @@
-"""What is published: sdist and wheel, and the wheel alone in an empty environment."""
+"""What is published: sdist and wheel, and the wheel with its extras in empty environments."""
 
 import shutil
 import subprocess
 import sys
+import zipfile
 
 import pytest
 from places import ROOT
@@ -18,16 +19,20 @@ def run(*command, **options):
     return done.stdout
 
 
-def there(python):
-    """Whether a version of Python is on this machine, and not only a name for it."""
-    found = shutil.which(python)
-    return found is not None and subprocess.run([found, "--version"]).returncode == 0
+def version_of(python):
+    """Of a Python on this machine, None where there is only its name: `(3, 11)`."""
+    if shutil.which(python) is None:
+        return None
+    code = "import sys; print(*sys.version_info[:2])"
+    done = subprocess.run([python, "-c", code], capture_output=True, text=True)
+    return tuple(map(int, done.stdout.split())) or None
 
 
 def environment(python, folder, *packages):
     """The programs of a new virtual environment."""
     run(python, "-m", "venv", str(folder))
-    run(str(folder / "bin" / "python"), "-m", "pip", "install", "-q", *packages)
+    if packages:
+        run(str(folder / "bin" / "python"), "-m", "pip", "install", "-q", *packages)
     return folder / "bin"
 
 
@@ -49,13 +54,45 @@ def test_twine_finds_nothing_wrong(tools, files):
     assert [path.suffix for path in files] == [".whl", ".gz"]
     said = run(str(tools / "twine"), "check", "--strict", *map(str, files))
     assert said.count("PASSED") == 2
+    assert "deepmds_keras/py.typed" in zipfile.ZipFile(files[0]).namelist()
 
 
-@pytest.mark.parametrize("python", [sys.executable, *filter(there, PYTHONS)])
+@pytest.mark.parametrize("python", [sys.executable, *filter(version_of, PYTHONS)])
 def test_the_wheel_alone_predicts(files, tmp_path, python):
     programs = environment(python, tmp_path / "venv", f"{files[0]}[dlib]")
     deepmds = str(programs / "deepmds")
     said = run(deepmds, "predict", str(PHOTO), "--out", "out", "--view", cwd=tmp_path)
     assert "3 faces" in said
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"portraits.csv", "portraits.json", "portraits.html"} <= names
+    assert {"portraits.csv", "portraits.png", "portraits.html"} <= names
+
+
+# MediaPipe's own interface, which needs protobuf 4; TensorFlow and onnx take later ones, too.
+FIND_FACES = """
+import sys
+import mediapipe
+import numpy
+from PIL import Image
+
+photo = numpy.asarray(Image.open(sys.argv[1]).convert("RGB"))
+with mediapipe.solutions.face_mesh.FaceMesh(static_image_mode=True, max_num_faces=5) as mesh:
+    print(len(mesh.process(photo).multi_face_landmarks))
+"""
+
+
+@pytest.mark.parametrize("extras", [("mediapipe", "keras", "onnx"), ("keras", "onnx", "mediapipe"),
+                                    ("mediapipe,keras,onnx",)], ids="-".join)  # fmt: skip
+def test_extras_work_together_in_whatever_order_they_are_installed(files, tmp_path, extras):
+    # MediaPipe has wheels for these versions only.
+    known = (name for name in (sys.executable, *PYTHONS) if version_of(name) in ((3, 11), (3, 12)))
+    programs = environment(next(known), tmp_path / "venv")
+    for extra in extras:
+        run(str(programs / "python"), "-m", "pip", "install", "-q", f"{files[0]}[{extra}]")
+    run(str(programs / "python"), "-m", "pip", "check")
+    deepmds = str(programs / "deepmds")
+    run(deepmds, "predict", str(PHOTO), "--detector", "mediapipe", "--out", "out", cwd=tmp_path)
+    landmarks = str(tmp_path / "out" / "portraits.csv")
+    told = run(deepmds, "predict", landmarks, "--model", "deepmds", "--out", "net", cwd=tmp_path)
+    assert "3 faces" in told
+    run(deepmds, "export", "model.onnx", cwd=tmp_path)
+    assert run(str(programs / "python"), "-c", FIND_FACES, str(PHOTO)).split()[-1] == "3"

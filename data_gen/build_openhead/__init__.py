@@ -1,4 +1,1 @@
-"""Builds `data_gen/assets/openhead.npz`, the embedded head model, from CC0 MakeHuman assets.
-
-Run `python -m data_gen.build_openhead`; LICENSE-openhead.md beside the asset tells what it is.
-"""
+"""Builds `data_gen/assets/openhead.npz`, see LICENSE-openhead.md beside it."""

@@ -12,30 +12,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from data_gen.build_openhead.calibrate import fit_sds, write_sds
-from data_gen.build_openhead.components import (
-    align_rigidly,
-    expressions,
-    place_origin,
-    principal_components,
-)
-from data_gen.build_openhead.cut import average_adult, cut_head
+from data_gen.build_openhead.components import align_rigidly, principal_components
+from data_gen.build_openhead.cut import cut_head
 from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
 from data_gen.build_openhead.prior import load_prior
 from data_gen.models.openhead import OPENHEAD
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import atomic_write
 
-N_SAMPLES = 8000
-SEED = 20240
+N_SAMPLES, SEED = 8000, 20240
+NOSE_TIP = 28  # landmark 29 of bfm72
+NOSE_TIP_POSITION = np.array([0.0, 4.4, 131.0])  # mm; where the Basel Face Model has it
 
 
-def build(wheel: Path, ict: Path | None = None) -> dict[str, np.ndarray]:
-    """The arrays of the asset, by name.
-
-    Args:
-        wheel: The wheel that carries MakeHuman's assets.
-        ict: ICT-FaceKit Light as npz, to fit the prior anew (rewrites `identity_prior.csv`).
+def build(wheel: Path) -> dict[str, np.ndarray]:
+    """The arrays of the asset, by name, from the wheel that carries MakeHuman's assets.
 
     Raises:
         InputError: A file is not what it should be.
@@ -43,19 +34,18 @@ def build(wheel: Path, ict: Path | None = None) -> dict[str, np.ndarray]:
     assets = MakeHumanAssets(wheel)
     head = cut_head(assets)
     prior = load_prior(assets, head, partial(tqdm, desc="targets", unit="file"))
-    if ict is not None:
-        write_sds(fit_sds(prior, head, head.restrict(average_adult(assets)), ict))
-        prior = load_prior(assets, head)
     heads = prior.sample(N_SAMPLES, np.random.default_rng(SEED))
     mean = align_rigidly(heads, head, partial(tqdm, desc="alignment", unit="round"))
     identity = principal_components(heads, mean, head)
-    expression_names, expression = expressions(assets, head)
-    masks = {f"mask_{name}": np.round(255 * mask) for name, mask in head.masks.items()}
+    # Left out: the head has no tongue, so nothing of it would move.
+    expressions = [name for name in assets.face_unit_names() if name != "tongueOut"]
+    moves = np.array([head.restrict(assets.face_unit(name)) for name in expressions])
+    nose = mean[head.landmarks["bfm72"][NOSE_TIP]]
     return {
-        "mean": place_origin(mean, head).astype(np.float32),
+        "mean": (mean + NOSE_TIP_POSITION - nose).astype(np.float32),
         "identity_basis_times_sd": identity.astype(np.float16),
-        "expression_basis": expression.astype(np.float16),
-        "expression_names": np.array(expression_names),
+        "expression_basis": moves.astype(np.float16),
+        "expression_names": np.array(expressions),
         "triangles": head.triangles.astype(np.uint16),
         "landmarks72": head.landmarks["bfm72"].astype(np.uint16),
         "landmarks68": head.landmarks["ibug68"].astype(np.uint16),
@@ -63,7 +53,7 @@ def build(wheel: Path, ict: Path | None = None) -> dict[str, np.ndarray]:
         "part": head.part.astype(np.uint8),
         "uv": head.uv.astype(np.float16),
         "base_vertex": head.base_vertex.astype(np.int16),
-        **{name: mask.astype(np.uint8) for name, mask in masks.items()},
+        **{f"mask_{k}": np.round(255 * mask).astype(np.uint8) for k, mask in head.masks.items()},
     }
 
 
@@ -71,7 +61,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m data_gen.build_openhead", description=__doc__)
     parser.add_argument("--wheel", type=Path, help=f"the wheel {WHEEL}; downloaded if not given")
     parser.add_argument("--output", type=Path, default=OPENHEAD, help="default: %(default)s")
-    parser.add_argument("--calibrate", type=Path, metavar="ICT", help="fit the prior to this npz")
     arguments = parser.parse_args()
     output = arguments.output
     with tempfile.TemporaryDirectory() as folder:
@@ -79,7 +68,7 @@ def main() -> None:
             wheel = arguments.wheel or download_wheel(Path(folder))
             # On one thread sums are taken in one order, so that the bytes can be repeated.
             with threadpool_limits(1):
-                arrays = build(wheel, arguments.calibrate)
+                arrays = build(wheel)
         except InputError as error:
             sys.exit(f"error: {error}")
     with atomic_write(output) as file:

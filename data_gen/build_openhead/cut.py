@@ -1,8 +1,8 @@
 """Cuts the head out of MakeHuman's body: triangles, parts, regions, landmarks, pupils.
 
 `kept_faces.csv` lists the faces that stay. It was made once by rendering every face of body, eyes
-and teeth above base y = 590 mm (without the shoulders: |x| > 44 mm below y = 622 mm) in a colour of
-its own, from many directions and with six expressions. A face stays if it covered three pixels or
+and teeth above base y = 590 mm (without the shoulders: |x| > 44 mm below y = 622 mm) in a separate
+colour, from many directions and with six expressions. A face stays if it covered three pixels or
 more, its mirror image did or it touches one that did; so do all faces above y = 752 mm, body faces
 behind z = 20 mm and all teeth, or the crown would have holes. The upper mouth vestibule goes,
 because it pokes through the base of the nose at 1.5 s.d.: inside the mouth, above y = 680 mm and in
@@ -13,25 +13,20 @@ same vertices on every graphics driver.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from data_gen.build_openhead.makehuman import MakeHumanAssets
-from data_gen.build_openhead.tables import KEPT_FACES, LANDMARKS
 from deepmds_keras.files import read_table
 
+KEPT_FACES, LANDMARKS = (Path(__file__).parent / f"{n}.csv" for n in ("kept_faces", "landmarks"))
 # base.obj closes the front of each eyeball by a flat octagon without a centre.
 RIGHT_PUPIL_RING = np.arange(14670, 14734, 9)
 LEFT_PUPIL_RING = np.arange(14598, 14662, 9)
 RIGHT_PUPIL, LEFT_PUPIL = -1, -2  # their names in landmarks.csv
-
-PARTS = {
-    "body": 0,
-    "helper-r-eye": 1,
-    "helper-l-eye": 2,
-    "helper-upper-teeth": 3,
-    "helper-lower-teeth": 4,
-}
+# By number of the part.
+PARTS = ("body", "helper-r-eye", "helper-l-eye", "helper-upper-teeth", "helper-lower-teeth")
 MASKS = ("lips", "face", "ears", "eyelids", "inside-mouth")
 
 
@@ -42,7 +37,7 @@ class Head:
     Attributes:
         base_vertex: `(V,)` int, vertex of base.obj, or RIGHT_PUPIL and LEFT_PUPIL.
         triangles: `(T, 3)` int, counter-clockwise seen from outside.
-        part: `(V,)` int, a value of PARTS.
+        part: `(V,)` int, index into PARTS.
         mirror: `(V,)` int, the vertex on the other side.
         uv: `(V, 2)` float, texture coordinates; zero at the pupils.
         masks: Region name to `(V,)` float in [0, 1], mirror-symmetric.
@@ -72,7 +67,7 @@ class Head:
 
 def average_adult(assets: MakeHumanAssets) -> np.ndarray:
     """`(V_base, 3)`: the mean of MakeHuman's young adults of both sexes and three origins."""
-    average = assets.mesh.vertices.copy()
+    average = assets.vertices.copy()
     for sex in ("female", "male"):
         for origin in ("african", "asian", "caucasian"):
             average += assets.target(f"macrodetails/{origin}-{sex}-young") / 6
@@ -83,13 +78,12 @@ def average_adult(assets: MakeHumanAssets) -> np.ndarray:
 
 def cut_head(assets: MakeHumanAssets) -> Head:
     """The head of the base mesh, its pupils added and its quads split."""
-    mesh = assets.mesh
     runs = [(int(row["first"]), int(row["last"])) for row in read_table(KEPT_FACES)]
     kept = np.concatenate([np.arange(first, last + 1) for first, last in runs])
-    quads, groups = mesh.faces[kept], mesh.groups[kept]
+    quads, groups = assets.faces[kept], assets.groups[kept]
     base_vertex = np.unique(quads)
     n = len(base_vertex)
-    number = np.full(len(mesh.vertices), -1)
+    number = np.full(len(assets.vertices), -1)
     number[base_vertex] = np.arange(n)
 
     average = average_adult(assets)
@@ -98,18 +92,21 @@ def cut_head(assets: MakeHumanAssets) -> Head:
         pupil_fan(number[RIGHT_PUPIL_RING], n, average[RIGHT_PUPIL_RING]),
         pupil_fan(number[LEFT_PUPIL_RING], n + 1, average[LEFT_PUPIL_RING]),
     ]
-    part = np.zeros(n + 2, int)
-    for group, code in PARTS.items():
+    part = np.array([*np.zeros(n, int), *(PARTS.index(f"helper-{side}-eye") for side in "rl")])
+    for code, group in enumerate(PARTS):
         part[number[quads[groups == group]]] = code
-    part[n:] = PARTS["helper-r-eye"], PARTS["helper-l-eye"]
 
-    mirror = np.append(number[mesh.mirror[base_vertex]], [n + 1, n])
-    uv = np.zeros((len(mesh.vertices), 2))
-    uv[mesh.faces.ravel()] = mesh.uv[mesh.face_uv.ravel()]
+    mirror = np.append(number[assets.mirror[base_vertex]], [n + 1, n])
+    uv = np.zeros((len(assets.vertices), 2))
+    uv[assets.faces.ravel()] = assets.uv[assets.face_uv.ravel()]
     masks = {}
     for name in MASKS:
         mask = np.append(assets.mask(name)[base_vertex], [0.0, 0.0])
         masks[name.replace("-", "_")] = (mask + mask[mirror]) / 2
+    landmarks: dict[str, list[int]] = {}
+    with_pupils = np.append(number, [n + 1, n])  # at RIGHT_PUPIL and LEFT_PUPIL
+    for row in read_table(LANDMARKS):
+        landmarks.setdefault(row["scheme"], []).append(with_pupils[int(row["base_vertex"])])
     return Head(
         base_vertex=np.append(base_vertex, [RIGHT_PUPIL, LEFT_PUPIL]),
         triangles=np.vstack(triangles),
@@ -117,7 +114,7 @@ def cut_head(assets: MakeHumanAssets) -> Head:
         mirror=mirror,
         uv=np.vstack([uv[base_vertex], np.zeros((2, 2))]),
         masks=masks,
-        landmarks=_landmarks(np.append(number, [n + 1, n])),
+        landmarks={scheme: np.array(vertices) for scheme, vertices in landmarks.items()},
     )
 
 
@@ -144,11 +141,3 @@ def pupil_fan(ring: np.ndarray, centre: int, positions: np.ndarray) -> np.ndarra
     following = np.roll(ring, -1)
     first, second = (ring, following) if area > 0 else (following, ring)
     return np.column_stack([first, second, np.full(len(ring), centre)])
-
-
-def _landmarks(number: np.ndarray) -> dict[str, np.ndarray]:
-    """Scheme name to head vertices; `number` ends with the left and the right pupil."""
-    landmarks: dict[str, list[int]] = {}
-    for row in read_table(LANDMARKS):
-        landmarks.setdefault(row["scheme"], []).append(number[int(row["base_vertex"])])
-    return {scheme: np.array(vertices) for scheme, vertices in landmarks.items()}

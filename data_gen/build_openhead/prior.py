@@ -1,39 +1,36 @@
 """Random heads: the distribution that MakeHuman's sliders are drawn from.
 
 Two layers: MakeHuman's macro targets (sex, age, origin, weight, muscle) with their multilinear
-weights, and local sliders with normal draws whose s.d.s stand in `identity_prior.csv`.
+weights, and local sliders with normal draws whose s.d.s are in `identity_prior.csv`. Those were
+fitted once to the landmark covariance of ICT-FaceKit: the macro targets' covariance (sampled) plus
+each slider's direction times its variance is linear in the variances, so bounded least squares
+gives them. Nothing of ICT-FaceKit's geometry enters the head: only how much, and together with
+what, each landmark varies among real faces.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from data_gen.build_openhead.cut import Head
 from data_gen.build_openhead.makehuman import MakeHumanAssets
-from data_gen.build_openhead.tables import IDENTITY_PRIOR
 from deepmds_keras.files import read_table
 
-SEXES = ("female", "male")
-AGES = ("young", "old")
-ORIGINS = ("african", "asian", "caucasian")
-MUSCLES = ("minmuscle", "averagemuscle", "maxmuscle")
-WEIGHTS = ("minweight", "averageweight", "maxweight")
+IDENTITY_PRIOR = Path(__file__).parent / "identity_prior.csv"
+WHO = [*product(("female", "male"), ("young", "old"))]
+ORIGINS, LEVELS = ("african", "asian", "caucasian"), ("min", "average", "max")
 MACRO_TARGETS = (
-    *(f"{origin}-{sex}-{age}" for sex in SEXES for age in AGES for origin in ORIGINS),
+    *(f"{origin}-{sex}-{age}" for (sex, age), origin in product(WHO, ORIGINS)),
     *(
-        f"universal-{sex}-{age}-{muscle}-{weight}"
-        for sex in SEXES
-        for age in AGES
-        for muscle in MUSCLES
-        for weight in WEIGHTS
+        f"universal-{sex}-{age}-{muscle}muscle-{weight}weight"
+        for (sex, age), muscle, weight in product(WHO, LEVELS, LEVELS)
     ),
 )
-
-MALE_BETA = (0.7, 0.7)
-AGE_BETA = (1.2, 2.2)
-ORIGIN_DIRICHLET = (0.7, 0.7, 0.7)
+MALE_BETA, AGE_BETA, ORIGIN_DIRICHLET = (0.7, 0.7), (1.2, 2.2), (0.7, 0.7, 0.7)
 WEIGHT_SD, MUSCLE_SD = 0.14, 0.12
 SLIDER_CUT = 2.5  # draws are cut at this many s.d.
 
@@ -43,42 +40,28 @@ class IdentityPrior:
     """P parameters move S sliders; a slider in [-1, 1] applies one of two targets.
 
     Attributes:
-        names: `(P,)` str.
         sd: `(P,)` float, s.d. of each parameter.
-        asymmetric: `(P,)` bool, whether the parameter breaks the left-right symmetry.
         mixing: `(P, S)` float, by how much a parameter moves a slider: 0, 1 or -1.
         base: `(V, 3)` float, mm, vertices before any target.
         macro: `(M, V, 3)` float, mm, offsets of MACRO_TARGETS.
         negative, positive: `(S, V, 3)` float, mm, offsets of the sliders at -1 and 1; a slider
             without a negative target has zeros there.
-        one_sided: `(S,)` bool, whether the slider has no negative target.
     """
 
-    names: np.ndarray
     sd: np.ndarray
-    asymmetric: np.ndarray
     mixing: np.ndarray
     base: np.ndarray
     macro: np.ndarray
     negative: np.ndarray
     positive: np.ndarray
-    one_sided: np.ndarray
 
-    def restrict(self, vertices: np.ndarray) -> IdentityPrior:
-        """The same prior on some vertices only."""
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        for name in ("base", "macro", "negative", "positive"):
-            fields[name] = fields[name][..., vertices, :]
-        return IdentityPrior(**fields)
-
-    def sample(self, n: int, rng: np.random.Generator, sd: np.ndarray | None = None) -> np.ndarray:
-        """`(n, V, 3)` float32 heads in mm, not aligned; `sd` replaces the s.d.s of the table."""
-        sd = self.sd if sd is None else sd
+    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """`(n, V, 3)` float32 heads in mm, not aligned."""
         male, age = rng.beta(*MALE_BETA, n), rng.beta(*AGE_BETA, n)
         origin = rng.dirichlet(ORIGIN_DIRICHLET, n)
         weight = np.clip(rng.normal(0.5, WEIGHT_SD, n), 0, 1)
         muscle = np.clip(rng.normal(0.5, MUSCLE_SD, n), 0, 1)
-        draws = np.clip(rng.standard_normal((len(sd), n)), -SLIDER_CUT, SLIDER_CUT).T * sd
+        draws = np.clip(rng.standard_normal((len(self.sd), n)), -SLIDER_CUT, SLIDER_CUT).T * self.sd
         sliders = np.clip(draws @ self.mixing, -1, 1)
         heads = np.repeat(self.base[None].astype(np.float32), n, axis=0)
         for weights, targets in (
@@ -92,16 +75,12 @@ class IdentityPrior:
 
 
 def macro_weights(male, age, origin, weight, muscle) -> np.ndarray:
-    """MakeHuman's weights of the macro targets.
+    """MakeHuman's weights `(n, M)` of MACRO_TARGETS; the first 12 sum to one, so do the rest.
 
     Args:
-        male: `(n,)` 0 (female) to 1 (male).
-        age: `(n,)` 0 (young) to 1 (old).
+        male, age: `(n,)` 0 (female, young) to 1 (male, old).
         origin: `(n, 3)` shares of ORIGINS, summing to one.
         weight, muscle: `(n,)` 0 (least) to 1 (most), 0.5 being the average.
-
-    Returns:
-        `(n, M)` weights in the order of MACRO_TARGETS; the first 12 sum to one, so do the rest.
     """
 
     def hats(level):
@@ -117,13 +96,7 @@ def macro_weights(male, age, origin, weight, muscle) -> np.ndarray:
 
 
 def load_prior(assets: MakeHumanAssets, head: Head, progress=iter) -> IdentityPrior:
-    """Reads `identity_prior.csv` and the targets that it names.
-
-    Args:
-        assets: Where the targets are.
-        head: The cut to restrict them to.
-        progress: Wraps the list of names that is gone through, as `tqdm.tqdm` does.
-    """
+    """Reads `identity_prior.csv` and the targets that it names; `progress` is as `tqdm.tqdm`."""
     rows = read_table(IDENTITY_PRIOR)
     sliders: dict[tuple[str, str], int] = {}
     moves = []  # (parameter, slider, direction)
@@ -140,15 +113,12 @@ def load_prior(assets: MakeHumanAssets, head: Head, progress=iter) -> IdentityPr
 
     names = {f"macrodetails/{name}" for name in MACRO_TARGETS}.union(*sliders) - {""}
     offsets = {name: head.restrict(assets.target(name)) for name in progress(sorted(names))}
-    offsets[""] = np.zeros_like(head.restrict(assets.mesh.vertices))
+    offsets[""] = np.zeros_like(head.restrict(assets.vertices))
     return IdentityPrior(
-        names=np.array([row["parameter"] for row in rows]),
         sd=np.array([float(row["sd"]) for row in rows]),
-        asymmetric=np.array([row["kind"].endswith("asymmetric") for row in rows]),
         mixing=mixing,
-        base=head.restrict(assets.mesh.vertices),
+        base=head.restrict(assets.vertices),
         macro=np.array([offsets[f"macrodetails/{name}"] for name in MACRO_TARGETS]),
         negative=np.array([offsets[negative] for negative, _ in sliders]),
         positive=np.array([offsets[positive] for _, positive in sliders]),
-        one_sided=np.array([negative == "" for negative, _ in sliders]),
     )

@@ -1,4 +1,9 @@
-"""A data set: landmarks of faces and one view of each, as a file."""
+"""Data sets: landmarks of faces and one view of each, sampled from a model, and their file.
+
+Faces are neutral ones, rings of several images of each subject, or frames of performances: the open
+stand-in for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43), which has 12 subjects, 12
+sequences and 20,466 frames, on request only.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
+from data_gen.models.expressions import SEQUENCES, sample_expressions, sequence_weights
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import PROJECTIONS, Cameras, project, sample_cameras
+from data_gen.views import PROJECTIONS, Cameras, project, sample_cameras
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import atomic_write, read_npz
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
+_ARRAYS = ("identity", "expression", "landmarks", "views")
+_MIN_FRAMES = 3  # of a performance: neutral, something, neutral
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,35 +70,22 @@ def make_dataset(
         rng: Source of the random numbers.
         scheme: Landmark scheme.
         protocol: As for `sample_cameras`.
-        progress: Called with the number of faces just made.
+        progress: Called with the number of faces just sampled.
 
     Raises:
         InputError: The model has no landmarks of that scheme, or the protocol is unknown.
     """
-    if scheme not in model.landmarks:
-        raise InputError(
-            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
-            f"Received {scheme!r}."
-        )
-    cameras = sample_cameras(n, rng, protocol)
-    model_of_landmarks = model.restrict(model.landmarks[scheme])
+    part, cameras = _landmarks_of(model, scheme), sample_cameras(n, rng, protocol)
     identity = np.empty((n, model.n_identity), np.float32)
-    landmarks = np.empty((n, model_of_landmarks.n_vertices, 3), np.float32)
-    views = np.empty((n, model_of_landmarks.n_vertices, 2), np.float32)
+    landmarks = np.empty((n, part.n_vertices, 3), np.float32)
+    views = np.empty((n, part.n_vertices, 2), np.float32)
     for start in range(0, n, _FACES_PER_CHUNK):
         faces = slice(start, min(start + _FACES_PER_CHUNK, n))
-        identity[faces], points = model_of_landmarks.sample(faces.stop - start, rng)
-        landmarks[faces] = points
-        views[faces] = project(points, cameras[faces])
+        identity[faces], points = part.sample(faces.stop - start, rng)
+        landmarks[faces], views[faces] = points, project(points, cameras[faces])
         if progress is not None:
             progress(faces.stop - start)
-    description = {
-        "model": model.name,
-        "model_sha256": model.sha256,
-        "scheme": scheme,
-        "protocol": protocol,
-    }
-    neutral = np.empty((n, 0), np.float32)
+    neutral, description = np.empty((n, 0), np.float32), _description(model, scheme, protocol)
     return Dataset(identity, neutral, landmarks, views, cameras, description)
 
 
@@ -102,39 +97,116 @@ def dataset_of(
     identity: np.ndarray | None = None,
     expression: np.ndarray | None = None,
 ) -> Dataset:
-    """Project given landmarks, in chunks.
+    """Project given landmarks.
 
     Args:
         landmarks: `(n, L, 3)` millimetres.
         cameras: One for each face.
-        description: What the landmarks were made of.
+        description: As `Dataset.description`.
         identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, where they have some.
     """
-    n = len(landmarks)
-    views = np.empty((*landmarks.shape[:2], 2), np.float32)
-    for start in range(0, n, _FACES_PER_CHUNK):
-        faces = slice(start, start + _FACES_PER_CHUNK)
-        views[faces] = project(landmarks[faces].astype(float), cameras[faces])
-    identity, expression = (
-        np.empty((n, 0), np.float32) if coefficients is None else np.float32(coefficients)
-        for coefficients in (identity, expression)
-    )
+    views = np.float32(project(landmarks.astype(float), cameras))
+    none = np.empty((len(landmarks), 0), np.float32)
+    identity = none if identity is None else np.float32(identity)
+    expression = none if expression is None else np.float32(expression)
     return Dataset(identity, expression, np.float32(landmarks), views, cameras, description)
+
+
+def make_rings(
+    model: MorphableModel,
+    n_subjects: int,
+    images_per_subject: int,
+    rng: np.random.Generator,
+    *,
+    scheme: str = "ibug51",
+    protocol: str = "paper",
+) -> Dataset:
+    """Sample subjects of standard-normal identity, each in several expressions and views.
+
+    Sanyal et al. 2019 (RingNet, arXiv:1905.06817) learn from rings of photos, all but one of which
+    show the same person: the identity is what they share, expression and pose are what they do not.
+
+    Args:
+        model: Morphable model with landmarks of the scheme and named expressions.
+        n_subjects: Number of different identities.
+        images_per_subject: Faces of each.
+        rng, scheme, protocol: As for `make_dataset`.
+
+    Returns:
+        Faces, of which face i is of subject i // images_per_subject.
+
+    Raises:
+        InputError: No subjects or images, a model whose expressions have other names or that has no
+            landmarks of that scheme, or an unknown protocol.
+    """
+    n = n_subjects * images_per_subject
+    if min(n_subjects, images_per_subject) < 1:
+        raise InputError(
+            "n_subjects and images_per_subject must be at least 1. "
+            f"Received {n_subjects} and {images_per_subject}."
+        )
+    part, expression = _landmarks_of(model, scheme), np.float32(sample_expressions(model, n, rng))
+    cameras = sample_cameras(n, rng, protocol)
+    of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
+    identity = np.repeat(of_subjects, images_per_subject, axis=0)
+    description = _description(model, scheme, protocol) | {"images_per_subject": images_per_subject}
+    landmarks = part.shape(identity, expression)
+    return dataset_of(landmarks, cameras, description, identity=identity, expression=expression)
+
+
+def make_performances(
+    model: MorphableModel, n_subjects: int, n_frames: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of performances: every subject performs every sequence once.
+
+    Args:
+        model: Morphable model with named expressions.
+        n_subjects: Number of subjects, each of standard-normal identity coefficients.
+        n_frames: Frames of all performances together, shared out evenly.
+        rng: Source of the random numbers.
+
+    Returns:
+        `(n, K)` identity coefficients and `(n, E)` expression weights, both float32, of the frames
+        by subject, then sequence, then time.
+
+    Raises:
+        InputError: Too few frames for so many performances, or the names of the model's expressions
+            are not known.
+    """
+    n_performances = n_subjects * len(SEQUENCES)
+    if n_subjects < 1 or n_frames < _MIN_FRAMES * n_performances:
+        raise InputError(
+            f"n_subjects must be at least 1, and n_frames at least {_MIN_FRAMES * len(SEQUENCES)} "
+            f"for each. Received {n_subjects} subjects and {n_frames} frames."
+        )
+    identity = np.float32(rng.standard_normal((n_subjects, model.n_identity)))
+    lengths = np.diff(np.arange(n_performances + 1) * n_frames // n_performances)
+    performed = zip(SEQUENCES * n_subjects, lengths, strict=True)
+    expression = [sequence_weights(model, name, length, rng) for name, length in performed]
+    subject = np.repeat(np.arange(n_performances), lengths) // len(SEQUENCES)
+    return identity[subject], np.float32(np.concatenate(expression))
+
+
+def _landmarks_of(model: MorphableModel, scheme: str) -> MorphableModel:
+    if scheme not in model.landmarks:
+        raise InputError(
+            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
+            f"Received {scheme!r}."
+        )
+    return model.restrict(model.landmarks[scheme])
+
+
+def _description(model: MorphableModel, scheme: str, protocol: str) -> dict:
+    names = {"model": model.name, "model_sha256": model.sha256}
+    return names | {"scheme": scheme, "protocol": protocol}
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
     """Write an npz, under a temporary name until it is complete."""
     cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
+    arrays = {key: getattr(dataset, key) for key in _ARRAYS}
     with atomic_write(Path(path)) as file:
-        np.savez(
-            file,
-            identity=dataset.identity,
-            expression=dataset.expression,
-            landmarks=dataset.landmarks,
-            views=dataset.views,
-            description=np.array(json.dumps(dataset.description)),
-            **cameras,
-        )
+        np.savez(file, **arrays, description=np.array(json.dumps(dataset.description)), **cameras)
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -144,31 +216,23 @@ def load_dataset(path: str | Path) -> Dataset:
         InputError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
     """
     arrays = read_npz(path, "a data set (npz)")
-    n, n_landmarks = (*arrays.get("landmarks", np.empty(0)).shape, 0, 0)[:2]
-    needed = {
-        "identity": (n, *arrays.get("identity", np.empty(0)).shape[-1:]),
-        "expression": (n, *arrays.get("expression", np.empty(0)).shape[-1:]),
-        "landmarks": (n, n_landmarks, 3),
-        "views": (n, n_landmarks, 2),
-        "description": (),
-    }
+    n, n_landmarks = (*np.shape(arrays.get("landmarks")), 0, 0)[:2]
+    needed = {"landmarks": (n, n_landmarks, 3), "views": (n, n_landmarks, 2)}
     needed |= {key: (n,) for key in Cameras.__dataclass_fields__}
+    needed |= {key: (n, *np.shape(arrays.get(key))[1:2]) for key in ("identity", "expression")}
     for key, shape in needed.items():
-        if key not in arrays or arrays[key].shape != shape:
-            found = f"shape {arrays[key].shape}" if key in arrays else "nothing"
-            raise InputError(f"{path}: {key} must have shape {shape}. Received {found}.")
-        what, kinds = ("text", "U") if key == "description" else ("numbers", "fiu")
-        if arrays[key].dtype.kind not in kinds:
-            raise InputError(f"{path}: {key} must be {what}. Received {arrays[key].dtype}.")
-        if key != "description" and not np.isfinite(arrays[key]).all():
-            raise InputError(f"{path}: {key} must be finite. Received NaN or infinity.")
-    angles = {key: arrays[key].astype(float) for key in Cameras.__dataclass_fields__}
-    if not np.isin(angles["projection"], range(len(PROJECTIONS))).all():
+        array = arrays.get(key, np.empty(0, str))
+        if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise InputError(
+                f"{path}: {key} must be finite numbers of shape {shape}. "
+                f"Received {f'{array.dtype} {array.shape}' if key in arrays else 'nothing'}."
+            )
+    cameras = {key: arrays[key].astype(float) for key in Cameras.__dataclass_fields__}
+    if not np.isin(cameras["projection"], range(len(PROJECTIONS))).all():
         raise InputError(f"{path}: projection must be a number below {len(PROJECTIONS)}.")
-    angles["projection"] = angles["projection"].astype(int)
+    cameras["projection"] = cameras["projection"].astype(int)
     try:
-        description = json.loads(str(arrays["description"]))
+        description = json.loads(str(arrays.get("description")))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: description must be JSON. Received {brief(error)}.") from None
-    kept = (arrays[key] for key in ("identity", "expression", "landmarks", "views"))
-    return Dataset(*kept, Cameras(**angles), description)
+    return Dataset(*(arrays[key] for key in _ARRAYS), Cameras(**cameras), description)

@@ -1,16 +1,45 @@
-"""The images of a data set as files of some hundred each, read like one array."""
+"""Image files: photos of data sets from elsewhere, and the rendered images of a data set."""
 
 from __future__ import annotations
 
+import io
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import atomic_write, map_npy, sha256_of
 
 FACES_PER_FILE = 500
 _LANDMARKS = "-landmarks"  # in the name of the file beside one of images
+
+
+def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
+    """An image of somebody else's, `(H, W, 3)` uint8 RGB.
+
+    Args:
+        path: The file.
+        formats: Names that Pillow has for those that it may be of.
+
+    Raises:
+        InputError: It is missing, damaged, of another format, or has so many pixels, 90 million,
+            that Pillow suspects an attack.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            # From memory, where what is claimed to follow is not allotted before it is read.
+            with Image.open(io.BytesIO(path.read_bytes()), formats=formats) as opened:
+                return np.array(opened.convert("RGB"))
+    except Exception as error:  # Pillow raises many kinds for a damaged file
+        raise InputError(
+            f"{path}: must be a whole {' or '.join(formats)} image. "
+            f"Received {type(error).__name__}: {brief(error)}"
+        ) from None
 
 
 class ImageFiles:
@@ -62,28 +91,19 @@ class ImageFiles:
         first, last = faces.start // FACES_PER_FILE, (faces.stop - 1) // FACES_PER_FILE
         rows = []
         for file in range(first, last + 1):
-            path = self.paths(file)[1]
-            rows.append(map_npy(path, "a file of images or their landmarks"))
-            needed = (len(self.ranges()[file]), *rows[0].shape[1:2], 2)
-            if rows[-1].shape != needed or rows[-1].dtype.kind != "f":
-                raise InputError(
-                    f"{path} must hold landmarks, floats {needed}. "
-                    f"Received {rows[-1].dtype} {rows[-1].shape}."
-                )
+            rows.append(map_npy(self.paths(file)[1], "a file of landmarks"))
+            n_landmarks = rows[0].shape[1] if rows[0].ndim > 1 else 0
+            self._check(file, rows[-1], (n_landmarks, 2), "f")
         start = first * FACES_PER_FILE
         return np.concatenate(rows)[faces.start - start : faces.stop - start]
 
     def checksums(self) -> dict[str, str]:
         """sha256 of every file of images, and of landmarks, by name."""
-        digests = {}
-        for file in range(len(self.ranges())):
-            for path, held in zip(self.paths(file), ("images", "landmarks"), strict=True):
-                try:
-                    digests[path.name] = sha256_of([path])
-                except OSError as error:
-                    reason = error.strerror
-                    raise InputError(f"{path} must hold {held}. Received {reason}.") from None
-        return digests
+        paths = [path for file in range(len(self.ranges())) for path in self.paths(file)]
+        for path in paths:
+            if not path.is_file():
+                raise InputError(f"{path} must be a file of images or landmarks. Received none.")
+        return {path.name: sha256_of([path]) for path in paths}
 
     def check(self, checksums: dict[str, str]) -> None:
         """Compare the files with what was written.
@@ -92,25 +112,23 @@ class ImageFiles:
             InputError: A file is missing or was changed; delete it and make the images again.
         """
         for name, digest in self.checksums().items():
-            images = name.replace(_LANDMARKS, "")
-            if name != images and name not in checksums:
-                continue  # of an earlier version, which had checksums of images alone
             if checksums.get(name) != digest:
-                both = f", {images}" * (name != images)
                 raise InputError(
-                    f"{self.folder / name} was changed since it was made. Delete it{both} and the "
-                    "record of the stage that made it, and run again."
+                    f"{self.folder / name} was changed since it was written. Delete the images, "
+                    "their landmarks and the record of the step that wrote them, and run again."
                 )
 
     def _file(self, file: int) -> np.ndarray:
         if file not in self._arrays:
-            path = self.paths(file)[0]
-            needed = (len(self.ranges()[file]), self.size, self.size, 3)
-            array = map_npy(path, "a file of images or their landmarks")
-            if array.shape != needed or array.dtype != np.uint8:
-                raise InputError(
-                    f"{path} must hold images, uint8 {needed}. "
-                    f"Received {array.dtype} {array.shape}."
-                )
-            self._arrays[file] = array
+            array = map_npy(self.paths(file)[0], "a file of images")
+            self._arrays[file] = self._check(file, array, (self.size, self.size, 3), "u")
         return self._arrays[file]
+
+    def _check(self, file: int, array: np.ndarray, shape: tuple, kind: str) -> np.ndarray:
+        needed = (len(self.ranges()[file]), *shape)
+        if array.shape != needed or array.dtype.kind != kind:
+            raise InputError(
+                f"{self.paths(file)[kind == 'f']} must have shape {needed}. "
+                f"Received {array.dtype} {array.shape}."
+            )
+        return array

@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data_gen.appearance import Albedo, sample_lights
 from data_gen.datasets.dataset import Dataset
 from data_gen.models.expressions import sample_expressions
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.rendering.albedo import Albedo
-from data_gen.rendering.renderer import (
+from data_gen.renderer import (
     MARGIN,
     Frames,
     Renderer,
-    sample_lights,
+    part_of,
+    seen_vertices,
     square_frames,
     stretched_frames,
 )
-from data_gen.rendering.visibility import part_of, seen_vertices
-from data_gen.views.projections import in_camera_frame, project_with_depth
+from data_gen.views import pose_and_project
 
 _FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
-_LOOKS = 8  # expressions by which the visible part of an expressive model is found
+_LOOKS = 8  # expressions by which the visible part of an expressive model is determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Scene:
         model: Morphable model of the vertices that can be seen.
         albedo: Colours of those.
         size: Width and height of the images in pixels.
-        margin: Of a square image about the landmarks, as for `rendering.square_frames`.
+        margin: Of a square image about the landmarks, as for `renderer.square_frames`.
         stretched: Whether images are cut to the head's bounding box, whatever its aspect, as the
             authors' are, instead of to a square about the landmarks.
     """
@@ -43,6 +43,12 @@ class Scene:
     size: int
     margin: float
     stretched: bool
+
+    def frames(self, views: np.ndarray, seen: np.ndarray) -> Frames:
+        """What the images show, of landmarks `(n, L, 2)` and vertices `(n, V, 3)`, millimetres."""
+        if self.stretched:
+            return stretched_frames(seen[..., :2], self.size)
+        return square_frames(views, self.size, self.margin)
 
 
 def make_scene(
@@ -60,8 +66,8 @@ def make_scene(
         model: Morphable model with landmarks of the scheme.
         scheme: Landmark scheme by which images are framed.
         size: Width and height of the images in pixels.
-        protocol: As for `projections.sample_cameras`; `"released"` stretches the images.
-        margin: As for `rendering.square_frames`.
+        protocol: As for `views.sample_cameras`; `"released"` stretches the images.
+        margin: As for `renderer.square_frames`.
         expressive: Whether faces will take expressions, which show the teeth and the inside of the
             mouth.
 
@@ -75,10 +81,19 @@ def make_scene(
     return Scene(part_of(model, vertices), albedo, size, margin, stretched)
 
 
+def posed_faces(
+    model: MorphableModel, dataset: Dataset, rows: slice
+) -> tuple[np.ndarray, np.ndarray]:
+    """As from `views.pose_and_project`, of the vertices of some faces of a data set."""
+    expression = dataset.expression[rows] if dataset.expression.shape[1] else None
+    shapes = model.shape(dataset.identity[rows], expression)
+    return pose_and_project(shapes, dataset.landmarks[rows].astype(float), dataset.cameras[rows])
+
+
 def render(
     scene: Scene, dataset: Dataset, faces: range, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images of some faces of a data set, in colours and light of their own.
+    """Images of some faces of a data set, in random colours and light.
 
     Args:
         scene: What to draw them with.
@@ -94,30 +109,11 @@ def render(
     images, pixels = [], []
     for start in range(faces.start, faces.stop, _FACES_AT_A_TIME):
         rows = slice(start, min(start + _FACES_AT_A_TIME, faces.stop))
-        cameras = dataset.cameras[rows]
-        expression = dataset.expression[rows] if dataset.expression.shape[1] else None
-        shapes = scene.model.shape(dataset.identity[rows], expression)
-        posed = in_camera_frame(shapes, cameras)
-        landmarks = in_camera_frame(dataset.landmarks[rows].astype(float), cameras)
-        seen = project_with_depth(posed, landmarks, cameras)
+        posed, seen = posed_faces(scene.model, dataset, rows)
         views = dataset.views[rows].astype(float)
-        frames = frames_of(scene, views, seen)
-        n = len(cameras)
-        albedo, lights = scene.albedo.sample(n, rng), sample_lights(n, rng)
+        frames = scene.frames(views, seen)
+        albedo, lights = scene.albedo.sample(len(posed), rng), sample_lights(len(posed), rng)
         images.append(renderer.draw(seen, posed, albedo, frames, lights))
         pixels.append(np.float32(frames.pixels(views)))
     renderer.close()
     return np.concatenate(images), np.concatenate(pixels)
-
-
-def frames_of(scene: Scene, views: np.ndarray, seen: np.ndarray) -> Frames:
-    """Part of the views that the images show.
-
-    Args:
-        scene: Says how images are cut.
-        views: `(n, L, 2)` landmarks, millimetres.
-        seen: `(n, V, 3)` vertices, millimetres.
-    """
-    if scene.stretched:
-        return stretched_frames(seen[..., :2], scene.size)
-    return square_frames(views, scene.size, scene.margin)

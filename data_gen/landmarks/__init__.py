@@ -1,4 +1,4 @@
-"""Where the landmarks of each scheme are on the face models: vertex numbers."""
+"""Where the landmarks of each scheme are on the face models: tables of vertices."""
 
 from __future__ import annotations
 
@@ -35,12 +35,10 @@ class LandmarkVertices:
 
 @cache
 def load_vertices(scheme: str) -> LandmarkVertices:
-    """Reads the tables beside this file.
+    """Reads the table of a scheme.
 
-    Args:
-        scheme: `"bfm72"`, the paper's 72 landmarks; `"ibug68"`, Multi-PIE / iBUG 300-W; `"ibug51"`,
-            the latter without the jaw line. Their order, names and lines are in
-            `deepmds_keras.landmarks`.
+    `"bfm72"` are the paper's 72 landmarks, `"ibug68"` those of Multi-PIE and iBUG 300-W, `"ibug51"`
+    the latter without the jaw line. Their order, names and lines are in `deepmds_keras.landmarks`.
 
     Raises:
         InputError: Another name.
@@ -50,10 +48,11 @@ def load_vertices(scheme: str) -> LandmarkVertices:
             f"landmark scheme must be one of {', '.join(SCHEMES)}. Received {scheme!r}."
         )
     table, first = _TABLES[scheme]
-    rows = [row for row in _rows(f"{table}.csv") if int(row["number"]) >= first]
-    models = [column for column in rows[0] if column != "number"]
+    rows = [row for row in read_table(_FOLDER / f"{table}.csv") if int(row["number"]) >= first]
     anchors = {
-        model: {i: int(row[model]) for i, row in enumerate(rows) if row[model]} for model in models
+        model: {i: int(row[model]) for i, row in enumerate(rows) if row[model]}
+        for model in rows[0]
+        if model != "number"
     }
     vertices = {
         model: np.array([*known.values()])
@@ -62,20 +61,29 @@ def load_vertices(scheme: str) -> LandmarkVertices:
     }
     for known in vertices.values():
         known.flags.writeable = False  # the cached tables are shared by all callers
-    numbers = tuple(int(row["number"]) for row in rows)
-    return LandmarkVertices(numbers, vertices, anchors)
+    return LandmarkVertices(tuple(int(row["number"]) for row in rows), vertices, anchors)
+
+
+def known_landmarks(model: str, vertex_numbers: np.ndarray) -> dict[str, np.ndarray]:
+    """Landmark vertices from the tables, as rows of a mesh that may hold only part of the model.
+
+    Args:
+        model: Column of the tables, such as `"ict"`.
+        vertex_numbers: `(V,)` ascending, number of each mesh vertex in the whole model.
+
+    Returns:
+        Scheme name to `(L,)` mesh vertices; only schemes of which the mesh has every vertex.
+    """
+    tables = {scheme: load_vertices(scheme).vertices.get(model) for scheme in SCHEMES}
+    return {
+        scheme: np.searchsorted(vertex_numbers, vertices)
+        for scheme, vertices in tables.items()
+        if vertices is not None and np.isin(vertices, vertex_numbers).all()
+    }
 
 
 @cache
 def load_basel_anchors() -> dict[str, dict[str, int]]:
-    """Landmark names of the Basel Face Model 2017 and 2019 files on other models.
-
-    Returns:
-        Name, as in `metadata/landmarks/json`, to `{face model: 0-based vertex number}`.
-    """
-    rows = _rows("basel_anchors.csv")
+    """Landmark names of the Basel Face Model 2017 and 2019 files to `{face model: vertex}`."""
+    rows = read_table(_FOLDER / "basel_anchors.csv")
     return {row.pop("name"): {model: int(v) for model, v in row.items() if v} for row in rows}
-
-
-def _rows(filename: str) -> list[dict[str, str]]:
-    return read_table(_FOLDER / filename)

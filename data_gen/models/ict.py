@@ -6,48 +6,35 @@ github.com/ICT-VGL/ICT-FaceKit.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from data_gen.models.mesh import orient_outwards
-from data_gen.models.model_files import (
-    expect_format,
-    find_path,
-    known_landmarks,
-    model_of,
-)
-from data_gen.models.morphable_model import MorphableModel
+from data_gen.landmarks import known_landmarks
+from data_gen.models.mesh import check_triangles
+from data_gen.models.morphable_model import BLENDSHAPE_SD, MorphableModel, model_of
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_npz, sha256_of
 
-CANDIDATES = (
-    "generic_neutral_mesh.obj",
-    "FaceXModel",
-    "ICT-FaceKit/FaceXModel",
-    "ict_light.npz",
-    "ict-facekit/ict_light.npz",
-)
+NEUTRAL = "generic_neutral_mesh.obj"
 N_IDENTITY = 100
+N_VERTICES = 26_719  # of the official meshes
+# Face, head, neck, mouth and eye sockets; teeth and eyeballs. Left out are the gums and the tongue
+# between them, and the tear film, the shells about the eyes and the lashes after them, which
+# `rendering` would paint as teeth and as the white of the eyes.
+KEPT = np.r_[0:14_062, 17_039:24_591]
 _MM = 10.0  # the files are in centimetres
-_NEUTRAL = "generic_neutral_mesh.obj"
-# Kinds of the arrays of the npz.
-_KINDS = {
-    **{"mean": "fiu", "identity": "fiu", "expression": "fiu", "expression_names": "U"},
-    **{"triangles": "iu", "vertex_index": "iu"},
-}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is too large is refused in the end
 def load_ict(path: str | Path) -> MorphableModel:
-    """Reads ICT-FaceKit Light; the origin stays where the files have it.
+    """Reads ICT-FaceKit Light's vertices `KEPT`; the origin stays where the files have it.
 
     Args:
         path: `FaceXModel` (`generic_neutral_mesh.obj`, `identityNNN.obj`, one OBJ an expression),
-            a folder that holds it, or the compiled npz or its folder. The npz has `mean` (V, 3),
-            `identity` (K, V, 3), `expression` (E, V, 3), `expression_names`, `triangles` and
-            `vertex_index` (V,), the vertices' numbers in the OBJ files; centimetres.
+            or the compiled npz. That has `mean` (V, 3), `identity` (K, V, 3), `expression`
+            (E, V, 3), `expression_names`, `triangles` and `vertex_index` (V,), the vertices'
+            numbers in the OBJ files; centimetres.
 
     Returns:
         The model; landmarks `"bfm72"` and `"ibug68"` where the mesh has all their vertices.
@@ -55,155 +42,86 @@ def load_ict(path: str | Path) -> MorphableModel:
     Raises:
         InputError: A file is missing, malformed or of another mesh.
     """
-    found = find_path(path, CANDIDATES, what="ICT-FaceKit")
-    if found.name == _NEUTRAL:
-        found = found.parent
-    return _load_folder(found) if found.is_dir() else _load_npz(found)
+    path = Path(path)
+    files = _files(path) if path.is_dir() else [path]
+    arrays = _read_folder(files) if path.is_dir() else read_npz(path)
+    try:
+        numbers = arrays["vertex_index"].astype(int)
+        fields = {
+            "mean": arrays["mean"].astype(float) * _MM,
+            "identity_basis_times_sd": arrays["identity"].astype(np.float32) * np.float32(_MM),
+            "triangles": arrays["triangles"].astype(int),
+            "expression_basis": arrays["expression"].astype(np.float32) * np.float32(_MM),
+            "expression_names": tuple(map(str, arrays["expression_names"].ravel())),
+        }
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{path}: must be ICT-FaceKit Light. Received one without {brief(error)}."
+        ) from None
+    if numbers.shape != fields["mean"].shape[:1] or (np.diff(numbers) <= 0).any():
+        raise InputError(
+            f"{path}: vertex_index must be {fields['mean'].shape[:1]} ascending numbers. "
+            f"Received {numbers.shape}."
+        )
+    return model_of(
+        path,
+        name="ict",
+        landmarks=known_landmarks("ict", numbers),
+        expression_sd=BLENDSHAPE_SD,
+        sha256=sha256_of(files),
+        **fields,
+    )
 
 
-def _load_folder(folder: Path) -> MorphableModel:
-    neutral_file = folder / _NEUTRAL
-    identity_files = [folder / f"identity{k:03}.obj" for k in range(N_IDENTITY)]
-    for file in (neutral_file, *identity_files):
+def _files(folder: Path) -> list[Path]:
+    """The neutral mesh, the identities, and the expressions by name."""
+    files = [folder / NEUTRAL, *(folder / f"identity{k:03}.obj" for k in range(N_IDENTITY))]
+    for file in files:
         if not file.is_file():
             raise InputError(
-                f"{folder}: must hold {_NEUTRAL} and identity000.obj to "
-                f"{identity_files[-1].name}. Received none of the name {file.name}."
+                f"{folder}: must hold {NEUTRAL} and identity000.obj to {files[-1].name}. "
+                f"Received none of the name {file.name}."
             )
-    others = {neutral_file, *folder.glob("identity[0-9]*.obj")}
-    expression_files = sorted({*folder.glob("*.obj")} - others)
-    mean, triangles = _read_obj(neutral_file)
-    landmarks = known_landmarks("ict", np.arange(len(mean)))
-    _check_official_landmarks(folder / "vertex_indices.json", landmarks)
-    return model_of(
-        folder,
-        name="ict",
-        mean=mean * _MM,
-        identity_basis_times_sd=_read_offsets(identity_files, mean),
-        triangles=orient_outwards(mean, triangles),
-        landmarks=landmarks,
-        expression_basis=_read_offsets(expression_files, mean) if expression_files else None,
-        expression_names=tuple(file.stem for file in expression_files),
-        sha256=sha256_of([neutral_file, *identity_files, *expression_files]),
-    )
+    others = {files[0], *folder.glob("identity[0-9]*.obj")}
+    return [*files, *sorted({*folder.glob("*.obj")} - others)]
 
 
-def _load_npz(file: Path) -> MorphableModel:
-    expect_format(file, b"PK", "an npz file")
-    arrays = read_npz(file)
-    for key, kinds in _KINDS.items():
-        if key not in arrays or arrays[key].dtype.kind not in kinds:
-            found = f"{key} of type {arrays[key].dtype}" if key in arrays else f"no {key}"
-            raise InputError(f"{file}: must hold arrays {', '.join(_KINDS)}. Received {found}.")
-    mean = arrays["mean"].astype(np.float64)
-    identity, expression = (arrays[key].astype(np.float32) for key in ("identity", "expression"))
-    names = tuple(map(str, arrays["expression_names"].ravel()))
-    triangles, numbers = arrays["triangles"].astype(int), arrays["vertex_index"].astype(int)
-    if mean.ndim != 2 or mean.shape[1] != 3 or numbers.shape != mean.shape[:1]:
-        raise InputError(
-            f"{file}: mean and vertex_index must be (V, 3) and (V,). "
-            f"Received {mean.shape} and {numbers.shape}."
-        )
-    if (np.diff(numbers) <= 0).any():
-        raise InputError(f"{file}: vertex_index must ascend. Received numbers out of order.")
-    if expression.ndim != 3 or len(names) != len(expression):
-        n_expressions = expression.shape[0] if expression.ndim else "no"
-        raise InputError(
-            f"{file}: expression_names must name {n_expressions} expressions. "
-            f"Received {len(names)}."
-        )
-    _check_triangles(file, triangles, len(mean))
-    return model_of(
-        file,
-        name="ict",
-        mean=mean * _MM,
-        identity_basis_times_sd=identity * np.float32(_MM),
-        triangles=orient_outwards(mean, triangles),
-        landmarks=known_landmarks("ict", numbers),
-        expression_basis=expression * np.float32(_MM),
-        expression_names=names,
-        sha256=sha256_of([file]),
-    )
-
-
-def _read_offsets(files: list[Path], mean: np.ndarray) -> np.ndarray:
-    offsets = np.empty((len(files), *mean.shape), np.float32)
-    for offset, file in zip(offsets, files, strict=True):
-        vertices = _read_vertices(file, _read_lines(file))
-        if vertices.shape != mean.shape:
-            raise InputError(
-                f"{file}: must have the {len(mean)} vertices of {_NEUTRAL}. "
-                f"Received {len(vertices)}."
-            )
-        offset[:] = (vertices - mean) * _MM
-    return offsets
-
-
-def _read_obj(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices as written, and triangles, 0-based; a polygon becomes a fan."""
-    lines = _read_lines(file)
-    vertices = _read_vertices(file, lines)
-    corners = [
-        [word.partition(b"/")[0] for word in line.split()[1:]]
-        for line in lines
-        if line.startswith(b"f ")
-    ]
+def _read_folder(files: list[Path]) -> dict[str, np.ndarray]:
+    """What the npz holds."""
+    mean, faces = _read_obj(files[0], with_faces=True)
+    # As the npz was compiled, to the last bit: single precision, before the mean is subtracted.
+    offsets = np.stack([_read_obj(file)[0] - mean for file in files[1:]])
     try:
-        triangles = [
-            (face[0], face[k], face[k + 1]) for face in corners for k in range(1, len(face) - 1)
-        ]
-        triangles = np.array([[*map(int, face)] for face in triangles], int).reshape(-1, 3) - 1
+        fans = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
+        triangles = np.array(fans, int).reshape(-1, 3)
+        check_triangles(triangles, N_VERTICES)
     except (ValueError, OverflowError) as error:
-        raise InputError(
-            f"{file}: faces must be vertex numbers. Received {brief(error)}."
-        ) from error
-    _check_triangles(file, triangles, len(vertices))
-    return vertices, triangles
+        raise InputError(f"{files[0]}: faces must be vertex numbers. {brief(error)}") from None
+    number = np.full(N_VERTICES, -1)
+    number[KEPT] = np.arange(len(KEPT))
+    triangles = number[triangles]
+    return {
+        "mean": mean,
+        "identity": offsets[:N_IDENTITY],
+        "expression": offsets[N_IDENTITY:],
+        "expression_names": np.array([file.stem for file in files[1 + N_IDENTITY :]]),
+        "triangles": triangles[(triangles >= 0).all(axis=1)],
+        "vertex_index": KEPT,
+    }
 
 
-def _read_lines(file: Path) -> list[bytes]:
+def _read_obj(file: Path, *, with_faces: bool = False) -> tuple[np.ndarray, list[list[int]]]:
+    """Vertices `(len(KEPT), 3)` float32, as written, and the corners of each polygon, 0-based."""
     try:
-        return file.read_bytes().splitlines()
-    except OSError as error:
-        raise InputError(f"{file}: must be a readable OBJ file. Received {error}.") from error
-
-
-def _read_vertices(file: Path, lines: list[bytes]) -> np.ndarray:
-    rows = [line[2:] for line in lines if line.startswith(b"v ")]
-    if not rows:
-        raise InputError(f"{file}: must be an OBJ file with vertices. Received none.")
-    try:
+        lines = file.read_bytes().splitlines()
         # Not by way of an array of the words: one that is long would make all of them as long.
-        numbers = np.fromiter(map(float, b" ".join(rows).split()), np.float64)
-        return numbers.reshape(len(rows), 3)
-    except ValueError as error:
+        words = b" ".join(line[2:] for line in lines if line.startswith(b"v ")).split()
+        vertices = np.fromiter(map(float, words), float).reshape(N_VERTICES, 3)
+        faces = [line.split()[1:] for line in lines if with_faces and line.startswith(b"f ")]
+        faces = [[int(corner.partition(b"/")[0]) - 1 for corner in face] for face in faces]
+    except (OSError, ValueError) as error:
         raise InputError(
-            f"{file}: must be an OBJ file with three coordinates a vertex. Received {brief(error)}."
-        ) from error
-
-
-def _check_triangles(file: Path, triangles: np.ndarray, n_vertices: int) -> None:
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or not triangles.size:
-        raise InputError(f"{file}: triangles must be (T, 3). Received {triangles.shape}.")
-    if triangles.min() < 0 or triangles.max() >= n_vertices:
-        raise InputError(
-            f"{file}: triangles must number {n_vertices} vertices from 0. "
-            f"Received {triangles.min()} to {triangles.max()}."
-        )
-
-
-def _check_official_landmarks(file: Path, landmarks: dict[str, np.ndarray]) -> None:
-    """The folder's own list of 68 must be our table's, or its numbering is another's."""
-    if "ibug68" not in landmarks or not file.is_file():
-        return
-    try:
-        official = json.loads(file.read_text(encoding="utf-8"))["idx_to_landmark_verts"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(
-            f"{file}: must list idx_to_landmark_verts. Received {brief(repr(error))}."
-        ) from error
-    if not np.array_equal(official, landmarks["ibug68"]):
-        raise InputError(
-            f"{file}: idx_to_landmark_verts must be the 68 vertices of ICT-FaceKit Light. "
-            "Received others."
-        )
+            f"{file}: must be an OBJ file of the {N_VERTICES} vertices of ICT-FaceKit Light. "
+            f"Received {brief(error)}."
+        ) from None
+    return np.float32(vertices[KEPT]), faces

@@ -1,13 +1,11 @@
-"""Landmarks from one face model to another whose vertex numbering is unrelated.
+"""Landmarks of a face model without a table, taken over from one that has it, by geometry.
 
 A few points known on both (anchors) give a similarity and a thin-plate spline; the spline is then
-refined so that the source surface falls on the target surface (TPS-ICP), and the landmarks that it
-carried along take the nearest target vertices.
+refined so that the source surface falls on the target surface (TPS-ICP), and each landmark takes
+the nearest target vertex.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -15,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from data_gen.models.mesh import largest_component, vertex_normals
+from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.alignment import procrustes
 from deepmds_keras.errors import InputError
 
@@ -25,78 +24,60 @@ _REACH = 30.0  # mm around the landmarks: the part of the source surface that is
 _CANDIDATES = 12  # nearest target vertices looked at for each point
 
 
-class Transfer(NamedTuple):
-    """Where the landmarks went.
-
-    Attributes:
-        vertices: `(L,)` target vertex numbers, all distinct.
-        snap: `(L,)` mm, from where a landmark was carried to the vertex that it took.
-    """
-
-    vertices: np.ndarray
-    snap: np.ndarray
-
-
 def transfer_landmarks(
-    source_mean: np.ndarray,
-    source_triangles: np.ndarray,
-    source_landmarks: np.ndarray,
+    source: MorphableModel,
     source_anchors: np.ndarray,
-    target_mean: np.ndarray,
-    target_triangles: np.ndarray,
+    target: MorphableModel,
     target_anchors: np.ndarray,
-) -> Transfer:
-    """Finds the source's landmarks on the target's mean face.
+    scheme: str = "bfm72",
+) -> np.ndarray:
+    """Places the source's landmarks on the target's mean face.
 
     Args:
-        source_mean: `(V, 3)` mm.
-        source_triangles: `(T, 3)` int, counter-clockwise from outside.
-        source_landmarks: `(L,)` source vertex numbers.
+        source: Face model with landmarks of the scheme, mm.
         source_anchors: `(A,)` source vertex numbers of points also known on the target, `A >= 6`,
             not in one plane.
-        target_mean: `(W, 3)`, any unit and pose.
-        target_triangles: `(U, 3)` int, counter-clockwise from outside.
+        target: Face model in any unit and pose.
         target_anchors: `(A,)` target vertex numbers of the same points.
+        scheme: Of the landmarks.
+
+    Returns:
+        `(L,)` target vertex numbers, all distinct.
 
     Raises:
         InputError: Too few anchors, or the surfaces do not meet near the landmarks.
     """
-    n_anchors = len(source_anchors)
-    if n_anchors < MIN_ANCHORS or len(target_anchors) != n_anchors:
-        raise InputError(
-            f"source_anchors and target_anchors must pair at least {MIN_ANCHORS} vertices. "
-            f"Received {n_anchors} and {len(target_anchors)}."
-        )
-    for label, anchors in (
-        ("source_anchors", source_mean[source_anchors]),
-        ("target_anchors", target_mean[target_anchors]),
-    ):
+    landmarks = source.landmarks[scheme]
+    anchors_from = source.mean[source_anchors]
+    for label, anchors in (("source", anchors_from), ("target", target.mean[target_anchors])):
+        if len(anchors) < MIN_ANCHORS:
+            raise InputError(
+                f"{label}_anchors must be at least {MIN_ANCHORS} vertices. Received {len(anchors)}."
+            )
         extent = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
         if not extent[2] > 1e-3 * extent[0]:
-            raise InputError(f"{label} must not lie in one plane. Received extents {extent}.")
+            raise InputError(f"{label}_anchors must not lie in one plane. Received {extent}.")
     # The source is bent, so the target is brought to it: every length below is in the source's mm.
-    rotation, scale, shift = procrustes(
-        source_mean[source_anchors], target_mean[target_anchors], reflection=False
-    )
-    target_mean = (target_mean - shift) @ rotation.T / scale
-    target = _Skin(target_mean, target_triangles)
-    n_needed = max(len(source_landmarks), _CANDIDATES)
-    if len(target.points) < n_needed:
+    rotation, scale, shift = procrustes(anchors_from, target.mean[target_anchors], reflection=False)
+    target_mean = (target.mean - shift) @ rotation.T / scale
+    surface = _Skin(target_mean, target.triangles)
+    n_needed = max(len(landmarks), _CANDIDATES)
+    if len(surface.points) < n_needed:
         raise InputError(
-            f"target_triangles must connect at least {n_needed} vertices. "
-            f"Received {len(target.points)}."
+            f"target must connect at least {n_needed} vertices. Received {len(surface.points)}."
         )
     anchors_to = target_mean[target_anchors]
-    moved = _bend(source_mean, source_mean[source_anchors], anchors_to, smoothing=1.0)
+    moved = _bend(source.mean, anchors_from, anchors_to, smoothing=1.0)
 
-    zone = _near_landmarks(source_mean, source_triangles, source_landmarks)
+    skin = largest_component(source.n_vertices, source.triangles)
+    zone = skin[KDTree(source.mean[landmarks]).query(source.mean[skin])[0] < _REACH]
     for n_points, smoothing, reach in _ROUNDS:
         chosen = zone[_farthest_points(moved[zone], n_points)]
-        normals = vertex_normals(moved, source_triangles)[chosen]
-        feet, matched = target.feet(moved[chosen], normals, reach)
+        normals = vertex_normals(moved, source.triangles)[chosen]
+        feet, matched = surface.feet(moved[chosen], normals, reach)
         if matched.mean() < 0.5:
             raise InputError(
-                "target_mean must be a face of the same kind as source_mean in the pose that the "
+                "target must be a face of the same kind as source in the pose that the "
                 f"anchors give. Received one where {matched.sum()} of {len(chosen)} surface points "
                 f"lie within {reach:g} mm."
             )
@@ -106,8 +87,7 @@ def transfer_landmarks(
             np.concatenate([feet[matched], anchors_to]),
             smoothing=smoothing,
         )
-    nearest, snap = _distinct_nearest(moved[source_landmarks], target.tree)
-    return Transfer(target.vertices[nearest], snap)
+    return surface.vertices[_distinct_nearest(moved[landmarks], surface.tree)]
 
 
 class _Skin:
@@ -132,19 +112,9 @@ def _bend(points, source, target, *, smoothing):
     """Moves points by the smoothing thin-plate spline that takes `source` to `target`."""
     # Two anchors may share a vertex, and a surface point may be one: the spline needs each once.
     _, once = np.unique(source.round(6), axis=0, return_index=True)
-    spline = RBFInterpolator(
-        source[once],
-        (target - source)[once],
-        kernel="thin_plate_spline",
-        smoothing=smoothing,
-    )
+    moves = (target - source)[once]
+    spline = RBFInterpolator(source[once], moves, kernel="thin_plate_spline", smoothing=smoothing)
     return points + spline(points)
-
-
-def _near_landmarks(mean, triangles, landmarks):
-    skin = largest_component(len(mean), triangles)
-    distance, _ = KDTree(mean[landmarks]).query(mean[skin])
-    return skin[distance < _REACH]
 
 
 def _farthest_points(points: np.ndarray, n: int) -> np.ndarray:
@@ -157,10 +127,9 @@ def _farthest_points(points: np.ndarray, n: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def _distinct_nearest(points: np.ndarray, tree: KDTree) -> tuple[np.ndarray, np.ndarray]:
-    """A vertex of its own for each point, with the smallest sum of squared distances."""
-    # As many candidates a point as there are points: nobody is left without one.
+def _distinct_nearest(points: np.ndarray, tree: KDTree) -> np.ndarray:
+    """Another vertex for each point, with the smallest sum of squared distances."""
+    # As many candidates a point as there are points: no point is left without one.
     candidates = np.unique(tree.query(points, k=len(points))[1])
     cost = ((points[:, None] - tree.data[candidates]) ** 2).sum(axis=2)
-    _, choice = linear_sum_assignment(cost)
-    return candidates[choice], np.sqrt(cost[np.arange(len(points)), choice])
+    return candidates[linear_sum_assignment(cost)[1]]

@@ -1,4 +1,4 @@
-"""Small facts about triangle meshes: which way they face, and which vertices hang together."""
+"""Facts about triangle meshes: which way they face, and which vertices are connected."""
 
 from __future__ import annotations
 
@@ -6,19 +6,35 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from deepmds_keras.errors import InputError
+
+
+def check_triangles(triangles: np.ndarray, n_vertices: int) -> None:
+    """Refuse what are not triangles of a mesh.
+
+    Raises:
+        InputError: The array is not `(T, 3)` of integers, or one is not a number of a vertex.
+    """
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InputError(
+            f"triangles must be (T, 3) integers. Received {triangles.dtype} {triangles.shape}."
+        )
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < n_vertices:
+        raise InputError(
+            f"triangles must number {n_vertices} vertices from 0. "
+            f"Received {triangles.min()} to {triangles.max()}."
+        )
+
 
 def vertex_normals(
     vertices: np.ndarray, triangles: np.ndarray, corners: csr_matrix | None = None
 ) -> np.ndarray:
-    """Unit normals, area-weighted over the triangles that meet at a vertex.
+    """Unit normals `(V, 3)`, area-weighted over the triangles that meet at a vertex, or zero.
 
     Args:
         vertices: `(V, 3)`.
         triangles: `(T, 3)` int, 0-based.
-        corners: As from `triangle_corners`, for who needs normals of the same mesh many times.
-
-    Returns:
-        `(V, 3)`; zero where no triangle meets.
+        corners: As from `triangle_corners`, to compute normals of the same mesh many times.
     """
     if corners is None:
         corners = triangle_corners(len(vertices), triangles)
@@ -36,17 +52,10 @@ def triangle_corners(n_vertices: int, triangles: np.ndarray) -> csr_matrix:
 
 
 def orient_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The same triangles, counter-clockwise seen from outside.
+    """The same triangles `(T, 3)`, counter-clockwise seen from outside.
 
     All triangles are assumed to be wound alike. The sign of the volume that they span with the
     mean vertex decides; a face that is open behind still has most of its area in front of it.
-
-    Args:
-        vertices: `(V, 3)`.
-        triangles: `(T, 3)` int, 0-based.
-
-    Returns:
-        `(T, 3)` int.
     """
     offsets = vertices[triangles].mean(axis=1) - vertices.mean(axis=0)
     volume = np.einsum("td,td->", offsets, _area_vectors(vertices, triangles))

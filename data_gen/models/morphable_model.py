@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from data_gen.models.mesh import check_triangles, orient_outwards
 from deepmds_keras.errors import InputError
 
-_BASES = ("mean", "identity_basis_times_sd", "expression_basis")
+# Of expression weights that go from 0 to 1; fits to photos then stay between about -0.5 and 0.7.
+BLENDSHAPE_SD = 0.3
+_FIELDS = ("expression_mean", "colour_mean")
+_BASES = ("identity_basis_times_sd", "expression_basis", "colour_basis_times_sd")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +33,15 @@ class MorphableModel:
         expression_mean: `(V, 3)` float, added whenever an expression is asked for; zero for most.
         expression_basis: `(E, V, 3)` float, offsets at weight one, or None.
         expression_names: `E` names, empty where the file has none.
+        expression_sd: Standard deviation of the expression weights about zero. 1 for principal
+            components, which are scaled to it; `BLENDSHAPE_SD` for blendshapes.
         colour_mean: `(V, 3)` float in [0, 1], or None.
         colour_basis_times_sd: `(C, V, 3)` float, or None.
         sha256: Hash of the file(s) that the model was read from.
+
+    Raises:
+        InputError: Shapes disagree, numbers are not finite, or triangles or landmarks are no
+            vertex numbers. The message names the model and the field.
     """
 
     name: str
@@ -41,32 +52,42 @@ class MorphableModel:
     expression_mean: np.ndarray | None = None
     expression_basis: np.ndarray | None = None
     expression_names: tuple[str, ...] = ()
+    expression_sd: float = 1.0
     colour_mean: np.ndarray | None = None
     colour_basis_times_sd: np.ndarray | None = None
     sha256: str = ""
 
     def __post_init__(self):
-        n_vertices = len(self.mean)
-        for label in _BASES:
-            array = getattr(self, label)
+        try:
+            self._check()
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None
+
+    def _check(self) -> None:
+        for label in ("mean", *_FIELDS, *_BASES):
+            array, n_axes = getattr(self, label), 3 if label in _BASES else 2
             if array is None:
                 continue
-            array = array[None] if label == "mean" else array
-            if array.ndim != 3 or array.shape[1:] != (n_vertices, 3):
+            if array.ndim != n_axes or array.shape[-2:] != (self.n_vertices, 3):
                 raise InputError(
-                    f"{self.name}: {label} must hold ({n_vertices}, 3) numbers a component. "
-                    f"Received shape {array.shape}."
+                    f"{label} must be of shape ({'K, ' * (n_axes - 2)}{self.n_vertices}, 3). "
+                    f"Received {array.shape}."
                 )
-        for label in (*_BASES, "expression_mean", "colour_mean", "colour_basis_times_sd"):
-            array = getattr(self, label)
-            if array is not None and not np.isfinite(array).all():
-                raise InputError(f"{self.name}: {label} must be finite. Received NaN or infinity.")
+            if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+                raise InputError(f"{label} must be finite numbers. Received NaN, infinity or text.")
+        check_triangles(self.triangles, self.n_vertices)
         for scheme, vertices in self.landmarks.items():
-            if len(vertices) and (vertices.min() < 0 or vertices.max() >= n_vertices):
+            if len(vertices) and not 0 <= vertices.min() <= vertices.max() < self.n_vertices:
                 raise InputError(
-                    f"{self.name}: landmarks {scheme} must be vertex numbers below {n_vertices}. "
+                    f"landmarks {scheme} must be vertex numbers below {self.n_vertices}. "
                     f"Received {vertices.min()} to {vertices.max()}."
                 )
+        n_expressions = 0 if self.expression_basis is None else len(self.expression_basis)
+        if len(self.expression_names) not in (0, n_expressions):
+            raise InputError(
+                f"expression_names must name {n_expressions} expressions. "
+                f"Received {len(self.expression_names)}."
+            )
 
     @property
     def n_vertices(self) -> int:
@@ -121,15 +142,25 @@ class MorphableModel:
 
         return replace(
             self,
-            mean=pick(self.mean),
-            identity_basis_times_sd=pick(self.identity_basis_times_sd),
             triangles=np.empty((0, 3), int) if triangles is None else triangles,
             landmarks={},
-            expression_mean=pick(self.expression_mean),
-            expression_basis=pick(self.expression_basis),
-            colour_mean=pick(self.colour_mean),
-            colour_basis_times_sd=pick(self.colour_basis_times_sd),
+            **{label: pick(getattr(self, label)) for label in ("mean", *_FIELDS, *_BASES)},
         )
+
+
+def model_of(file: Path, **fields) -> MorphableModel:
+    """`MorphableModel(**fields)` of a file, its triangles turned outwards.
+
+    Raises:
+        InputError: As `MorphableModel`, or there are no triangles; the message names the file.
+    """
+    try:
+        model = MorphableModel(**fields)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    if not len(model.triangles):
+        raise InputError(f"{file}: must hold a mesh. Received no triangles.")
+    return replace(model, triangles=orient_outwards(model.mean, model.triangles))
 
 
 def _combine(label: str, coefficients: np.ndarray, basis: np.ndarray) -> np.ndarray:

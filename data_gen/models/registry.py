@@ -1,61 +1,51 @@
-"""Every face model by its name on the command line."""
+"""Every face model by its name on the command line, and where its files are."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from data_gen.models import bfm2009, bfm2017, flame, ict
-from data_gen.models.flame_embedding import find_embedding
-from data_gen.models.model_files import find_path
+from data_gen.models.basel import load_bfm2009, load_bfm2017
+from data_gen.models.flame import find_embedding, load_flame
+from data_gen.models.ict import NEUTRAL, load_ict
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import OPENHEAD, load_openhead
 from deepmds_keras.errors import InputError
 
-MODELS = ("openhead", "ict", "bfm2009", "bfm2017", "bfm2019", "flame")
-
+# Names of each model's file, the preferred first.
+FILES = {
+    "ict": (NEUTRAL, "ict_light.npz"),
+    "bfm2009": ("01_MorphableModel.mat",),
+    "bfm2017": ("model2017-1_bfm_nomouth.h5", "model2017-1_face12_nomouth.h5"),
+    "bfm2019": ("model2019_bfm.h5", "model2019_face12.h5", "model2019_fullHead.h5"),
+    "flame": (
+        *("generic_model.pkl", "flame2023.pkl", "flame2023_no_jaw.pkl"),
+        *("generic_model.npz", "flame.npz"),
+    ),
+}
+_DEPTHS = ("", "*/", "*/*/")  # of the folders below the one given in which they are looked for
+MODELS = ("openhead", *FILES)
 OPEN = ("openhead", "ict")
 _BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
-_FLAME = "https://flame.is.tue.mpg.de/ (free for research, after registration)"
+_SOURCES = {
+    "ict": "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)",
+    **dict.fromkeys(("bfm2009", "bfm2017", "bfm2019"), _BASEL),
+    "flame": "https://flame.is.tue.mpg.de/ (free for research, after registration)",
+}
+_LOADERS = {
+    "ict": load_ict,
+    "bfm2009": load_bfm2009,
+    "bfm2017": load_bfm2017,
+    "bfm2019": partial(load_bfm2017, name="bfm2019"),
+    "flame": load_flame,
+}
 # The tip of the nose on FLAME's template, measured by the public landmark embedding.
 _FLAME_NOSE_TIP_MM = np.array([0.3, -9.4, 75.8])
 _NOSE_TIP = 13  # of the landmarks ibug51
-_SOURCES = {
-    "ict": (ict.CANDIDATES, "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)"),
-    "bfm2009": (bfm2009.CANDIDATES, _BASEL),
-    "bfm2017": (bfm2017.CANDIDATES["bfm2017"], _BASEL),
-    "bfm2019": (bfm2017.CANDIDATES["bfm2019"], _BASEL),
-    "flame": (flame.CANDIDATES, _FLAME),
-}
-_LOADERS: dict[str, Callable[[Path], MorphableModel]] = {
-    "ict": ict.load_ict,
-    "bfm2009": bfm2009.load_bfm2009,
-    "bfm2017": lambda path: bfm2017.load_bfm2017(path, "bfm2017"),
-    "bfm2019": lambda path: bfm2017.load_bfm2017(path, "bfm2019"),
-    "flame": flame.load_flame,
-}
-
-
-def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
-    """The models that anybody may use, `OPEN`.
-
-    Args:
-        path: As for `load_model`.
-
-    Returns:
-        Those whose files are there, and those whose are not.
-    """
-    found = []
-    for name in OPEN:
-        try:
-            model_files(name, path)
-        except InputError:
-            continue
-        found.append(name)
-    return found, [name for name in OPEN if name not in found]
 
 
 def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72") -> MorphableModel:
@@ -75,7 +65,11 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
             to get them) or unusable; or the landmarks are not known on it, or, for `"ibug51"`, no
             expressions.
     """
-    model = load_openhead() if name == "openhead" else _load_file(name, path)
+    if name == "openhead":
+        model = load_openhead()
+    else:
+        file = find_model(name, path)
+        model = _LOADERS[name](file)
     if scheme not in model.landmarks:
         raise InputError(
             f"{name} must be a mesh on which the landmarks {scheme} are known. "
@@ -89,6 +83,31 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
     return replace(model, mean=model.mean + shift)
 
 
+def find_model(name: str, path: str | Path | None) -> Path:
+    """File (of ICT-FaceKit the folder) of a model of `FILES`: the path itself, or what it holds.
+
+    Raises:
+        InputError: Another name; or there are none or several files of the first of the names in
+            `FILES` that is there. The message says where to get it.
+    """
+    if name not in FILES:
+        raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
+    received = "nothing"
+    if path:
+        path = Path(path)
+        places = [path] if path.is_file() else []
+        for pattern in (depth + file for file in FILES[name] for depth in _DEPTHS):
+            places = places or sorted(path.glob(pattern))
+        if len(places) == 1:
+            file = places[0]
+            return file.parent if file.name == NEUTRAL else file  # one mesh of many
+        received = ", ".join(map(str, places)) or f"{path}, which holds none of them"
+    raise InputError(
+        f"DATA= must be the file of {name}, or a folder that holds one: {', '.join(FILES[name])}, "
+        f"from {_SOURCES[name]}. Received {received}."
+    )
+
+
 def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     """Files that `load_model` reads of a face model.
 
@@ -97,29 +116,17 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     """
     if name == "openhead":
         return [OPENHEAD]
-    found = _find(name, path)
+    file = find_model(name, path)
     if name == "flame":
-        return [found, find_embedding(*found.absolute().parents[:3])]
-    if found.is_dir() or found.suffix == ".obj":
-        return sorted((found if found.is_dir() else found.parent).glob("*.obj"))
-    return [found]
+        return [file, find_embedding(file)]
+    return sorted(file.glob("*.obj")) if file.is_dir() else [file]
 
 
-def _load_file(name: str, path: str | Path | None) -> MorphableModel:
-    file = _find(name, path)
-    return _LOADERS[name](file)
-
-
-def _find(name: str, path: str | Path | None) -> Path:
-    if name not in _LOADERS:
-        raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
-    filenames, source = _SOURCES[name]
-    if not path:
-        raise InputError(
-            f"DATA= must be the file or folder of {name}: {', '.join(filenames)}, from {source}. "
-            "Received none."
-        )
-    try:
-        return find_path(path, filenames, what=name)
-    except InputError as error:
-        raise InputError(f"DATA={error} Get it from {source}.") from None
+def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
+    """Of `OPEN`, the models that anybody may use, those whose files are there, and the others."""
+    present = []
+    for name in OPEN:
+        with suppress(InputError):
+            model_files(name, path)
+            present.append(name)
+    return present, [name for name in OPEN if name not in present]

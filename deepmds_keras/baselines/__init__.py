@@ -1,5 +1,5 @@
-"""The methods that the paper compares with, and the simplest possible ones: one module each.
+"""The methods that the paper compares with, and the simplest possible ones.
 
-All are scikit-learn style estimators: `fit` where they learn, `predict(views)` from `(n, L, 2)` to
-`(n, L, 3)`, `n_parameters`. Only `zhao` imports TensorFlow, so import from the modules.
+All are scikit-learn style estimators with `predict` and `n_parameters`, and `fit` where they learn.
+Only `closed_form` does without TensorFlow, so import from the modules.
 """

@@ -3,51 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import keras
 import numpy as np
 import tensorflow as tf
-from sklearn.base import BaseEstimator
+from keras import ops
 
-from deepmds_keras.baselines.ringnet_losses import (
-    LandmarkCamera,
-    in_frame,
-    landmark_loss,
-    total_loss,
-)
-from deepmds_keras.baselines.ringnet_net import build_ringnet, seed_dropout
-from deepmds_keras.checks import check_fitted, check_images, check_points
+from deepmds_keras.baselines.networks import N_POSE, NetworkMethod, build_ringnet, check_shape
+from deepmds_keras.checks import check_images, check_points
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward_images
-from deepmds_keras.streams import Stream
-from deepmds_keras.training import (
-    face_order,
-    image_batches,
-    restore_network,
-    steps_per_call,
-    train_by_epoch,
-)
+from deepmds_keras.networks import forward_images
+from deepmds_keras.training import face_order, image_batches, steps_per_call
+from deepmds_keras.weights import Stream
 
+MARGIN = 0.5  # by which another person's code must be farther away, squared
 _CHECK_IMAGES = 480
 
 
-class RingNet(BaseEstimator):
+@dataclass(eq=False, repr=False)
+class RingNet(NetworkMethod):
     """ResNet-50 that regresses identity and expression coefficients of a face model from an image.
 
     After Sanyal et al. 2019, "Learning to regress 3D face shape and expression from an image
     without 3D supervision", arXiv:1905.06817. Training sees no 3D shape: only where the landmarks
-    are in each image, and which images are of one person. A mini-batch is made of rings: all images
-    of a ring but the last are of one person, whose identity codes are to be closer to each other
-    than to the last one's.
+    are in each image, and which images are of one person. A mini-batch consists of rings: all
+    images of a ring but the last are of one person, whose identity codes are to be closer to each
+    other than to the last one's.
 
     The face model is whichever the bases are of, linear in its coefficients: a jaw that opens is
     one of its expressions, not a joint as in FLAME. The network is trained from scratch, where
     theirs saw real photos. Ours are the schedule, warm-up and then cosine decay, and the weights of
     the two squared norms. Those were chosen, with a smaller network, by the 3D error of synthetic
     people left out of training: a blendshape at a weight of one is many s.d. from rest, and where
-    the norm of expressions weighs little, they take part in what identity and depth should explain
-    and the shapes become worse than the mean face.
+    the norm of expressions weighs little, they explain part of what identity and depth should, and
+    the shapes become worse than the mean face.
 
     Args:
         landmark_mean: `(L, 3)` landmarks of the mean face, millimetres.
@@ -66,44 +57,25 @@ class RingNet(BaseEstimator):
         expression_weight: Of the sum of the squared expression coefficients.
 
     Attributes:
-        network_: Trained `keras.Model`.
-        history_: By epoch, `train`: the whole loss while the weights change; `inference`: the mean
-            absolute error of the landmarks thereafter, over a fixed 480 of the images, in half
-            sides of the image.
+        history_: `train` is the whole loss; `inference` the mean absolute error of the landmarks
+            over a fixed 480 of the images, in half sides of the image.
     """
 
-    def __init__(
-        self,
-        landmark_mean: np.ndarray,
-        identity_basis_times_sd: np.ndarray,
-        expression_basis: np.ndarray,
-        *,
-        image_size: int = 96,
-        ring_size: int = 6,
-        rings_per_batch: int = 4,
-        learning_rate: float = 3e-4,
-        epochs: int = 20,
-        steps_per_epoch: int = 500,
-        seed: int = 0,
-        landmark_weight: float = 60.0,
-        ring_weight: float = 1.0,
-        identity_weight: float = 1e-2,
-        expression_weight: float = 1e-1,
-    ):
-        self.landmark_mean = landmark_mean
-        self.identity_basis_times_sd = identity_basis_times_sd
-        self.expression_basis = expression_basis
-        self.image_size = image_size
-        self.ring_size = ring_size
-        self.rings_per_batch = rings_per_batch
-        self.learning_rate = learning_rate
-        self.epochs = epochs
-        self.steps_per_epoch = steps_per_epoch
-        self.seed = seed
-        self.landmark_weight = landmark_weight
-        self.ring_weight = ring_weight
-        self.identity_weight = identity_weight
-        self.expression_weight = expression_weight
+    landmark_mean: np.ndarray
+    identity_basis_times_sd: np.ndarray
+    expression_basis: np.ndarray
+    _: KW_ONLY
+    image_size: int = 96
+    ring_size: int = 6
+    rings_per_batch: int = 4
+    learning_rate: float = 3e-4
+    epochs: int = 20
+    steps_per_epoch: int = 500
+    seed: int = 0
+    landmark_weight: float = 60.0
+    ring_weight: float = 1.0
+    identity_weight: float = 1e-2
+    expression_weight: float = 1e-1
 
     def fit(
         self,
@@ -121,82 +93,42 @@ class RingNet(BaseEstimator):
                 mini-batch at a time is read.
             landmarks: `(n, L, 2)` pixels, x right and y down from the left upper corner.
             subjects: `(n,)` int, who is in each image.
-            checkpoint: File to go on from, and to write after every epoch.
-            progress: Called after every epoch with its losses.
+            checkpoint, progress: As for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, fewer than two subjects or too few images of one to make a
                 ring, bases of other landmarks, or a checkpoint of another run.
         """
-        landmarks = check_points(landmarks, "landmarks", 2)
-        subjects = np.asarray(subjects)
+        landmarks, subjects = check_points(landmarks, "landmarks", 2), np.asarray(subjects)
         self._check_training(len(images), landmarks, subjects)
         points = np.float32(in_frame(landmarks, self.image_size))
         fill = float(np.ptp(points, axis=1).max(1).mean() / 2)
-        bases = self.identity_basis_times_sd, self.expression_basis
-        camera = LandmarkCamera(self.landmark_mean, *bases, fill)
-        network = build_ringnet(*map(len, bases), self.image_size, self.seed)
-        steps, n_batch = self.steps_per_epoch, self.rings_per_batch * self.ring_size
-        weights = {
-            name: getattr(self, f"{name}_weight")
-            for name in ("landmark", "ring", "identity", "expression")
-        }
+        points = points.reshape(len(points), -1)
+        members = [np.flatnonzero(subjects == subject) for subject in np.unique(subjects)]
+        loss = RingNetLoss(self, fill)
+        network = self._build(self.seed)
+        steps, n_rings = self.steps_per_epoch, self.steps_per_epoch * self.rings_per_batch
         network.compile(
             self._optimizer(),
-            total_loss(camera, self.ring_size, weights),
+            loss,
             steps_per_execution=steps_per_call(steps),
-            jit_compile=False,  # the compiler's own convolutions are the slower ones
+            jit_compile=False,  # the compiler's convolutions are the slower ones
         )
-        points = points.reshape(len(points), -1)
-        members = _members(subjects)
+        dropouts = [layer for layer in network.layers if isinstance(layer, keras.layers.Dropout)]
 
         def batches(epoch: int) -> tf.data.Dataset:
-            seed_dropout(network, self.seed, epoch)
-            rings = draw_rings(
-                members, steps * self.rings_per_batch, self.ring_size, self.seed, epoch
-            )
-            return image_batches(images, points, rings.reshape(steps, n_batch))
+            for number, layer in enumerate(dropouts):  # as in an unbroken training
+                layer.seed_generator.state.assign([1000 * self.seed + number, epoch])
+            rings = draw_rings(members, n_rings, self.ring_size, self.seed, epoch)
+            return image_batches(images, points, rings.reshape(steps, -1))
 
         check = np.arange(min(len(images), _CHECK_IMAGES))
 
         def inference() -> float:
-            found = forward_images(network, images[check])
-            return float(landmark_loss(camera, points[check], found))
+            return float(loss.landmark_loss(points[check], forward_images(network, images[check])))
 
-        label = {"network": network.name, "images": len(images), "subjects": len(members)}
-        label |= self._label()
-        self.history_ = train_by_epoch(network, batches, label, inference, checkpoint, progress)
-        self.network_ = network
-        return self
-
-    def restore(self, checkpoint: str | Path) -> RingNet:
-        """Take the network that `fit` trained to the end, and train nothing.
-
-        Raises:
-            InputError: The file is missing, unfinished, damaged or of another run.
-        """
-        bases = self.identity_basis_times_sd, self.expression_basis
-        self.network_ = build_ringnet(*map(len, bases), self.image_size)
-        self.history_ = restore_network(self.network_, checkpoint, self._label())
-        return self
-
-    def coefficients(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Identity and expression coefficients of the faces in images.
-
-        Args:
-            images: `(n, image_size, image_size, 3)` uint8.
-
-        Returns:
-            `(n, K)` and `(n, E)`.
-
-        Raises:
-            InputError: Not trained, or images of another kind or size.
-        """
-        network = check_fitted(self, "network_", "fit or restore")
-        found = forward_images(network, check_images(images, self.image_size))
-        n_expression = len(self.expression_basis)
-        start = found.shape[1] - n_expression - len(self.identity_basis_times_sd)
-        return found[:, start:-n_expression], found[:, -n_expression:]
+        data = {"images": len(images), "subjects": len(members)}
+        return self._train(network, batches, data, inference, checkpoint, progress)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: the pose is left out.
@@ -208,20 +140,18 @@ class RingNet(BaseEstimator):
             `(n, L, 3)` millimetres.
 
         Raises:
-            InputError: As `coefficients`.
+            InputError: Not trained, or images of another kind or size.
         """
-        identity, expression = self.coefficients(images)
-        offsets = np.tensordot(identity, self.identity_basis_times_sd, 1)
-        return self.landmark_mean + offsets + np.tensordot(expression, self.expression_basis, 1)
+        network = self._trained()
+        parameters = forward_images(network, check_images(images, self.image_size))
+        end = N_POSE + len(self.identity_basis_times_sd)
+        identity = np.tensordot(parameters[:, N_POSE:end], self.identity_basis_times_sd, 1)
+        expression = np.tensordot(parameters[:, end:], self.expression_basis, 1)
+        return self.landmark_mean + identity + expression
 
-    @property
-    def n_parameters(self) -> int:
-        """Trainable parameters."""
-        return count_trainable(check_fitted(self, "network_", "fit or restore"))
-
-    def _label(self) -> dict:
-        """Label of the checkpoint: all that the network depends on beside the data."""
-        return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
+    def _build(self, seed: int = 0) -> keras.Model:
+        n_coefficients = len(self.identity_basis_times_sd), len(self.expression_basis)
+        return build_ringnet(*n_coefficients, self.image_size, seed)
 
     def _optimizer(self) -> keras.optimizers.Optimizer:
         """Adam, whose rate grows over a twentieth of the steps and then falls by a cosine."""
@@ -237,22 +167,11 @@ class RingNet(BaseEstimator):
 
     def _check_training(self, n: int, landmarks: np.ndarray, subjects: np.ndarray) -> None:
         n_landmarks = len(self.landmark_mean)
-        if landmarks.shape != (n, n_landmarks, 2):
-            raise InputError(
-                f"landmarks must have shape ({n}, {n_landmarks}, 2), a row for each image. "
-                f"Received {landmarks.shape}."
-            )
-        if subjects.shape != (n,):
-            raise InputError(
-                f"subjects must have shape ({n},), a number for each image. "
-                f"Received {subjects.shape}."
-            )
+        check_shape(landmarks, "landmarks", (n, n_landmarks, 2))
+        check_shape(subjects, "subjects", (n,))
         for name in ("identity_basis_times_sd", "expression_basis"):
-            shape = np.shape(getattr(self, name))
-            if len(shape) != 3 or not shape[0] or shape[1:] != (n_landmarks, 3):
-                raise InputError(
-                    f"{name} must have shape (components >= 1, {n_landmarks}, 3). Received {shape}."
-                )
+            basis = getattr(self, name)
+            check_shape(basis, name, (max(len(basis), 1), n_landmarks, 3))
         if self.ring_size < 3:
             raise InputError(f"ring_size must be at least 3. Received {self.ring_size}.")
         counts = np.unique(subjects, return_counts=True)[1]
@@ -270,10 +189,8 @@ def draw_rings(
 
     Args:
         members: Row numbers of each subject's images.
-        n_rings: Rings in the epoch.
-        ring_size: Images in a ring.
-        seed: Of the training.
-        epoch: Number of the epoch.
+        n_rings, ring_size: Rings in the epoch, and images in each.
+        seed, epoch: Of the training, and number of the epoch.
 
     Returns:
         `(n_rings, ring_size)` row numbers.
@@ -288,8 +205,85 @@ def draw_rings(
     return rings
 
 
-def _members(subjects: np.ndarray) -> list[np.ndarray]:
-    """Row numbers of each subject's images."""
-    order = np.argsort(subjects, kind="stable")
-    starts = np.flatnonzero(np.diff(subjects[order])) + 1
-    return np.split(order, starts)
+class RingNetLoss:
+    """The weighted sum of RingNet's four losses, on a batch of whole rings.
+
+    Called with `(n, 2L)` landmarks in [-1, 1] and `(n, P)` parameters of `build_ringnet`. A face
+    turns about the middle of the mean landmarks, so that turning it hardly shifts it.
+
+    Args:
+        model: Face model, ring size and weights.
+        fill: Half the larger side of the landmarks' box in the image at log scale 0, where the
+            image reaches from -1 to 1.
+    """
+
+    def __init__(self, model: RingNet, fill: float):
+        low, high = np.min(model.landmark_mean, axis=0), np.max(model.landmark_mean, axis=0)
+        unit = max((high - low)[:2]) / 2 / fill
+        self.model, self.n_identity = model, len(model.identity_basis_times_sd)
+        bases = np.concatenate([model.identity_basis_times_sd, model.expression_basis]) / unit
+        self._mean = np.float32((model.landmark_mean - (low + high) / 2) / unit)
+        self._bases = np.float32(bases.reshape(len(bases), -1))
+
+    def __call__(self, landmarks, parameters):
+        codes = parameters[:, N_POSE:]
+        identity, expression = codes[:, : self.n_identity], codes[:, self.n_identity :]
+        return (
+            self.model.landmark_weight * self.landmark_loss(landmarks, parameters)
+            + self.model.ring_weight * ring_loss(identity, self.model.ring_size)
+            + self.model.identity_weight * ops.mean(ops.sum(ops.square(identity), axis=1))
+            + self.model.expression_weight * ops.mean(ops.sum(ops.square(expression), axis=1))
+        )
+
+    def landmark_loss(self, landmarks, parameters):
+        """Mean absolute error of the landmarks in the image, whose side is 2."""
+        projected = self.project(parameters)
+        return ops.mean(ops.abs(projected - ops.reshape(landmarks, ops.shape(projected))))
+
+    def project(self, parameters):
+        """Scaled orthographic view of the landmarks, `(n, L, 2)`, x right, y up, [-1, 1]."""
+        offsets = ops.matmul(parameters[:, N_POSE:], self._bases)
+        shapes = self._mean + ops.reshape(offsets, (-1, *self._mean.shape))
+        rotations = rotation_matrices(parameters[:, 3:N_POSE])
+        posed = ops.matmul(shapes, ops.transpose(rotations, (0, 2, 1)))
+        return ops.exp(parameters[:, :1, None]) * posed[..., :2] + parameters[:, None, 1:3]
+
+
+def ring_loss(identity, ring_size: int):
+    """Codes of one person must be closer to each other than to another person's.
+
+    After Sanyal et al. 2019, arXiv:1905.06817, whose text was not at hand to check the margin and
+    the factor in front: the mean over rings of
+
+        1/R · Σ_jk max(0, |β_j − β_k|² − |β_j − β_R|² + η)
+
+    over all ordered pairs j ≠ k of the R − 1 elements of one person; β_R is another's and η 0.5.
+
+    Args:
+        identity: `(rings · R, K)` codes; the last of each ring is the other person's.
+        ring_size: R.
+    """
+    rings = ops.reshape(identity, (-1, ring_size, identity.shape[-1]))
+    same, other = rings[:, :-1], rings[:, -1:]
+    apart = ops.sum(ops.square(same[:, :, None] - same[:, None]), axis=-1)
+    away = ops.sum(ops.square(same - other), axis=-1)
+    excess = ops.relu(apart - away[:, :, None] + MARGIN)
+    different = 1 - np.eye(ring_size - 1, dtype=np.float32)
+    return ops.mean(ops.sum(excess * different, axis=(1, 2))) / ring_size
+
+
+def rotation_matrices(axis_angle):
+    """Rodrigues: `(n, 3)` axes of length the angle in radians → `(n, 3, 3)`."""
+    angle = ops.sqrt(ops.sum(ops.square(axis_angle), axis=1, keepdims=True) + 1e-12)
+    x, y, z = ops.split(axis_angle / angle, 3, axis=1)
+    zero = ops.zeros_like(x)
+    cross = ops.reshape(
+        ops.concatenate([zero, -z, y, z, zero, -x, -y, x, zero], axis=1), (-1, 3, 3)
+    )
+    sine, cosine = ops.sin(angle)[:, None], ops.cos(angle)[:, None]
+    return ops.eye(3) + sine * cross + (1 - cosine) * ops.matmul(cross, cross)
+
+
+def in_frame(pixels: np.ndarray, image_size: int) -> np.ndarray:
+    """Pixels, y down, → the image from -1 to 1, y up; `(…, 2)` both."""
+    return (2 * np.asarray(pixels) / image_size - 1) * np.array([1.0, -1.0])

@@ -16,16 +16,12 @@ from deepmds_keras.errors import InputError
 
 IMAGE_SIZE = 224
 N_VERTICES = 5023  # FLAME's
-N_PARAMETERS = 159  # camera 3, pose 6, shape 100, expression 50
 _MM = 1000.0  # the graph gives metres
-# The authors load the file beside a placeholder of their own called `input_images`. TensorFlow
-# would then call the file's the same with `_1`, so that the file may have it under either name.
+# The authors load the file where a placeholder `input_images` exists. TensorFlow then calls the
+# file's the same with `_1`, so that the file may have it under either name.
 _INPUTS = ("input_images_1:0", "input_images:0")
-_PARAMETERS, _VERTICES = "add_2:0", "Flamenetnormal_2/Add_9:0"
-_UNUSABLE = dict.fromkeys(
-    ("PyFunc", "PyFuncStateless", "EagerPyFunc"),
-    "calls a Python function, which the file does not hold",
-) | dict.fromkeys(("ReadFile", "WriteFile", "MatchingFiles"), "uses files")
+_VERTICES = "Flamenetnormal_2/Add_9:0"
+_UNUSABLE = {"PyFunc", "PyFuncStateless", "EagerPyFunc", "ReadFile", "WriteFile", "MatchingFiles"}
 
 
 class ReleasedRingNet:
@@ -51,76 +47,60 @@ class ReleasedRingNet:
         landmark_vertices: np.ndarray,
         landmark_weights: np.ndarray,
     ):
-        self.checkpoint_prefix = str(checkpoint_prefix)
-        self.landmark_vertices = np.asarray(landmark_vertices)
-        self.landmark_weights = np.asarray(landmark_weights, float)
-        _check_landmarks(self.landmark_vertices, self.landmark_weights)
-        meta = _read_meta(self.checkpoint_prefix)
+        self.checkpoint_prefix = prefix = str(checkpoint_prefix)
+        self.landmark_vertices, self.landmark_weights = landmark_vertices, landmark_weights
+        if np.max(landmark_vertices, initial=0) >= N_VERTICES:
+            raise InputError(f"landmark_vertices must be whole numbers below {N_VERTICES}.")
+        meta = _read_meta(prefix)
         self._graph = tf.Graph()
         with self._graph.as_default():
-            saver = _import(self.checkpoint_prefix, meta)
-            self._input, self._outputs = _tensors(self.checkpoint_prefix, self._graph)
-            _check_runnable(self.checkpoint_prefix, self._outputs)
+            try:
+                saver = tf.compat.v1.train.import_meta_graph(meta, clear_devices=True)
+            except (tf.errors.OpError, ValueError, KeyError, TypeError, RuntimeError) as error:
+                raise InputError(
+                    f"{prefix}.meta must be a graph of operations that TensorFlow {tf.__version__} "
+                    f"has. {_line(error)}"
+                ) from None
+            if saver is None:
+                raise InputError(f"{prefix}.meta must say how it is restored. Received no saver.")
+            self._input, self._vertices = _tensors(prefix, self._graph)
+            _check_runnable(prefix, self._vertices.op)
             self._session = tf.compat.v1.Session(graph=self._graph)
             try:
-                saver.restore(self._session, self.checkpoint_prefix)
+                saver.restore(self._session, prefix)
             except (tf.errors.OpError, ValueError) as error:
                 raise InputError(
-                    f"{self.checkpoint_prefix} must be the checkpoint of its .meta. {_line(error)}"
+                    f"{prefix} must be the checkpoint of its .meta. {_line(error)}"
                 ) from None
 
-    def parameters(self, images: np.ndarray) -> np.ndarray:
-        """Camera (scale, x, y), pose (neck and jaw, axis-angle), shape and expression.
+    def predict(self, images: np.ndarray) -> np.ndarray:
+        """Landmarks of the faces in images.
 
         Args:
             images: `(n, 224, 224, 3)` uint8, RGB, a loose square about each face.
 
         Returns:
-            `(n, 159)`.
+            `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Images of another kind or size.
         """
-        return self._run(images, 0)
-
-    def vertices(self, images: np.ndarray) -> np.ndarray:
-        """FLAME's vertices, `(n, 5023, 3)` millimetres; arguments and errors as `parameters`."""
-        return self._run(images, 1) * _MM
-
-    def predict(self, images: np.ndarray) -> np.ndarray:
-        """Landmarks, `(n, L, 3)` millimetres; arguments and errors as `parameters`."""
-        corners = self.vertices(images)[:, self.landmark_vertices]
-        return np.einsum("nlvc,lv->nlc", corners, self.landmark_weights)
+        corners = []
+        try:
+            for image in check_images(images, IMAGE_SIZE):  # the graph takes one at a time
+                scaled = image[None] / np.float32(127.5) - 1
+                vertices = self._session.run(self._vertices, {self._input: scaled})[0]
+                corners.append(vertices[self.landmark_vertices])
+        except tf.errors.OpError as error:
+            raise InputError(f"{self.checkpoint_prefix} cannot be run. {_line(error)}") from None
+        millimetres = np.stack(corners).astype(float) * _MM
+        return np.einsum("nlvc,lv->nlc", millimetres, self.landmark_weights)
 
     @property
     def n_parameters(self) -> int:
         """Trainable parameters."""
         variables = self._graph.get_collection(tf.compat.v1.GraphKeys.TRAINABLE_VARIABLES)
         return sum(math.prod(variable.shape) for variable in variables)
-
-    def _run(self, images: np.ndarray, output: int) -> np.ndarray:
-        images = check_images(images, IMAGE_SIZE)
-        tensor = self._outputs[output]
-        try:
-            found = [  # the graph takes one image at a time
-                self._session.run(tensor, {self._input: image[None] / np.float32(127.5) - 1})
-                for image in images
-            ]
-        except tf.errors.OpError as error:
-            raise InputError(f"{self.checkpoint_prefix} cannot be run. {_line(error)}") from None
-        return np.concatenate(found).astype(float)
-
-
-def _check_landmarks(vertices: np.ndarray, weights: np.ndarray) -> None:
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or weights.shape != vertices.shape:
-        raise InputError(
-            "landmark_vertices and landmark_weights must have one shape (L, 3). "
-            f"Received {vertices.shape} and {weights.shape}."
-        )
-    if not np.issubdtype(vertices.dtype, np.integer) or (
-        len(vertices) and not 0 <= vertices.min() <= vertices.max() < N_VERTICES
-    ):
-        raise InputError(f"landmark_vertices must be whole numbers below {N_VERTICES}.")
 
 
 def _read_meta(prefix: str) -> MetaGraphDef:
@@ -137,60 +117,40 @@ def _read_meta(prefix: str) -> MetaGraphDef:
         raise InputError(f"{prefix}.meta must be a MetaGraph. {_line(error)}") from None
 
 
-def _import(prefix: str, meta: MetaGraphDef) -> tf.compat.v1.train.Saver:
-    """Puts the file's graph into the current one."""
-    try:
-        saver = tf.compat.v1.train.import_meta_graph(meta, clear_devices=True)
-    except (tf.errors.OpError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise InputError(
-            f"{prefix}.meta must be a graph of operations that TensorFlow {tf.__version__} has. "
-            f"{_line(error)}"
-        ) from None
-    if saver is None:
-        raise InputError(f"{prefix}.meta must say how it is restored. Received no saver.")
-    return saver
-
-
-def _tensors(prefix: str, graph: tf.Graph) -> tuple[tf.Tensor, tuple[tf.Tensor, tf.Tensor]]:
-    """Input and outputs, of the shapes that RingNet's have."""
+def _tensors(prefix: str, graph: tf.Graph) -> list[tf.Tensor]:
+    """Input and vertices, of the shapes that RingNet's have."""
     names = {tensor.name: tensor for op in graph.get_operations() for tensor in op.outputs}
-    image = next((name for name in _INPUTS if name in names), _INPUTS[0])
-    needed = {
-        image: (1, IMAGE_SIZE, IMAGE_SIZE, 3),
-        _PARAMETERS: (1, N_PARAMETERS),
-        _VERTICES: (1, N_VERTICES, 3),
-    }
-    missing = [name for name in needed if name not in names]
-    if missing:
-        kinds = ("Placeholder", "Add", "AddV2")
-        like = [name for name, tensor in names.items() if tensor.op.type in kinds]
-        raise InputError(
-            f"{prefix}.meta must have the tensors {', '.join(needed)}. Received none called "
-            f"{', '.join(missing)} among {len(names)}; its inputs and sums are "
-            f"{', '.join(like[:20]) or 'none'}."
-        )
+    image = _INPUTS[0] if _INPUTS[0] in names else _INPUTS[1]
+    needed = {image: (1, IMAGE_SIZE, IMAGE_SIZE, 3), _VERTICES: (1, N_VERTICES, 3)}
     for name, shape in needed.items():
-        if names[name].dtype != tf.float32 or not names[name].shape.is_compatible_with(shape):
+        tensor = names.get(name)
+        if tensor is None:
+            kinds = ("Placeholder", "Add", "AddV2")
+            like = [other for other, t in names.items() if t.op.type in kinds]
+            raise InputError(
+                f"{prefix}.meta must have the tensor {name}. "
+                f"Received inputs and sums {', '.join(like[:20]) or 'none'}."
+            )
+        if tensor.dtype != tf.float32 or not tensor.shape.is_compatible_with(shape):
             raise InputError(
                 f"{prefix}.meta: {name} must be float32 of shape {shape}. "
-                f"Received {names[name].dtype.name} of shape {names[name].shape}."
+                f"Received {tensor.dtype.name} of shape {tensor.shape}."
             )
-    return names[image], (names[_PARAMETERS], names[_VERTICES])
+    return [names[name] for name in needed]
 
 
-def _check_runnable(prefix: str, outputs: tuple[tf.Tensor, ...]) -> None:
-    """The outputs must come of the image alone: no code outside the file, no other files."""
-    waiting, seen = [tensor.op for tensor in outputs], set()
+def _check_runnable(prefix: str, output: tf.Operation) -> None:
+    """The output must come of the image alone: no code outside the file, no other files."""
+    waiting, seen = [output], set()
     while waiting:
         op = waiting.pop()
         if op in seen:
             continue
         seen.add(op)
-        why = _UNUSABLE.get(op.type)
-        if why:
+        if op.type in _UNUSABLE:
             raise InputError(
                 f"{prefix}.meta must be run without anything else. Received the operation "
-                f"{op.name} ({op.type}), which {why}."
+                f"{op.name} ({op.type}), which uses what the file does not hold."
             )
         waiting += [tensor.op for tensor in op.inputs] + list(op.control_inputs)
 

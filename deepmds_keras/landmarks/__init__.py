@@ -1,4 +1,4 @@
-"""Landmark schemes: order, names, mirror pairs, drawing lines, and points that they share."""
+"""Landmark schemes: order, names, mirror pairs, drawing lines, and conversion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
 
 FOLDER = Path(__file__).parent
@@ -26,7 +26,7 @@ class LandmarkScheme:
             Everything below counts from 0 in this order instead.
         names: `L` unique anatomical names, or none; right and left are the subject's.
         groups: `L` names of facial parts, such as `right_brow` or `outer_mouth`, or none.
-        mirror: `(L,)` int, the landmark that the other half of the face has; its own inverse.
+        mirror: `(L,)` int, the landmark that the other half of the face has; its each inverse.
         polylines: Lines that draw the face, each a tuple of landmarks.
         ibug68: iBUG landmark number, 1-based, to the landmark that is the same point.
         sizes: How many points a face may have: L, or some more that are left out.
@@ -57,11 +57,7 @@ class LandmarkScheme:
 
 @cache
 def load_schemes() -> dict[str, LandmarkScheme]:
-    """Return every scheme by its name, in the order of `schemes.csv`.
-
-    Raises:
-        InputError: The tables of a scheme cannot be read or do not fit together.
-    """
+    """Return every scheme by its name, in the order of `schemes.csv`."""
     return {row["scheme"]: _read_scheme(row) for row in read_table(FOLDER / "schemes.csv")}
 
 
@@ -77,38 +73,118 @@ def load_scheme(name: str) -> LandmarkScheme:
     return schemes[name]
 
 
-def _read_scheme(row: dict[str, str]) -> LandmarkScheme:
-    try:
-        numbers = range(int(row["first"]), int(row["last"]) + 1)
-        position = {number: i for i, number in enumerate(numbers)}
-        landmarks = [own for own in _rows(row, "") if int(own["number"]) in position]
-        if landmarks and [int(own["number"]) for own in landmarks] != [*numbers]:
-            raise ValueError(f"numbers other than {numbers[0]} to {numbers[-1]}")
-        lines = [tuple(map(int, own["landmarks"].split("-"))) for own in _rows(row, "_polylines")]
-        same = {int(own["ibug68"]): position[int(own["number"])] for own in _rows(row, "_ibug68")}
-        mirror = np.array([position[int(own["mirror"])] for own in landmarks], int)
-        mirror.flags.writeable = False  # the cached scheme is shared by all callers
-        return LandmarkScheme(
-            name=row["scheme"],
-            numbers=tuple(numbers),
-            names=tuple(own["name"] for own in landmarks),
-            groups=tuple(own["group"] for own in landmarks),
-            mirror=mirror,
-            polylines=tuple(
-                tuple(position[number] for number in line)
-                for line in lines
-                if position.keys() >= set(line)
-            ),
-            ibug68=position if row["table"] == "ibug68" else same,
-            sizes=(len(numbers), *([int(row["longer"])] if row["longer"] else [])),
-        )
-    except (KeyError, TypeError, ValueError) as error:
+def convert(
+    landmarks: np.ndarray, source: str, target: str, *, missing: str = "raise"
+) -> np.ndarray:
+    """Landmarks in the order of another scheme.
+
+    Points are picked, never moved: coordinates, unit and axes stay those of the source. Points that
+    two schemes share are those of `ibug68` that both have, see `LandmarkScheme.ibug68`.
+
+    Args:
+        landmarks: `(n, L, d)` or `(L, d)`, `d` 2 or 3; `L` as `source` has it, or 478 points of
+            MediaPipe, whose last ten, of the irises, are left out.
+        source: Name of the scheme that the landmarks are in.
+        target: Name of the scheme that they are wanted in.
+        missing: What becomes of landmarks that the source lacks: `"raise"` refuses, `"nan"` gives
+            NaN.
+
+    Returns:
+        `(n, M, d)` or `(M, d)` of floats, `M` as `target` has it.
+
+    Raises:
+        InputError: Unknown scheme or choice, landmarks of another shape, or the source lacks some
+            and `missing` is `"raise"`.
+    """
+    if missing not in ("raise", "nan"):
+        raise InputError(f"missing must be raise or nan. Received {missing!r}.")
+    picks, sizes = _picks(source, target), load_scheme(source).sizes
+    landmarks = np.asarray(landmarks)
+    if not (
+        landmarks.ndim in (2, 3)
+        and landmarks.shape[-2] in sizes
+        and landmarks.shape[-1] in (2, 3)
+        and landmarks.dtype.kind in "fiu"
+    ):
         raise InputError(
-            f"The tables of the scheme {row.get('scheme')} in {FOLDER} must fit together, as "
-            f"schemes.csv says. Received {type(error).__name__}: {error}."
-        ) from None
+            f"landmarks of {source} must be numbers of shape (n, L, d) or (L, d), L = "
+            f"{' or '.join(map(str, sizes))}, d = 2 or 3. "
+            f"Received {landmarks.shape} of {landmarks.dtype}."
+        )
+    lacking = picks < 0
+    if missing == "raise" and lacking.any():
+        numbers = np.array(load_scheme(target).numbers)[lacking].tolist()
+        raise InputError(
+            f'{target} must have all its landmarks in {source}, or missing must be "nan". Received '
+            f"landmarks without {len(numbers)} of the {len(picks)}: {brief(numbers, 40)}."
+        )
+    kept = landmarks if landmarks.dtype.kind == "f" else landmarks.astype(float)
+    converted = kept[..., picks, :]
+    converted[..., lacking, :] = np.nan
+    return converted
+
+
+def scheme_of(n_landmarks: int) -> str:
+    """Return the name of the scheme that has so many landmarks, or takes so many.
+
+    Raises:
+        InputError: None has.
+    """
+    for name, scheme in load_schemes().items():
+        if n_landmarks in scheme.sizes:
+            return name
+    raise InputError(f"A face must have {said_sizes()} landmarks. Received {n_landmarks}.")
+
+
+def face_sizes() -> tuple[int, ...]:
+    """Return the numbers of landmarks that a face may have, of any scheme, ascending."""
+    return tuple(sorted({n for scheme in load_schemes().values() for n in scheme.sizes}))
+
+
+def said_sizes() -> str:
+    """Return those numbers as text."""
+    *others, last = map(str, face_sizes())
+    return f"{', '.join(others)} or {last}"
+
+
+def _read_scheme(row: dict[str, str]) -> LandmarkScheme:
+    numbers = range(int(row["first"]), int(row["last"]) + 1)
+    position = {number: i for i, number in enumerate(numbers)}
+    landmarks = [each for each in _rows(row, "") if int(each["number"]) in position]
+    lines = [tuple(map(int, each["landmarks"].split("-"))) for each in _rows(row, "_polylines")]
+    mirror = np.array([position[int(each["mirror"])] for each in landmarks], int)
+    mirror.flags.writeable = False  # the cached scheme is shared by all callers
+    same = {int(each["ibug68"]): position[int(each["number"])] for each in _rows(row, "_ibug68")}
+    return LandmarkScheme(
+        name=row["scheme"],
+        numbers=tuple(numbers),
+        names=tuple(each["name"] for each in landmarks),
+        groups=tuple(each["group"] for each in landmarks),
+        mirror=mirror,
+        polylines=tuple(
+            tuple(position[number] for number in line)
+            for line in lines
+            if position.keys() >= set(line)
+        ),
+        ibug68=position if row["table"] == "ibug68" else same,
+        sizes=(len(numbers), *([int(row["longer"])] if row["longer"] else [])),
+    )
 
 
 def _rows(row: dict[str, str], kind: str) -> list[dict[str, str]]:
     path = FOLDER / f"{row['table']}{kind}.csv"
     return read_table(path) if path.is_file() else []
+
+
+@cache
+def _picks(source: str, target: str) -> np.ndarray:
+    """`(M,)` positions in the source of the landmarks of the target, -1 where it has none."""
+    given, wanted = load_scheme(source), load_scheme(target)
+    if source == target:
+        picks = np.arange(len(wanted))
+    else:
+        picks = np.full(len(wanted), -1)
+        for number in given.ibug68.keys() & wanted.ibug68.keys():
+            picks[wanted.ibug68[number]] = given.ibug68[number]
+    picks.flags.writeable = False  # shared by all calls
+    return picks

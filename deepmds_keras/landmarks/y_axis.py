@@ -6,10 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from deepmds_keras.alignment import rms_radius
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import convert, face_sizes, scheme_of
-from deepmds_keras.normalisation import rms_radius
+from deepmds_keras.landmarks import convert, face_sizes, load_scheme, scheme_of
 
 _PARTS = ("right_eye", "left_eye", "outer_mouth")
 # In sizes of the face (root mean square distance from its middle): how far the eyes must be below
@@ -32,11 +31,12 @@ _MIRRORED = (
 
 
 def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
-    """Refuse landmarks whose y grows upwards, whose right and left are swapped, or upside down.
+    """Refuse landmarks most of whose faces stand on their heads or are mirrored.
 
-    Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the mouth up to the
-    eyes has the subject's right eye on his left. A face may lean by nearly 90 degrees. One in
-    profile passes, whichever side it shows. One with a NaN is not judged.
+    Then y grows upwards, or right and left are swapped. A batch is judged as a whole: single faces
+    may stand oddly. Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the
+    mouth up to the eyes has the subject's right eye on his left. A face may lean by nearly 90
+    degrees. One in profile passes, whichever side it shows. One with a NaN is not judged.
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
@@ -44,12 +44,15 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
         name: Of the file or argument, for the message.
 
     Raises:
-        InputError: The landmarks are not of the scheme's shape, or not upright: the message says
-            in which of the three ways and what to do; of several faces it names the first.
+        InputError: The landmarks are not of the scheme's shape, or most faces are not upright: the
+            message says in which of the three ways and what to do; of several it names the first.
     """
+    landmarks = np.asarray(landmarks)
+    landmarks = landmarks[None] if landmarks.ndim == 2 else landmarks
     faults = find_flipped(landmarks, scheme)
-    for face, fault in faults.items():
-        n = len(landmarks) if np.ndim(landmarks) == 3 else 1
+    if 2 * len(faults) > np.isfinite(landmarks[..., :2]).all((1, 2)).sum():
+        face, fault = next(iter(faults.items()))
+        n = len(landmarks)
         raise InputError(f"{f'{name}, face {face + 1} of {n}' if n > 1 else name}: {fault}")
 
 
@@ -60,20 +63,21 @@ def check_views(views: np.ndarray) -> None:
         views: `(n, L, 2)`; faces with a NaN are not judged.
 
     Raises:
-        InputError: y grows downwards, or the views are mirrored or upside down.
+        InputError: Of most faces y grows downwards, or they are mirrored or upside down.
     """
     if views.shape[1] not in face_sizes():
         return
-    faults = find_flipped(views * (1, -1), scheme_of(views.shape[1]))
-    for face, fault in faults.items():
+    try:
+        check_y_axis(views * (1, -1), scheme_of(views.shape[1]), "views")
+    except InputError as error:
+        message = str(error).replace(_Y_UP, _Y_DOWN)
         raise InputError(
-            f"views, face {face + 1} of {len(views)}: {_Y_DOWN if fault == _Y_UP else fault} "
-            "With check_orientation=False they are taken as they are."
-        )
+            f"{message} With check_orientation=False they are taken as they are."
+        ) from None
 
 
 def find_flipped(landmarks: np.ndarray, scheme: str) -> dict[int, str]:
-    """The faces that `check_y_axis` refuses, 0-based and ascending, each with what to do.
+    """The faces that are upside down or mirrored, 0-based and ascending, each with what to do.
 
     Raises:
         InputError: The landmarks are not of the scheme's shape.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.checks import check_faces
 from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.views import LEAST_VISIBLE, prepare_views, standardise
-from deepmds_keras.normalisation import centre, normalise
-from deepmds_keras.streams import Stream
+from deepmds_keras.weights import Stream
 
 _HELD_OUT = 10  # one in so many of the faces given
 _MOST_HELD_OUT = 1000

@@ -1,27 +1,52 @@
-"""The lifting network as one estimator: views of a face in, its 3D landmarks out."""
+"""The lifting network as one estimator: views of a face in, its 3D landmarks out.
+
+To predict, NumPy is enough; `fit` imports Keras, and scikit-learn is imported by its callers only.
+"""
 
 from __future__ import annotations
 
+import inspect
+import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
-from sklearn.base import BaseEstimator
 
 from deepmds_keras import weights
+from deepmds_keras.camera import HeadPose
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.errors import InputError, needs
+from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.landmarks.y_axis import check_views
+from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
-from deepmds_keras.lifting.network import SIZES, initial_weights
-from deepmds_keras.lifting.trained import SETTERS, TrainedLifter, not_a_lifter, read_lifter
-from deepmds_keras.lifting.views import LEAST_VISIBLE
-from deepmds_keras.metrics import explained_share
+from deepmds_keras.lifting.network import SIZES, UNIT, Lift, check_weights, initial_weights, lift
+from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
+
+_CHUNK = 250  # faces at a time, whose arrays stay in the cache
+_SETTERS = "fit, load or pretrained"
+_SHIPPED = "lifting-"  # begins the names of the files of weights
 
 
-class LandmarkLifter(TrainedLifter, BaseEstimator):
-    """3D landmarks of a face from the 2D landmarks of one image, by a network that knows cameras.
+class Estimate(NamedTuple):
+    """Faces as a lifter estimates them.
 
-    The network is a fit of a face model that is learnt with it, cut short: a few steps that solve
+    Attributes:
+        shapes: `(n, L, 3)` as `LandmarkLifter.predict` returns them.
+        std: `(n, L, 3)` standard deviations of the errors of the shapes.
+        pose: The n cameras, as `LandmarkLifter.pose` returns them.
+    """
+
+    shapes: np.ndarray
+    std: np.ndarray
+    pose: HeadPose
+
+
+class LandmarkLifter:
+    """3D landmarks of a face from the 2D landmarks of one image, by a network that solves cameras.
+
+    The network is a fit of a face model that is learnt with it, unrolled: a few steps that solve
     for the camera and, by conjugate gradients, for the coefficients of the shape, then a learnt
     correction. It stands in the line of cascaded regression (Xiong and De la Torre 2013,
     doi:10.1109/CVPR.2013.75) and of optimisers that are learnt (Gregor and LeCun 2010; Song, Chen
@@ -49,23 +74,19 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
         n_parameters: Trainable parameters, all of `weights_`.
 
     Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
-    Weights that ship: `"lifting-ibug51"`, `"lifting-ibug68"` and `"lifting-bfm72"`.
+    Weights that ship: `"ibug51"`, `"ibug68"` and `"bfm72"`. scikit-learn's `clone`, `Pipeline`,
+    `cross_val_score` and `GridSearchCV` take it as theirs.
 
     Examples:
-        >>> import numpy as np
         >>> from deepmds_keras import LandmarkLifter
-        >>> lifter = LandmarkLifter.pretrained("lifting-ibug51")
+        >>> lifter = LandmarkLifter.pretrained("ibug51")
         >>> face = lifter.weights_["mean"].T  # (51, 3): the mean face
         >>> shapes, sd = lifter.predict(face[:, :2], return_std=True)  # y up
         >>> shapes.shape, sd.shape
         ((1, 51, 3), (1, 51, 3))
-        >>> rng = np.random.default_rng(0)
-        >>> shapes = rng.normal(size=(51, 3)) + 0.1 * rng.normal(size=(200, 51, 3))
-        >>> views = shapes[..., :2]  # y up
-        >>> lifter = LandmarkLifter(51, steps=100).fit(views, shapes)
-        >>> lifted, sd = lifter.predict(views, return_std=True, check_orientation=False)
-        >>> lifted.shape, sd.shape
-        ((200, 51, 3), (200, 51, 3))
+        >>> brow, mouth = shapes[0, :10, 1].mean(), shapes[0, 31:, 1].mean()
+        >>> bool(brow > mouth)
+        True
     """
 
     def __init__(
@@ -143,19 +164,119 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
         self.training_sd_ = float(faces.held_out.sd.mean())
         return self
 
+    @overload
+    def predict(
+        self, views: np.ndarray, *, return_std: Literal[False] = ..., **options: Any
+    ) -> np.ndarray: ...
+
+    @overload
+    def predict(
+        self, views: np.ndarray, *, return_std: Literal[True], **options: Any
+    ) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def predict(
+        self,
+        views: np.ndarray,
+        *,
+        landmark_sd: float | np.ndarray | None = None,
+        visible: np.ndarray | None = None,
+        return_std: bool = False,
+        check_orientation: bool = True,
+    ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """3D landmarks of each view, by NumPy alone.
+
+        Args:
+            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale and place. A
+                landmark with a coordinate that is NaN is missing.
+            landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
+                views: one number, one for each face `(n,)` or for each landmark `(n, L)`. None
+                takes them to be as in training.
+            visible: `(n, L)` or `(L,)` bool, False where a landmark is missing, whatever `views`
+                has there.
+            return_std: Whether to return standard deviations, too.
+            check_orientation: Whether to refuse a batch, in a known landmark scheme, most of which
+                is upside down or mirrored. Single faces that stand oddly are estimated.
+
+        Returns:
+            `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
+            up, +z out of the face, in the unit of `normalise`; true size cannot be seen in one
+            view. The mean of the landmarks is about 0. With `return_std`, also `(n, L, 3)`
+            standard deviations of the errors, where the mean of the true landmarks is 0.
+
+        Raises:
+            InputError: Another number of landmarks, infinity, or not six visible landmarks that
+                are not on one line; `visible` or `landmark_sd` of another shape; wrong
+                orientation.
+        """
+        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
+        if check_orientation:
+            check_views(seen.points)
+        lifted = self._lift(seen)
+        shapes = _joined([part.shapes for part in lifted])
+        return (shapes, _std(lifted)) if return_std else shapes
+
+    def pose(
+        self,
+        views: np.ndarray,
+        *,
+        landmark_sd: float | np.ndarray | None = None,
+        visible: np.ndarray | None = None,
+    ) -> HeadPose:
+        """The cameras that see the faces, as the last step solved for them.
+
+        Args:
+            views, landmark_sd, visible: As for `predict`.
+
+        Raises:
+            InputError: As for `predict`.
+        """
+        return self.estimate(views, landmark_sd=landmark_sd, visible=visible).pose
+
+    def estimate(
+        self,
+        views: np.ndarray,
+        *,
+        landmark_sd: float | np.ndarray | None = None,
+        visible: np.ndarray | None = None,
+    ) -> Estimate:
+        """Shapes, standard deviations and cameras in one pass, however the faces stand.
+
+        Args:
+            views, landmark_sd, visible: As for `predict`.
+
+        Raises:
+            InputError: As for `predict`.
+        """
+        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
+        lifted = self._lift(seen)
+        camera = Camera(*map(np.concatenate, zip(*(part.camera for part in lifted), strict=True)))
+        pose = HeadPose(
+            rotation=camera.rotation,
+            scale=(camera.scale * seen.radius)[:, 0],
+            translation=camera.shift * seen.radius + seen.centre,
+            perspective=camera.perspective[:, 0],
+        )
+        return Estimate(_joined([part.shapes for part in lifted]), _std(lifted), pose)
+
+    @property
+    def n_parameters(self) -> int:
+        return sum(array.size for array in check_fitted(self, "weights_", _SETTERS).values())
+
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
         """How good predictions are, as `metrics.explained_share` of them and true shapes."""
+        from deepmds_keras.metrics import explained_share  # SciPy is slow to import
+
         return explained_share(self.predict(views), shapes)
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights into one `.npz` file, complete or not at all."""
-        arrays = check_fitted(self, "weights_", SETTERS)
+        arrays = check_fitted(self, "weights_", _SETTERS)
         described = {
             "parameters": self.get_params(),
             "training_sd": self.training_sd_,
             "history": self.history_,
         }
-        weights.write_arrays(path, arrays, described)
+        write_arrays(path, arrays, described)
 
     @classmethod
     def load(cls, path: str | Path) -> LandmarkLifter:
@@ -164,24 +285,70 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
         Raises:
             InputError: Missing or damaged file, or weights of another network.
         """
-        arrays, described = read_lifter(path)
+        arrays, described = read_arrays(path)
         try:
             lifter = cls(**described["parameters"])
             lifter._check_parameters()
-        except TypeError as error:
-            raise not_a_lifter(path, error) from None
-        lifter.weights_, lifter.history_ = arrays, described["history"]
-        lifter.training_sd_ = float(described["training_sd"])
+            check_weights(arrays, lifter.n_landmarks, SIZES[lifter.size])
+            lifter.training_sd_ = float(described["training_sd"])
+            lifter.history_ = described["history"]
+        except (KeyError, TypeError, ValueError) as error:
+            message = f"{path} was not written by LandmarkLifter.save(): {error}."
+            raise InputError(message) from None
+        lifter.weights_ = {name: np.float32(array) for name, array in arrays.items()}
         return lifter
 
     @classmethod
-    def pretrained(cls, name: str) -> LandmarkLifter:
-        """The weights that ship with the package.
+    def pretrained(cls, scheme: str) -> LandmarkLifter:
+        """The weights that ship with the package for landmarks of a scheme.
+
+        Args:
+            scheme: `"ibug51"`, `"ibug68"` or `"bfm72"`.
 
         Raises:
-            InputError: No weights of that name.
+            InputError: No weights for that scheme.
         """
-        return cls.load(weights.pretrained_path(name))
+        if scheme.startswith(_SHIPPED):
+            scheme = scheme.removeprefix(_SHIPPED)
+            warnings.warn(
+                f'pretrained("{_SHIPPED}{scheme}") is now pretrained("{scheme}")',
+                DeprecationWarning,
+                stacklevel=2,
+            )
+        return cls.load(weights.pretrained_path(_SHIPPED + scheme))
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Parameters of the constructor by name, as scikit-learn's estimators return them."""
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self, **parameters: Any) -> LandmarkLifter:
+        """Set parameters of the constructor.
+
+        Raises:
+            InputError: There is no such parameter.
+        """
+        for name, value in parameters.items():
+            if name not in self.get_params():
+                raise InputError(f"LandmarkLifter has no parameter {name!r}.")
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        parameters = (f"{name}={value!r}" for name, value in self.get_params().items())
+        return f"LandmarkLifter({', '.join(parameters)})"
+
+    def __sklearn_tags__(self):
+        from sklearn.utils import Tags, TargetTags
+
+        return Tags(estimator_type=None, target_tags=TargetTags(required=False))
+
+    def _lift(self, seen: Views) -> list[Lift]:
+        arrays = check_fitted(self, "weights_", _SETTERS)
+        sd = np.full_like(seen.visible, self.training_sd_) if seen.sd is None else seen.sd
+        inputs = (seen.views, seen.visible, sd)
+        iterations = SIZES[self.size].iterations
+        chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]
+        return [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks]
 
     def _check_parameters(self):
         if self.size not in SIZES:
@@ -197,3 +364,12 @@ class LandmarkLifter(TrainedLifter, BaseEstimator):
             raise InputError(f"missing must be in [0, 1). Received {self.missing}.")
         if not 0 <= self.noise < np.inf:
             raise InputError(f"noise must be finite and not negative. Received {self.noise}.")
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    """Parts `(n, 3, L)` of a batch as `(n, L, 3)`."""
+    return np.concatenate(parts).swapaxes(1, 2)
+
+
+def _std(lifted: list[Lift]) -> np.ndarray:
+    return UNIT * np.exp(_joined([part.log_sd for part in lifted]))

@@ -13,11 +13,15 @@ from deepmds_keras.lifting.equations import (
     posterior_step,
     starting_camera,
 )
-from deepmds_keras.streams import Stream
+from deepmds_keras.weights import Stream
 
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
 _N_STATE = 8  # what the hidden units see beside the code
 _LEAST_VARIANCE = 1e-8
+# Of views in training and of others like them it is 0.17 or more. The learnt correction knows
+# nothing below; from a view that the basis meets exactly, as that of the mean face, it would go
+# astray.
+_LEAST_MISFIT = 0.15
 _FIRST_FLOOR = -4.0  # log standard deviation that exact landmarks are taken to have at first
 
 
@@ -153,7 +157,7 @@ def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x)
         camera.rotation[:, 2],
         camera.perspective,
         xp.log(camera.scale),
-        xp.log(misfit + 1e-6),
+        xp.log(xp.maximum(misfit, _LEAST_MISFIT)),
         xp.log(mean_noise + floor[-1]) / 2,
         share,
     ]

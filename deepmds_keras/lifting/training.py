@@ -10,17 +10,19 @@ from pathlib import Path
 import keras
 import numpy as np
 import tensorflow as tf
+from keras import layers, ops
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.faces import Faces
-from deepmds_keras.lifting.layer import build_lifting_net, lifting_loss
-from deepmds_keras.lifting.network import lift
+from deepmds_keras.lifting.network import UNIT, lift
 from deepmds_keras.training import untuned
 from deepmds_keras.weights import read_arrays, write_arrays
 
 STEPS_PER_BLOCK = 100  # after which the network is checked and a checkpoint is written
 # XLA takes half a minute to compile a step that then takes 25 of 50 ms.
 _COMPILED_FROM = 2000  # steps
+_SHARE_OF_SPREAD = 0.3
+_SHARE_OF_SHAPE = 1e5
 
 
 @dataclass(frozen=True)
@@ -147,3 +149,58 @@ def _read(path, model, initial, label):
 def _report(progress, history, block):
     if progress is not None:
         progress({name: losses[block] for name, losses in history.items()})
+
+
+class Lifting(layers.Layer):
+    """Views, what of them is visible and the landmarks' errors in, shapes and their spread out.
+
+    Args:
+        initial: Weights as from `initial_weights`.
+        iterations: Of a `Size`.
+    """
+
+    def __init__(self, initial: dict[str, np.ndarray], iterations: tuple[int, ...], **options):
+        super().__init__(**options)
+        self.iterations = iterations
+        self.arrays = {
+            name: self.add_weight(
+                shape=array.shape, initializer=lambda *_, array=array, **__: array, name=name
+            )
+            for name, array in initial.items()
+        }
+
+    def compute_output_spec(self, views, visible, sd):
+        return keras.KerasTensor((None, 6, views.shape[2]), "float32")
+
+    def call(self, views, visible, sd):
+        weights = {name: ops.convert_to_tensor(array) for name, array in self.arrays.items()}
+        lifted = lift(ops, weights, self.iterations, views, visible, sd, ops.stop_gradient)
+        return ops.concatenate([lifted.shapes, lifted.log_sd], 1)
+
+
+def build_lifting_net(initial: dict[str, np.ndarray], iterations: tuple[int, ...]) -> keras.Model:
+    """Uncompiled model from views `(n, 2, L)`, visible and sd `(n, L)` to `(n, 6, L)`.
+
+    The output is that of `lift`, shapes over logarithms of standard deviations.
+    """
+    n_landmarks = initial["mean"].shape[1]
+    inputs = [
+        keras.Input((2, n_landmarks), name="views"),
+        keras.Input((n_landmarks,), name="visible"),
+        keras.Input((n_landmarks,), name="sd"),
+    ]
+    outputs = Lifting(initial, iterations, name="lifting")(*inputs)
+    return keras.Model(inputs, outputs, name=f"lifting_{n_landmarks}")
+
+
+def lifting_loss(truth, output):
+    """Squared error of the shapes, and likelihood of it under the predicted spread.
+
+    The likelihood sees the error as given, so that spread is learnt and no shape is changed by it.
+    """
+    error = output[:, :3] - truth
+    log_sd = output[:, 3:]
+    off = ops.stop_gradient(error) / UNIT * ops.exp(-log_sd)
+    likelihood = log_sd + off * off / 2
+    per_coordinate = _SHARE_OF_SHAPE * error * error + _SHARE_OF_SPREAD * likelihood
+    return ops.mean(per_coordinate, axis=(1, 2))

@@ -1,81 +1,62 @@
-"""Landmarks of every face in photos, by any detector, in the order that the method takes."""
+"""Landmarks of every face in photos and videos, in the order that the model takes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
 
-from deepmds_keras.detection.detectors import DETECTORS, Find
+from deepmds_keras.detection import DETECTORS, Find, describe_detector
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.photos import open_photo, photo_step
-from deepmds_keras.predict.models import taken
+from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.predict.faces import Detections, FrameRef
+from deepmds_keras.predict.models import target_scheme
+from deepmds_keras.predict.sources import name_faces
+from deepmds_keras.predict.videos import Video
 
 _TURNS = (0, 1, 3, 2)  # quarters to the left; of what is equally good the first is taken
 # MediaPipe's score is 0.90 to 0.96 for upright photos, and at most 0.88 for the same photos turned.
 _SURE = 0.9
+# Mean distance of the landmarks beyond which it is another face, in larger sides of their box. A
+# head that moves fast comes to 0.2 from frame to frame; heads side by side are 1.2 and more apart.
+_FAR = 0.75
+_PATIENCE = 1.0  # seconds for which a face may be lost
+# At a cut to another scene the picture changes by so much of its range, and so many times as much
+# as in the frames about it. A face that moves by less than this there is still the same: a flash.
+_CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
+_CUT_GRID, _CUT_FRAMES = 48, 5  # pixels a side that are compared; frames to either side
 
 
-def faces_in_photos(
-    photos: list[Path], detector: str, landmarker: str | None, model: str | None
-) -> list[np.ndarray | InputError]:
-    """Landmarks of the faces in each photo.
-
-    A photo in which there is none for sure is turned by quarters: one without the camera's note on
-    which way is up may lie on its side. dlib finds no face then, MediaPipe often a wrong one.
+def faces_in_image(
+    image: np.ndarray, detector: str, landmarker: str | None, model: str | None
+) -> np.ndarray:
+    """Landmarks of the faces in an image `(H, W, 3)` uint8 RGB as it stands.
 
     Args:
-        photos: Files.
+        image: Of a video.
         detector: One of `DETECTORS`.
         landmarker: What its `open` takes.
-        model: That will take the landmarks, as `models.taken` has it.
+        model: That will take the landmarks, as for `target_scheme`.
 
     Returns:
-        For each photo `(n, L, 2)` pixels of the photo as it is, x right and y down, of all its
-        faces, from left to right, in the scheme that the model takes; or why there is none.
-
-    Raises:
-        InputError: The detector itself cannot be used.
-    """
-    scheme, find = DETECTORS[detector].scheme, DETECTORS[detector].open(landmarker)
-    target = taken(scheme, model)
-
-    def faces_in(path: Path) -> np.ndarray | InputError:
-        try:
-            faces = _whichever_side_is_up(open_photo(path), find)
-        except InputError as error:
-            return error
-        if not len(faces):
-            return no_face(path, detector, "whichever side is up")
-        return convert(faces, scheme, target) * photo_step(path)
-
-    return [faces_in(path) for path in photos]
-
-
-def faces_in_photo(photo: np.ndarray, detector: str, model: str | None) -> np.ndarray:
-    """`faces_in_photos` of one in memory, `(H, W, 3)` uint8 RGB; there may be none."""
-    row = DETECTORS[detector]
-    faces = _whichever_side_is_up(photo, _opened(row.open, None))
-    return convert(faces, row.scheme, taken(row.scheme, model))
-
-
-def faces_in_images(
-    images: list[np.ndarray], detector: str, landmarker: str | None, model: str | None
-) -> list[np.ndarray]:
-    """Landmarks of the faces in each image `(H, W, 3)` uint8 RGB, as it stands.
-
-    Returns:
-        For each `(n, L, 2)` pixels, x right and y down, the largest face first; n may be 0.
+        `(n, L, 2)` pixels, x right and y down, the largest face first, in the scheme that the
+        model takes.
 
     Raises:
         InputError: The detector cannot be used.
     """
-    row = DETECTORS[detector]
-    find, target = _opened(row.open, landmarker), taken(row.scheme, model)
-    return [convert(find(image)[0], row.scheme, target) for image in images]
+    scheme, find = DETECTORS[detector].scheme, open_detector(detector, landmarker)
+    return convert(find(image)[0], scheme, target_scheme(scheme, model))
+
+
+def open_detector(detector: str, landmarker: str | None) -> Find:
+    """A detector of `DETECTORS`, opened once in a process; InputError says what it lacks."""
+    return _opened(DETECTORS[detector].open, landmarker)
 
 
 def no_face(source: Path, detector: str, where: str) -> InputError:
@@ -87,27 +68,187 @@ def no_face(source: Path, detector: str, where: str) -> InputError:
     )
 
 
-def _whichever_side_is_up(photo: np.ndarray, find: Find) -> np.ndarray:
-    """Landmarks of the faces in a photo, in its own pixels, from left to right."""
+def find_upright(photo: np.ndarray, find: Find) -> tuple[np.ndarray, np.ndarray]:
+    """Faces of a photo `(H, W, 3)` uint8 RGB, which may lie on its side.
+
+    A photo in which there is none for sure is turned by quarters: one without the camera's note on
+    which way is up. dlib finds no face then, MediaPipe often a wrong one.
+
+    Returns:
+        `(n, L, 2)` pixels of the photo as it is, from left to right, and scores `(n,)`.
+    """
     tries = []
     for n in _TURNS:
-        own, score = find(np.ascontiguousarray(np.rot90(photo, n)))
-        tries.append((score, len(own), own, n))
-        if n == 0 and score >= _SURE:
+        faces, scores = find(np.ascontiguousarray(np.rot90(photo, n)))
+        certainty = np.nan_to_num(scores, nan=1.0).max(initial=0)
+        tries.append(((certainty, len(faces)), faces, scores, n))
+        if n == 0 and certainty >= _SURE:
             break
-    *_, faces, n = max(tries, key=lambda one: one[:2])
-    faces = _turned_back(faces, n, *photo.shape[1::-1])
-    return faces[faces[..., 0].mean(1).argsort()]
+    _, faces, scores, n = max(tries, key=lambda each: each[0])
+    height, width = photo.shape[:2]
+    x, y = faces[..., 0], faces[..., 1]
+    back = {0: (x, y), 1: (width - y, x), 2: (width - x, height - y), 3: (y, height - x)}[n]
+    faces = np.stack(back, axis=-1)
+    order = faces[..., 0].mean(1).argsort()
+    return faces[order], scores[order]
 
 
-def _turned_back(points: np.ndarray, quarters: int, width: int, height: int) -> np.ndarray:
-    """Points of `np.rot90(photo, quarters)` in the photo, of that size."""
-    x, y = points[..., 0], points[..., 1]
-    back = {0: (x, y), 1: (width - y, x), 2: (width - x, height - y), 3: (y, height - x)}[quarters]
-    return np.stack(back, axis=-1)
+def find_in_video(
+    source: str | Path,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None = None,
+    model: str | None = None,
+    every: int = 1,
+    smooth: float = 0,
+    jobs: int = 1,
+) -> Detections:
+    """Landmarks of the faces in a video, by frame and then by track; memory holds a few frames.
+
+    Args:
+        source: The video.
+        name: Of its results.
+        detector, landmarker, model: As for `faces_in_image`.
+        every: 1 looks at every frame, 2 at every other.
+        smooth: Standard deviation in looked-at frames of the smoothing over time.
+        jobs: Processes.
+
+    Raises:
+        InputError: It cannot be read, or no frame has a face.
+    """
+    video, frames, times, faces, pictures = Video(source, every), [], [], [], []
+    frames_left = iter(video)
+    bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
+    find = delayed(faces_in_image)
+    # Frames are sent to the processes, not left for them in files.
+    with Parallel(jobs, max_nbytes=None) as parallel, bar:
+        while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
+            faces += parallel(find(each.image, detector, landmarker, model) for each in batch)
+            frames += [frame.index for frame in batch]
+            times += [frame.time for frame in batch]
+            pictures += [_sampled(frame.image) for frame in batch]
+            bar.update(len(batch))
+    counts = [len(here) for here in faces]
+    if not any(counts):
+        raise no_face(Path(source), detector, "in any frame")
+    tracks = np.concatenate(follow_faces(faces, times, find_cuts(pictures)))
+    landmarks = np.concatenate(faces)
+    frames, times = np.repeat(frames, counts), np.repeat(times, counts)
+    order = np.lexsort((tracks, frames))
+    frames, times, tracks = frames[order], times[order], tracks[order]
+    return Detections(
+        source=Path(source),
+        names=name_faces(name, len(landmarks)),
+        scheme=scheme_of(landmarks.shape[1]),
+        landmarks=smooth_over_time(landmarks[order], frames, smooth, tracks=tracks, step=every),
+        is_photo=False,
+        frame_refs=[*map(FrameRef, frames.tolist(), times.tolist(), tracks.tolist())],
+        detector=describe_detector(detector, landmarker),
+    )
+
+
+def find_cuts(pictures: Sequence[np.ndarray]) -> np.ndarray:
+    """Frames `(n,)` bool at which a video cuts to another scene, of pictures all of one shape."""
+    changes = [np.abs(a - b).mean() / 255 for a, b in zip(pictures, pictures[1:], strict=False)]
+    changes = np.array([0.0, *changes])
+    cuts = changes > _CUT
+    for i in np.flatnonzero(cuts):
+        near = np.r_[changes[max(i - _CUT_FRAMES, 1) : i], changes[i + 1 : i + 1 + _CUT_FRAMES]]
+        cuts[i] = not len(near) or changes[i] > _CUT_RATIO * np.median(near)
+    return cuts
+
+
+def follow_faces(
+    faces: Sequence[np.ndarray], times: Sequence[float], cuts: Sequence[bool]
+) -> list[np.ndarray]:
+    """Number the tracks of the faces: one for each face, as long as it is where it was.
+
+    Of all pairings of the tracks with the faces of a frame the one is taken that moves the
+    landmarks least (linear assignment). A track is given up after a second without its face, or
+    after the next frame where that is later; who comes back then has another. At a cut all are
+    given up but those whose face hardly moves.
+
+    Args:
+        faces: Of each frame `(n, L, 2)` landmarks, n from 0.
+        times: Of each frame, in seconds, growing.
+        cuts: Of each frame, whether another scene begins with it.
+
+    Returns:
+        Of each frame `(n,)` int, the tracks of its faces, numbered from 1 as they appear.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to load, and photos do without
+
+    tracks, n_tracks, known, before = [], 0, {}, -np.inf
+    for here, time, cut in zip(faces, times, cuts, strict=True):
+        oldest, far = min(time - _PATIENCE, before), _CUT_STILL if cut else _FAR
+        known = {track: last for track, last in known.items() if last[0] >= oldest}
+        numbers = np.zeros(len(here), int)
+        if known and len(here):
+            last = np.stack([face for _, face in known.values()])
+            costs = np.minimum(_distances(last, here), far)
+            for row, column in zip(*linear_sum_assignment(costs), strict=True):
+                if costs[row, column] < far:
+                    numbers[column] = [*known][row]
+        new = numbers == 0
+        numbers[new] = n_tracks + 1 + np.arange(new.sum())
+        n_tracks += new.sum()
+        known = {} if cut else known
+        known |= {int(track): (time, face) for track, face in zip(numbers, here, strict=True)}
+        tracks.append(numbers)
+        before = time
+    return tracks
+
+
+def smooth_over_time(
+    landmarks: np.ndarray,
+    frames: np.ndarray,
+    deviation: float,
+    *,
+    tracks: np.ndarray | None = None,
+    step: int = 1,
+) -> np.ndarray:
+    """Landmarks smoothed by a Gaussian over each run of frames without a gap, one face at a time.
+
+    At the ends of a run its first and last landmarks are taken to go on.
+
+    Args:
+        landmarks: `(n, L, d)`, a row for each face in each frame.
+        frames: `(n,)` int, the frame of each row, in any order.
+        deviation: Standard deviation in rows; 0 changes nothing.
+        tracks: `(n,)` int, which face each row is of; None: all are of one.
+        step: From one frame to the next; where more lies between two, there is a gap.
+
+    Returns:
+        `(n, L, d)` float, in the order of the rows given.
+    """
+    smooth = np.array(landmarks, float)
+    if not deviation or not len(smooth):
+        return smooth
+    from scipy.ndimage import gaussian_filter1d  # slow to load, and seldom asked for
+
+    tracks = np.zeros(len(smooth), int) if tracks is None else tracks
+    order = np.lexsort((frames, tracks))
+    gaps = (np.diff(frames[order]) != step) | (np.diff(tracks[order]) != 0)
+    for run in np.split(order, np.flatnonzero(gaps) + 1):
+        smooth[run] = gaussian_filter1d(smooth[run], deviation, axis=0, mode="nearest")
+    return smooth
+
+
+def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """`(n, m)` mean distances of landmarks, in mean sizes of the two faces."""
+    apart = np.linalg.norm(first[:, None] - second, axis=-1).mean(-1)
+    sizes = [np.ptp(faces, axis=1).max(-1) for faces in (first, second)]
+    return 2 * apart / (sizes[0][:, None] + sizes[1])
+
+
+def _sampled(image: np.ndarray) -> np.ndarray:
+    """`(48, 48, 3)` of an image's pixels."""
+    rows, columns = (np.linspace(0, side - 1, _CUT_GRID).astype(int) for side in image.shape[:2])
+    return np.float32(image[np.ix_(rows, columns)])
 
 
 @cache
-def _opened(open_: Callable[[str | None], Find], landmarker: str | None) -> Find:
+def _opened(open_, landmarker: str | None) -> Find:
     """Once in a process: a landmarker takes a while to load."""
     return open_(landmarker)

@@ -1,34 +1,31 @@
-"""From landmarks of faces to their shapes: the model, the scale, and what to say of each face."""
+"""From landmarks of faces to their shapes: the model, the scale, and what to note of each face."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from deepmds_keras.camera import HeadPose, head_poses
-from deepmds_keras.detection.errors import INNER, detector_errors
+from deepmds_keras.alignment import rms_radius
+from deepmds_keras.camera import HeadPose
+from deepmds_keras.detection import detector_sd
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import LandmarkScheme, load_scheme
-from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.landmarks import LandmarkScheme, convert, load_scheme
 from deepmds_keras.landmarks.y_axis import quarter_turns
-from deepmds_keras.normalisation import rms_radius
-from deepmds_keras.predict.faces import Face, Found
-from deepmds_keras.predict.models import Model, model_for
+from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.models import Model, load_model, name_for
 
-_POSE_ERROR = 5  # degrees, root mean square, with which the poses of heads are found
+_POSE_ERROR = 5  # degrees, root mean square, of the poses of heads
 # A landmark is misplaced if it lies this many times farther from where the shape has it than the
 # median of the face's landmarks, and by this part of the face's size; distances count the less, the
-# more the detector errs at that landmark. On the photos that the shipped lifters are tested on, 1
-# of 1,000 faces with exact landmarks has one, 1 of 150 of those found by dlib, and none of those by
-# MediaPipe. With one landmark moved by 0.3 of the size, that one is found in 100, 93 and 88 %, and
-# another beside it in 10, 4 and 0 %.
+# more the detector errs at that landmark.
 _ASTRAY, _ASTRAY_SIZE = 4, 0.05
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 
 
 def estimate(
-    found: Found,
+    detections: Detections,
     *,
     model: str | None = None,
     interocular: float | None = None,
@@ -38,7 +35,7 @@ def estimate(
     """The shapes of all faces of a source; gaps stay gaps.
 
     Args:
-        found: Their landmarks, at least one face that is no gap.
+        detections: Their landmarks, at least one face that is no gap.
         model: One of `FAMILIES`, whose weights for the scheme are taken; the name of shipped
             weights; or a file that `LandmarkLifter.save` or `DeepMDS.save` wrote. None is
             `DEFAULT`.
@@ -48,126 +45,149 @@ def estimate(
         progress: Called with the number of faces just done.
 
     Raises:
-        InputError: The model cannot be read or takes other landmarks.
+        InputError: The model cannot be read or takes other landmarks, or `interocular` is not
+            positive and finite.
     """
-    chosen, scheme = model_for(found.scheme, model), load_scheme(found.scheme)
+    check_interocular(interocular)
+    scheme = load_scheme(detections.scheme)
+    chosen = load_model(name_for(detections.scheme, model))
     if chosen.n_landmarks != len(scheme):
         raise InputError(
-            f"{found.source or 'landmarks'} must have {chosen.n_landmarks} landmarks a face for "
-            f"the model {model}. Received {len(scheme)}."
+            f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks a face "
+            f"for the model {model}. Received {len(scheme)}."
         )
-    seen = ~np.isnan(found.landmarks).any((1, 2))
-    landmarks = found.landmarks[seen]
+    seen = np.flatnonzero(~np.isnan(detections.landmarks).all((1, 2)))
+    landmarks = detections.landmarks[seen]
     views = landmarks * (1, -1)
-    quarters = quarter_turns(landmarks, found.scheme)
-    sd = _measured_sd(found, views)
-    shapes, std = chosen.predict(_turned(views, quarters), sd, jobs, progress)
+    quarters = quarter_turns(landmarks, detections.scheme)
+    sd = _landmark_sd(detections, seen, views)
+    progress = progress or (lambda n: None)
+    turns = _turns(quarters)
+    # 0 of what is not turned, whose digits then stay.
+    middle = np.nanmean(views, axis=1, keepdims=True) * (quarters != 0)[:, None, None]
+    upright = (views - middle) @ np.swapaxes(turns, 1, 2) + middle
+    shapes, std, poses = chosen.predict(upright, sd, jobs, progress)
+    poses = _turned_back(poses, turns, middle)
     if interocular is not None:
         right, left = map(scheme.index, _CORNERS)
-        apart = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
-        scale = (interocular / apart)[:, None, None]
-        shapes, std = shapes * scale, None if std is None else std * scale
-    poses = head_poses(views, shapes)
-    off = _distances(views, shapes, poses)
-    told = off if sd is None else off * sd.mean(1, keepdims=True) / sd
-    middle = np.median(told, axis=1, keepdims=True)
-    astray = told > np.maximum(_ASTRAY * middle, _ASTRAY_SIZE)
-    faces = [
-        Face(
-            name=name,
-            source=found.source,
-            photo=found.source if found.is_photo else None,
-            scheme=found.scheme,
-            landmarks=landmarks,
-            shape=shape,
-            std=own_std,
+        scale = interocular / np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
+        shapes, std = (a if a is None else a * scale[:, None, None] for a in (shapes, std))
+        poses = replace(poses, scale=poses.scale / scale, perspective=poses.perspective / scale)
+    size = np.nanmax(views, axis=1) - np.nanmin(views, axis=1)
+    off = np.linalg.norm(poses.project(shapes) - views, axis=2) / size.max(1)[:, None]
+    poses = replace(poses, residual=np.sqrt(np.nanmean(off**2, axis=1)))
+    notes = _notes(poses, quarters, chosen)
+    for i, note in _misplaced(scheme, off, sd).items():
+        notes[i].insert(0, note)
+    scores, faults = detections.scores, detections.faults
+    faces = {
+        i: Face(
+            name=detections.names[i],
+            source=detections.source,
+            photo=detections.source if detections.is_photo else None,
+            scheme=detections.scheme,
+            landmarks=landmarks[k],
+            xyz=shapes[k],
             unit="normalised" if interocular is None else "mm",
-            pose=pose,
-            notes=_astray(scheme, off, far) + _notes(pose, turns, chosen),
-            detector=found.detector,
+            pose=poses[k],
+            notes=tuple(notes[k]) + ((detections.notes[i],) if i in detections.notes else ()),
+            detector=detections.detector,
+            frame_ref=None if detections.frame_refs is None else detections.frame_refs[i],
+            std=None if std is None else std[k],
+            score=None if scores is None or np.isnan(scores[i]) else float(scores[i]),
         )
-        for name, landmarks, shape, own_std, pose, turns, off, far in zip(
-            [found.names[i] for i in np.flatnonzero(seen)],
-            landmarks,
-            shapes,
-            [None] * len(shapes) if std is None else std,
-            poses,
-            quarters.tolist(),
-            off,
-            astray,
-            strict=True,
-        )
-    ]
-    rest = iter(faces)
-    return [
-        next(rest)
-        if seen[i]
-        else faces[0].gap(name, (found.faults[i],) if i in found.faults else ())
-        for i, name in enumerate(found.names)
-    ]
-
-
-def _measured_sd(found: Found, views: np.ndarray) -> np.ndarray | None:
-    """`(n, L)` s.d. of the errors that the detector makes, in the unit of the views."""
-    errors = None
-    if found.detector is not None and "landmarker" not in found.detector:
-        errors = detector_errors(found.detector["name"], found.scheme)
-    if errors is None:
-        return None
-    return rms_radius(convert(views, found.scheme, INNER))[:, None] * errors.sd
-
-
-def _turned(views: np.ndarray, quarters: np.ndarray) -> np.ndarray:
-    """Views turned by so many quarters to the left, each about its middle."""
-    cosines, sines = np.rint(np.cos(quarters * np.pi / 2)), np.rint(np.sin(quarters * np.pi / 2))
-    turns = np.array([[cosines, sines], [-sines, cosines]]).transpose(2, 0, 1)
-    centres = views.mean(1, keepdims=True) * (quarters != 0)[:, None, None]
-    return (views - centres) @ turns + centres
-
-
-def _distances(views: np.ndarray, shapes: np.ndarray, poses: list[HeadPose]) -> np.ndarray:
-    """`(n, L)` of the landmarks from where the shapes have them, in larger sides of their box."""
-    rows = np.stack([pose.scale * pose.rotation[:2].T for pose in poses])
-    projected = shapes @ rows + np.stack([pose.translation for pose in poses])[:, None]
-    return np.linalg.norm(projected - views, axis=2) / np.ptp(views, axis=1).max(1)[:, None]
-
-
-def _astray(scheme: LandmarkScheme, off: np.ndarray, far: np.ndarray) -> tuple[str, ...]:
-    if not far.any():
-        return ()
-    said = ", ".join(f"{scheme.names[i]} ({100 * off[i]:.0f} %)" for i in np.flatnonzero(far))
-    return (
-        f"may be misplaced, and spoil the shape: {said} of the face's size from where the shape "
-        f"has it, while half of the landmarks are within {100 * np.median(off):.0f} %",
-    )
-
-
-def _notes(pose: HeadPose, quarters: int, model: Model) -> tuple[str, ...]:
-    notes = []
-    if quarters:
-        notes.append(
-            f"the face does not stand upright in the image (roll {pose.roll:+.0f}°): it was turned "
-            "upright to be measured"
-        )
-    roll = (pose.roll + 90 * quarters + 180) % 360 - 180  # of the face that was turned
-    beyond = {
-        f"{angle} {value:+.0f}°": f"±{model.turns[angle]}°"
-        for angle, value in (("yaw", pose.yaw), ("pitch", pose.pitch), ("roll", roll))
-        if abs(value) > model.turns.get(angle, np.inf) + _POSE_ERROR
+        for k, i in enumerate(seen.tolist())
     }
-    if beyond:
-        notes.append(
-            f"turned farther than the faces of the training: {', '.join(beyond)}, where they had "
-            f"at most {', '.join(beyond.values())}; the shape is a guess"
+    some = next(iter(faces.values()))
+    return [
+        faces[i] if i in faces else some.gap(name, (faults[i],) if i in faults else ())
+        for i, name in enumerate(detections.names)
+    ]
+
+
+def check_interocular(interocular: float | None) -> None:
+    """Raise InputError at what is neither None nor positive and finite."""
+    if interocular is not None and not 0 < interocular < np.inf:
+        raise InputError(f"interocular must be millimetres, above 0. Received {interocular}.")
+
+
+def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) -> np.ndarray | None:
+    """`(n, L)` s.d. of the errors of the landmarks, in their unit: given, or measured."""
+    if detections.landmark_sd is not None:
+        sd = np.asarray(detections.landmark_sd, float)
+        return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
+    detector = detections.detector or {"landmarker": ""}
+    known = "landmarker" not in detector
+    sd = detector_sd(detector["name"], detections.scheme) if known else None
+    if sd is None:
+        return None
+    return rms_radius(convert(views, detections.scheme, "ibug51"))[:, None] * sd
+
+
+def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> HeadPose:
+    """Cameras that see as these see after turns about a middle `(n, 1, 2)`."""
+    rotation = poses.rotation.copy()
+    rotation[:, :2] = np.swapaxes(turns, 1, 2) @ rotation[:, :2]
+    translation = (poses.translation[:, None] - middle) @ turns + middle
+    return replace(poses, rotation=rotation, translation=translation[:, 0])
+
+
+def _turns(quarters: np.ndarray) -> np.ndarray:
+    """`(n, 2, 2)`, to be multiplied from the left: so many quarters to the left."""
+    cosines, sines = np.rint(np.cos(quarters * np.pi / 2)), np.rint(np.sin(quarters * np.pi / 2))
+    return np.array([[cosines, -sines], [sines, cosines]]).transpose(2, 0, 1)
+
+
+def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -> dict[int, str]:
+    """Notes on faces with landmarks far from where the shape has them, `off` `(n, L)` sizes."""
+    sd = np.ones_like(off) if sd is None else sd + 1e-12  # which may all be 0
+    weighted = off * sd.mean(1, keepdims=True) / sd
+    whole = not np.isnan(weighted).any()  # as nearly always; NumPy's nanmedian is slow
+    median = (np.median if whole else np.nanmedian)(weighted, axis=1, keepdims=True)
+    far = weighted > np.maximum(_ASTRAY * median, _ASTRAY_SIZE)
+    notes = {}
+    for i in np.flatnonzero(far.any(1)).tolist():
+        listed = ", ".join(
+            f"{scheme.names[k]} ({100 * off[i, k]:.0f} %)" for k in np.flatnonzero(far[i])
         )
-    if pose.residual > model.loose:
-        notes.append(
-            f"the shape, turned back, misses the landmarks by {100 * pose.residual:.0f} % of the "
-            "face's size (RMS): they may be in another order, or not those of a face"
+        notes[i] = (
+            f"may be misplaced, and spoil the shape: {listed} of the face's size from where the "
+            f"shape has it, while half of the landmarks are within {100 * np.nanmedian(off[i]):.0f}"
+            " %"
         )
-    if not model.centred:
-        notes.append(
-            "the model was trained on views in the coordinates of a face model "
-            "(centre_views=False): the shape depends on where the landmarks have their origin"
-        )
-    return tuple(notes)
+    return notes
+
+
+def _notes(poses: HeadPose, quarters: np.ndarray, model: Model) -> list[list[str]]:
+    angles = {name: getattr(poses, name) for name in ("yaw", "pitch", "roll")}
+    # Of the face that was turned.
+    upright = angles | {"roll": (angles["roll"] + 90 * quarters + 180) % 360 - 180}
+    notes = []
+    for i, residual in enumerate(poses.residual):
+        notes.append([])
+        if quarters[i]:
+            notes[i].append(
+                f"the face does not stand upright in the image (roll {angles['roll'][i]:+.0f}°): "
+                "it was turned upright to be measured"
+            )
+        beyond = {
+            f"{name} {values[i]:+.0f}°": f"±{model.turns[name]}°"
+            for name, values in upright.items()
+            if abs(values[i]) > model.turns.get(name, np.inf) + _POSE_ERROR
+        }
+        if beyond:
+            notes[i].append(
+                f"turned farther than the faces of the training: {', '.join(beyond)}, where they "
+                f"had at most {', '.join(beyond.values())}; the shape is a guess"
+            )
+        if residual > model.max_residual:
+            notes[i].append(
+                f"the shape, turned back, misses the landmarks by {100 * residual:.0f} % of the "
+                "face's size (RMS): they may be in another order, or not those of a face"
+            )
+        if not model.centred:
+            notes[i].append(
+                "the model was trained on views in the coordinates of a face model "
+                "(centre_views=False): the shape depends on where the landmarks have their origin"
+            )
+    return notes

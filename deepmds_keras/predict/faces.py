@@ -1,8 +1,9 @@
-"""Faces that the command found in a source, each with its result."""
+"""Faces detected in a source, each with its result."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 
 from deepmds_keras.camera import HeadPose
 
+_OLD_NAMES = {"shape": "xyz", "image_xyz": "landmarks_3d", "residual": "residuals"}
+
 
 @dataclass(frozen=True)
-class Moment:
+class FrameRef:
     """Where in a video a face is seen.
 
     Attributes:
@@ -28,19 +31,23 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Detections:
     """Landmarks of the faces of one source.
 
     Attributes:
         source: The photo, video or file of landmarks; None of what is in memory.
         names: Of the faces.
         scheme: Of the landmarks.
-        landmarks: `(n, L, 2)`, x right and y down; NaN are gaps.
+        landmarks: `(n, L, 2)`, x right and y down; a landmark that is NaN is missing, and a face
+            of which all are is a gap.
         is_photo: Whether the source is a photo.
         faults: Of gaps that are faces which cannot be used, 0-based, why.
-        detector: Name and licence of what found them, or None: they were given.
-        moments: Of the faces of a video; None of other sources.
-        notes: What a reader must know of the source.
+        detector: Name and licence of the detector, or None: the landmarks were given.
+        frame_refs: Of the faces of a video; None of other sources.
+        scores: Of the detector, 0 to 1, or None where it has none.
+        notes: Of faces, 0-based, what a reader must know of them.
+        landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
+            landmarks: one number, `(n,)` or `(n, L)`; None where it is not known.
     """
 
     source: Path | None
@@ -50,13 +57,15 @@ class Found:
     is_photo: bool
     faults: Mapping[int, str] = field(default_factory=dict)
     detector: dict[str, str] | None = None
-    moments: Sequence[Moment] | None = None
-    notes: tuple[str, ...] = ()
+    frame_refs: Sequence[FrameRef] | None = None
+    scores: Sequence[float] | None = None
+    notes: Mapping[int, str] = field(default_factory=dict)
+    landmark_sd: float | np.ndarray | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Face:
-    """One face of one photo, of one frame of a video, or of one row of a file of landmarks.
+    """One face of one photo, of one frame of a video, or of one row of landmarks.
 
     All is NaN of a gap.
 
@@ -66,15 +75,18 @@ class Face:
         photo: The photo, or None of other sources.
         scheme: Name of the landmark scheme.
         landmarks: `(L, 2)` pixels of the photo or frame, or whatever the file counts in; x right,
-            y down.
-        shape: `(L, 3)` from the front: +x to the subject's left, +y up, +z out of the face.
-        unit: Of the shape: `"mm"`, or `"normalised"`, in which the largest extent is about 1.
-        pose: How the face is seen, which turns the shape onto the landmarks.
+            y down; NaN where a landmark is missing.
+        xyz: `(L, 3)` from the front: +x to the subject's left, +y up, +z out of the face.
+        unit: Of `xyz` and `std`: `"mm"`, or `"normalised"`: the range of all coordinates of a face
+            together in the frames of the face models of training, see `normalise`. The largest
+            extent of a face is about 0.8 with 51 landmarks, 0.67 with the others.
+        pose: The camera that sees the shape where the landmarks are.
         notes: What a reader must know of this face, such as a pose beyond those of training.
-        detector: Name and licence of what found the landmarks, or None: they were given.
-        moment: Where in the video it is seen; None of other sources.
-        std: `(L, 3)` standard deviations of the errors of the shape, in its unit, or None: the
-            model does not know them.
+        detector: Name and licence of the detector, or None: the landmarks were given.
+        frame_ref: Where in the video it is seen; None of other sources.
+        std: `(L, 3)` standard deviations of the errors of `xyz`, in its unit, or None: the model
+            does not know them.
+        score: Of the detector, 0 to 1, or None where it has none.
     """
 
     name: str
@@ -82,43 +94,67 @@ class Face:
     photo: Path | None
     scheme: str
     landmarks: np.ndarray
-    shape: np.ndarray
+    xyz: np.ndarray
     unit: str
     pose: HeadPose
     notes: tuple[str, ...] = ()
     detector: dict[str, str] | None = None
-    moment: Moment | None = None
+    frame_ref: FrameRef | None = None
     std: np.ndarray | None = None
+    score: float | None = None
+
+    def __repr__(self) -> str:
+        notes = f", {len(self.notes)} notes" * bool(self.notes)
+        pose = "gap" if self.is_gap else self.angles
+        return f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {pose}{notes}>"
+
+    def __getattr__(self, name: str):
+        """Names of an earlier release."""
+        if name not in _OLD_NAMES:
+            raise AttributeError(f"Face has no attribute {name!r}.")
+        now = _OLD_NAMES[name]
+        warnings.warn(f"Face.{name} is now Face.{now}.", DeprecationWarning, stacklevel=2)
+        return getattr(self, now)
 
     @property
-    def image_xyz(self) -> np.ndarray:
+    def landmarks_3d(self) -> np.ndarray:
         """`(L, 3)`: the landmarks as they lie in the image, and how far they are in front.
 
-        z is in pixels, as x and y, grows towards the viewer and is 0 at the shape's origin.
+        z is in pixels, as x and y, grows towards the viewer and is 0 at the shape's origin. A
+        missing landmark is where the shape has it.
         """
-        depth = self.pose.scale * self.shape @ self.pose.rotation[2]
-        return np.column_stack([self.landmarks, depth])
+        depth = self.pose.scale * self.xyz @ self.pose.rotation[2]
+        seen = np.where(np.isnan(self.landmarks), self.seen_shape, self.landmarks)
+        return np.column_stack([seen, depth])
 
     @property
     def seen_shape(self) -> np.ndarray:
         """Where the landmarks of the shape are seen, turned as the head is: `(L, 2)`, y down."""
-        return self.pose.project(self.shape) * (1, -1)
+        return self.pose.project(self.xyz) * (1, -1)
 
     @property
-    def residual(self) -> np.ndarray:
-        """`(L,)` pixels between each landmark and where the shape has it."""
+    def residuals(self) -> np.ndarray:
+        """`(L,)` pixels between each landmark and where the shape has it; NaN of missing ones."""
         return np.linalg.norm(self.seen_shape - self.landmarks, axis=1)
+
+    @property
+    def bbox(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of the landmarks in the image."""
+        if self.is_gap:
+            return (math.nan,) * 4
+        low, high = np.nanmin(self.landmarks, axis=0), np.nanmax(self.landmarks, axis=0)
+        return (*low.tolist(), *high.tolist())
 
     @property
     def angles(self) -> str:
         """The head's pose in whole degrees: `yaw +20°, pitch +12°, roll -8°`."""
-        degrees = {name: round(getattr(self.pose, name)) for name in ("yaw", "pitch", "roll")}
-        return ", ".join(f"{name} {angle:+}°" for name, angle in degrees.items())
+        pose = self.pose
+        return f"yaw {round(pose.yaw):+}°, pitch {round(pose.pitch):+}°, roll {round(pose.roll):+}°"
 
     @property
     def is_gap(self) -> bool:
         """Whether it stands for a row without a face, or with one that cannot be used."""
-        return math.isnan(self.shape[0, 0])
+        return math.isnan(self.xyz[0, 0])
 
     def gap(self, name: str, notes: tuple[str, ...]) -> Face:
         """A gap among faces of which this is one."""

@@ -1,9 +1,12 @@
-"""Reads 2D landmarks from the files that other tools, and this one, write."""
+"""Reads 2D landmarks from files: NPY, PTS, tables and JSON of this program, MediaPipe's JSON."""
 
 from __future__ import annotations
 
 import csv
 import json
+import re
+from array import array
+from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +14,7 @@ import numpy as np
 from deepmds_keras.checks import find_faults
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import map_npy
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import said_sizes
-from deepmds_keras.predict.landmark_tables import EMPTY, check_count, read_csv, row_lengths
+from deepmds_keras.landmarks import face_sizes, load_scheme, said_sizes
 
 _FRACTION = 2  # at most, of the width or height of an image; a face may reach beyond it
 _TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow
@@ -21,6 +22,10 @@ _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 2
 SUFFIXES = tuple(_MAX_BYTES)
 _KEYS = ("faces", "landmarks", "faceLandmarks")  # the last is MediaPipe's in JavaScript
 _MATLAB_ORIGIN = 0.5  # whose first pixel has its middle at (1, 1), ours at (0.5, 0.5)
+# Columns of one landmark a row; x and y of our own output are those of the 3D shape.
+_PAIRS = (("image_x", "image_y"), ("x", "y"))
+_EMPTY = ("", "nan", "null", "none")  # cells of a gap
+_SHOWN = 80  # letters of what is in a file
 
 
 def read_landmarks(
@@ -32,15 +37,13 @@ def read_landmarks(
     are. A third coordinate is ignored.
 
     - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)`, `(n, L, 3)`, or x1, y1, x2, … of a face in each row.
-    - `.csv`, separated by commas, semicolons, tabs or spaces; lines of comments (`#`) may come
-      first. One landmark a row under a header that names the columns `x` and `y` (of our own
-      output: `image_x`, `image_y`); of several faces if there is a column `face`; a column `number`
-      must count up. Two columns need no header. Or one face a row: columns `x1`, `y1`, … or `x_0`,
-      …, `y_0`, … (OpenFace), any others being ignored; without a header x1, y1, x2, ….
+    - `.csv`, with commas and a header; lines of comments (`#`) may come first. One landmark a row:
+      columns `image_x` and `image_y`, as `deepmds predict` writes them, or `x` and `y`; of several
+      faces a column `face`; a column `number` must count up. Other columns are ignored.
     - `.pts` (iBUG 300-W), one face, in MATLAB's pixels: 0.5 is subtracted.
     - `.json`: a list of `[x, y]` or, as MediaPipe has it, of `{"x": …, "y": …}`; a list of such
       faces; `{"landmarks": …}`, `{"faceLandmarks": …}` or `{"faces": [{"landmarks": …}, …]}`, as
-      our own output has it.
+      `deepmds predict` writes it.
 
     A face whose landmarks are all NaN, empty cells or null is a gap. Nothing in the file is
     executed.
@@ -70,7 +73,7 @@ def read_landmarks(
 def read_faces(
     path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
 ) -> tuple[np.ndarray, dict[int, str]]:
-    """`read_landmarks`, with the faces that cannot be used for gaps.
+    """`read_landmarks`, with the faces that cannot be used as gaps.
 
     Returns:
         The landmarks; and for each face that cannot be used, 0-based and ascending, why.
@@ -84,12 +87,10 @@ def read_faces(
         raise InputError(f"{path} must end in {', '.join(SUFFIXES)}. Received {suffix!r}.")
     try:
         _check_size(path, _MAX_BYTES[suffix])
-        points, cells = _READERS[suffix](path)
+        points = _READERS[suffix](path)
     except (OSError, MemoryError) as error:
-        raise InputError(f"{path} must be a file that can be read. {_line(error)}") from None
-    except csv.Error as error:
-        raise InputError(f"{path} must be a table of numbers. {_line(error)}") from None
-    faults = _find_faults(points, cells)
+        raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
+    faults = _find_faults(points)
     points[[*faults]] = np.nan
     if np.isnan(points).all():
         if not faults:
@@ -103,26 +104,20 @@ def read_faces(
     return points, faults
 
 
-def _find_faults(points: np.ndarray, cells: dict[int, str]) -> dict[int, str]:
-    """Why faces cannot be used: by the cells of a table that are no numbers, and by the numbers."""
+def _find_faults(points: np.ndarray) -> dict[int, str]:
+    """Why faces that are no gaps cannot be used."""
     gaps = np.isnan(points).all((1, 2))
     good = (np.abs(points) < _TOO_LARGE).all(2)
     faults = find_faults(np.where(good.all(1)[:, None, None], points, np.nan))
     for face in np.flatnonzero(~good.all(1)).tolist():
         landmark = int(good[face].argmin())
         x, y = points[face, landmark]
+        received = "text or infinity" if np.isinf([x, y]).any() else f"({x:g}, {y:g})"
         faults[face] = (
-            f"must hold finite numbers below {_TOO_LARGE:.0e}. Received ({x:g}, {y:g}) in landmark "
-            f"{landmark + 1} of {len(points[face])}"
+            f"must have finite numbers below {_TOO_LARGE:.0e} for each landmark. Received "
+            f"{received} in landmark {landmark + 1} of {len(points[face])}"
         )
-    faults |= {
-        face: f"must have a finite number in each cell of a landmark. Received {cell}"
-        for face, cell in cells.items()
-    }
-    for face in np.flatnonzero(gaps).tolist():
-        if cells.get(face, EMPTY).startswith(EMPTY):
-            del faults[face]
-    return faults
+    return {face: fault for face, fault in faults.items() if not gaps[face]}
 
 
 def _in_pixels(
@@ -135,11 +130,8 @@ def _in_pixels(
             f"{path} must have fractions of the width and height for --image-size. Received "
             f"coordinates of up to {largest:g}: leave --image-size out."
         )
-    if (
-        image_size is None
-        and largest <= _FRACTION
-        and points.shape[1] in load_scheme("mediapipe").sizes
-    ):
+    mediapipe = points.shape[1] in load_scheme("mediapipe").sizes
+    if image_size is None and largest <= _FRACTION and mediapipe:
         raise InputError(
             f"{path} must be in pixels, or --image-size W H be given. Received coordinates of up "
             f"to {largest:.2g}, which seem to be fractions of the image, as MediaPipe has them."
@@ -149,70 +141,65 @@ def _in_pixels(
 
 def _check_size(path: Path, max_bytes: int) -> None:
     if not path.is_file():
-        found = "a folder or device" if path.exists() else "a path that does not exist"
-        raise InputError(f"{path} must be a file of landmarks. Received {found}.")
+        received = "a folder or device" if path.exists() else "a path that does not exist"
+        raise InputError(f"{path} must be a file of landmarks. Received {received}.")
     size = path.stat().st_size
     if not 0 < size <= max_bytes:
-        found = f"{size:,} bytes" if size else "an empty file"
+        received = f"{size:,} bytes" if size else "an empty file"
         most = f"at most {max_bytes >> 20} MiB"
-        raise InputError(f"{path} must hold landmarks, in {most}. Received {found}.")
+        raise InputError(f"{path} must hold landmarks, in {most}. Received {received}.")
 
 
-def _read_npy(path: Path) -> tuple[np.ndarray, dict[int, str]]:
-    return _as_faces(path, map_npy(path)), {}
+def _read_npy(path: Path) -> np.ndarray:
+    return _as_faces(path, map_npy(path))
 
 
-def _read_json(path: Path) -> tuple[np.ndarray, dict[int, str]]:
+def _read_json(path: Path) -> np.ndarray:
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} must be JSON. {_line(error)}") from None
+        raise InputError(f"{path} must be JSON. {_received(error)}") from None
     if isinstance(content, dict):
-        for key in _KEYS:
-            if key in content:
-                content = content[key]
-                break
-        else:
+        key = next((key for key in _KEYS if key in content), None)
+        if key is None:
             keys = ", ".join(f'"{key}"' for key in _KEYS)
             raise InputError(f"{path} must have one of the keys {keys}. Received none of them.")
+        content = content[key]
     if isinstance(content, list):
-        content = [face.get("landmarks") if isinstance(face, dict) and "x" not in face else face
-                   for face in content]  # fmt: skip
-        content = [*map(_without_names, content)]
+        content = [_points(item) for item in content]
         some = next((face for face in content if face is not None), None)
         if isinstance(some, list) and some and isinstance(some[0], list):  # faces, some are gaps
             gap = [[np.nan] * len(some[0])] * len(some)
             content = [gap if face is None else face for face in content]
     try:
-        array = np.asarray(content)
+        points = np.asarray(content)
     except (ValueError, OverflowError, RecursionError):
         raise InputError(
             f"{path} must hold [x, y] for each landmark, as many in each face. "
             "Received lists of other lengths."
         ) from None
-    return _as_faces(path, array), {}
+    return _as_faces(path, points)
 
 
-def _without_names(item):
-    """`[x, y]` of a landmark `{"x": …, "y": …}`, or of each of a face; others as they are."""
+def _points(item):
+    """A landmark as `[x, y]`, or those of a face as a list of such."""
     if isinstance(item, dict):
-        return [item.get("x"), item.get("y")]
-    if isinstance(item, list) and item and isinstance(item[0], dict):
-        return [*map(_without_names, item)]
-    return item
+        named = "x" in item or "y" in item
+        return [item.get("x"), item.get("y")] if named else _points(item.get("landmarks"))
+    return [*map(_points, item)] if isinstance(item, list) else item
 
 
-def _as_faces(path: Path, array: np.ndarray) -> np.ndarray:
-    """`(n, L, 2)` float64, of any of the layouts of an array."""
-    if array.dtype.kind not in "iuf":
-        kind = "text, null or objects" if array.dtype.kind in "OUS" else f"dtype {array.dtype}"
+def _as_faces(path: Path, points: np.ndarray) -> np.ndarray:
+    """`(n, L, 2)` float64, of any of the layouts of an points."""
+    if points.dtype.kind not in "iuf":
+        kind = "text, null or objects" if points.dtype.kind in "OUS" else f"dtype {points.dtype}"
         raise InputError(f"{path} must hold numbers only for its landmarks. Received {kind}.")
-    shape = array.shape
+    shape = points.shape
     if shape[-1:] in ((2,), (3,)) and len(shape) in (2, 3):
-        check_count(path, shape[-2])
-        faces = array.reshape(-1, *shape[-2:])[..., :2]
-    elif len(shape) in (1, 2) and shape[-1] in row_lengths():
-        faces = array.reshape(-1, shape[-1] // 2, 2)
+        _check_count(path, shape[-2])
+        faces = points.reshape(-1, *shape[-2:])[..., :2]
+    elif len(shape) in (1, 2) and shape[-1] in [2 * n for n in face_sizes()]:
+        faces = points.reshape(-1, shape[-1] // 2, 2)
     else:
         raise InputError(
             f"{path} must have shape (landmarks, 2), (faces, landmarks, 2) or (faces, 2 x "
@@ -223,7 +210,7 @@ def _as_faces(path: Path, array: np.ndarray) -> np.ndarray:
     return np.array(faces, float)
 
 
-def _read_pts(path: Path) -> tuple[np.ndarray, dict[int, str]]:
+def _read_pts(path: Path) -> np.ndarray:
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     lines = [line.strip() for line in text.splitlines()]
     if "{" not in lines or "}" not in lines:
@@ -242,12 +229,86 @@ def _read_pts(path: Path) -> tuple[np.ndarray, dict[int, str]]:
             raise InputError(
                 f"{path} must have two numbers per landmark. Received {brief(line)!r} in line {i}."
             ) from None
-    check_count(path, len(points))
-    return np.array([points]) - _MATLAB_ORIGIN, {}
+    _check_count(path, len(points))
+    for line in lines[: first - 1]:
+        stated = re.fullmatch(r"n_points\s*:\s*(\d+)", line)
+        if stated and int(stated[1]) != len(points):
+            raise InputError(
+                f"{path} must have as many landmarks as it states, {stated[1]}. "
+                f"Received {len(points)}."
+            )
+    return np.array([points]) - _MATLAB_ORIGIN
 
 
-def _line(error: Exception) -> str:
+def _read_csv(path: Path) -> np.ndarray:
+    with open(path, encoding="utf-8-sig", errors="replace", newline="") as file:
+        first = next((line for line in file if line.strip() and not line.startswith("#")), "")
+        rows = csv.reader(chain([first], file), skipinitialspace=True, strict=True)
+        try:
+            header = [cell.strip().lower() for cell in next(rows, [])]
+            columns = next((pair for pair in _PAIRS if {*pair} <= {*header}), None)
+            if columns is None:
+                raise InputError(
+                    f"{path} must have a header with columns x and y; save numbers without one as "
+                    f".npy. Received the first line {brief(first, _SHOWN)!r}."
+                )
+            columns = [header.index(name) for name in (*columns, "number") if name in header]
+            face = header.index("face") if "face" in header else None
+            values, faces, end = array("d"), [], 0
+            for row in rows:
+                if len(row) > len(header):
+                    raise InputError(
+                        f"{path} must be a table of {len(header)} cells a row, as the header has. "
+                        f"Received {len(row)} in row {len(faces) + 1}."
+                    )
+                row += [""] * (len(header) - len(row))
+                values.extend([_number(row[column]) for column in columns])
+                faces.append("" if face is None else row[face])
+                end = len(faces) if any(row) else end  # lines without cells at the end are no gaps
+        except csv.Error as error:
+            raise InputError(f"{path} must be a table of numbers. {_received(error)}") from None
+    if not end:
+        raise InputError(f"{path} must be a table of numbers. Received no rows.")
+    table = np.array(values).reshape(-1, len(columns))[:end]
+    size = _landmarks_per_face(path, faces[:end], face is not None)
+    numbers = table[:, 2:].reshape(-1, size) if len(columns) > 2 else np.empty((0, size))
+    if (np.diff(numbers) != 1).any() or (numbers[:, 0] != numbers[:1, 0]).any():
+        raise InputError(
+            f"{path} must have landmarks in the order of their numbers, the same in each face. "
+            "Received another order in the column number."
+        )
+    return table[:, :2].reshape(-1, size, 2)
+
+
+def _landmarks_per_face(path: Path, faces: list[str], named: bool) -> int:
+    """L of a table of one landmark a row, whose faces are runs of the same value."""
+    runs = [(face, len([*run])) for face, run in groupby(faces)]
+    size = runs[0][1]
+    for face, count in runs:
+        if count != size:
+            raise InputError(
+                f"{path} must have the same number of landmarks in each face. Received {size}, "
+                f"and {count} for the face {brief(face, _SHOWN)!r}."
+            )
+    _check_count(path, size, "" if named else " rows, and no column face that tells several apart")
+    return size
+
+
+def _check_count(path: Path, n: int, where: str = "") -> None:
+    if n not in face_sizes():
+        raise InputError(f"{path} must have {said_sizes()} landmarks a face. Received {n}{where}.")
+
+
+def _number(cell: str) -> float:
+    """Infinite what is text, NaN what is nothing."""
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan if cell.strip().lower() in _EMPTY else np.inf
+
+
+def _received(error: Exception) -> str:
     return f"Received {type(error).__name__}: {brief(str(error))}"
 
 
-_READERS = {".csv": read_csv, ".json": _read_json, ".npy": _read_npy, ".pts": _read_pts}
+_READERS = {".csv": _read_csv, ".json": _read_json, ".npy": _read_npy, ".pts": _read_pts}

@@ -9,14 +9,13 @@ import numpy as np
 
 from deepmds_keras import __version__
 from deepmds_keras.errors import InputError, needs
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import scheme_of
+from deepmds_keras.files import write_bytes
+from deepmds_keras.landmarks import load_scheme, scheme_of
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
-from deepmds_keras.lifting.trained import TrainedLifter
 from deepmds_keras.predict.models import weights_path
 from deepmds_keras.predict.outputs import AXES, SCALE
-from deepmds_keras.predict.writing import write_bytes
 from deepmds_keras.weights import PRETRAINED
 
 _OPSET, _IR_VERSION = 18, 8  # of the end of 2022, which runtimes in use read
@@ -25,15 +24,18 @@ _DOC = """\
 Inputs: view (n, L, 2), x to the right and y UP, any scale and place, NaN where a landmark is
 missing; visible (n, L), false where one is missing, at least 6 true; landmark_sd (n, L), standard
 deviations of the errors of a coordinate in the unit of the view, NaN for that of the training.
-Outputs: shape (n, L, 3), and shape_sd (n, L, 3), the standard deviations of its errors; axes and
-unit are in the metadata."""
+Outputs: shape (n, L, 3), facing the front, and shape_sd (n, L, 3), the standard deviations of its
+errors; rotation (n, 3, 3), scale (n), translation (n, 2) and perspective (n) of the camera, which
+sees S at P = rotation S, at scale P_xy / (1 - perspective P_z) + translation of the view. Axes and
+units are in the metadata."""
 
 
 def export(path: str | Path, model: str) -> None:
     """Write a lifter as an ONNX model, complete or not at all.
 
-    Its inputs and outputs are those of `LandmarkLifter.predict`; its metadata say which landmarks
-    in which order it takes.
+    Its inputs are those of `LandmarkLifter.estimate`, its outputs the shapes, their standard
+    deviations and the camera. Its metadata have the landmarks by number and name, units, axes and
+    licence.
 
     Args:
         path: Of the model, a new file.
@@ -46,10 +48,10 @@ def export(path: str | Path, model: str) -> None:
     if Path(path).exists():
         raise InputError(f"{path} must be the name of a new file. Received one that exists.")
     weights = weights_path(model)
-    lifter = TrainedLifter.read(weights)
+    lifter = LandmarkLifter.load(weights)
     scheme = load_scheme(scheme_of(lifter.n_landmarks))
     shipped = weights.parent == PRETRAINED
-    source = "shipped with deepmds-keras, MIT licence" if shipped else "given by the user"
+    source = "shipped with deepmds-keras" if shipped else "given by the user"
     with needs("onnx", "onnx"):
         from onnx import checker, helper
     written = helper.make_model(
@@ -68,7 +70,11 @@ def export(path: str | Path, model: str) -> None:
             "landmark_names": json.dumps(scheme.names),
             "unit": f"normalised: {SCALE['normalised']}",
             "axes": AXES["shape"],
+            "view_axes": "x to the right, y up",
+            "camera_axes": "x to the right, y up, z towards the viewer",
+            "camera_unit": "that of the view; perspective: one over the unit of the shape",
             "weights": f"{weights.stem}: {source}",
+            "licence": "MIT" if shipped else "that of the weights",
         },
     )
     checker.check_model(written, full_check=True)
@@ -76,7 +82,7 @@ def export(path: str | Path, model: str) -> None:
 
 
 @np.errstate(all="ignore")  # of the examples
-def _traced(lifter: TrainedLifter):
+def _traced(lifter: LandmarkLifter):
     """The graph of `predict`, which does in float32 what `prepare_views` does before."""
     from onnx import helper, numpy_helper
 
@@ -91,15 +97,25 @@ def _traced(lifter: TrainedLifter):
     points = xp.where(known[:, None], points, 0)
     seen = xp.float32(known)
     share = xp.mean(seen, 1, keepdims=True)[:, None]
+    centre = 0
     for _ in range(2):  # the second time takes off what was rounded
-        points = (points - xp.mean(points, 2, keepdims=True) / share) * seen[:, None]
+        middle = xp.mean(points, 2, keepdims=True) / share
+        points, centre = (points - middle) * seen[:, None], middle + centre
     square = xp.mean(points * points, 2, keepdims=True) / share
     radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
     sd = landmark_sd / radius[:, 0]
     sd = xp.where(xp.isnan(sd), lifter.training_sd_, sd)
     lifted = lift(xp, lifter.weights_, SIZES[lifter.size].iterations, points / radius, seen, sd)
     shape, log_sd = (xp.transpose(a, (0, 2, 1)) for a in (lifted.shapes, lifted.log_sd))
-    outputs = {"shape": shape, "shape_sd": UNIT * xp.exp(log_sd)}
+    camera, radius = lifted.camera, radius[:, 0]
+    outputs = {
+        "shape": shape,
+        "shape_sd": UNIT * xp.exp(log_sd),
+        "rotation": camera.rotation,
+        "scale": (camera.scale * radius)[:, 0],
+        "translation": camera.shift * radius + centre[:, :, 0],
+        "perspective": camera.perspective[:, 0],
+    }
 
     def described(name, tensor):
         kind = TYPES[tensor.example.dtype.kind]

@@ -8,19 +8,18 @@ import html
 import io
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from deepmds_keras import __version__
+from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.predict.cutout import Cutout, cut_out
 from deepmds_keras.predict.faces import Face
+from deepmds_keras.predict.mesh import fit_surfaces, surface_triangles
 from deepmds_keras.predict.outputs import AXES, SCALE
-from deepmds_keras.predict.surface import fit_surfaces, surface_triangles
-from deepmds_keras.predict.writing import write_bytes
+from deepmds_keras.predict.overlay import cut_out
 
 _FOLDER = Path(__file__).parent
 _DIGITS = {"mm": 2}  # after the point; of what is normalised more
@@ -32,7 +31,7 @@ _HASHED = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
 def write_page(
     path: str | Path,
     faces: Sequence[Face],
-    photos: Iterable[np.ndarray | None],
+    photos: Sequence[np.ndarray | None],
     *,
     mesh: bool = False,
 ) -> None:
@@ -44,12 +43,11 @@ def write_page(
     Args:
         path: Of the page.
         faces: In the order in which they are shown.
-        photos: Of each face the whole photo, `(H, W, 3)` uint8 RGB, or None if it has none. Read
-            one by one: of a generator only one is in memory.
+        photos: Of each face the whole photo, `(H, W, 3)` uint8 RGB, or None if it has none.
         mesh: Whether to show the heads through the landmarks.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError, OSError: As for `atomic_write`.
     """
     described = [_described(face, photo) for face, photo in zip(faces, photos, strict=True)]
     schemes = {name: _scheme(name) for name in {face.scheme for face in faces}}
@@ -59,44 +57,18 @@ def write_page(
         for face, shown_face in zip(faces, described, strict=True):
             shown_face["mesh"] = _mesh(face)
     title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
-    script = wireframe_script() + (_FOLDER / "mesh.js").read_text(encoding="utf-8")
-    fill_page(
-        path,
-        "page.html",
-        {"title": html.escape(title), "faces": json_in_html(shown)},
-        wireframe=script,
-    )
-
-
-def fill_page(path: str | Path, template: str, values: dict[str, str], **scripts: str) -> None:
-    """Write a template of this folder with values for its fields, complete or not at all.
-
-    Args:
-        path: Of the page.
-        template: Name of the file. A field is `{{name}}`; `policy` and `version` are known.
-        values: HTML of the others.
-        scripts: By field, of which the policy must know; filled in first.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    text = (_FOLDER / template).read_text(encoding="utf-8")
-    for name, script in scripts.items():
-        text = text.replace(f"{{{{{name}}}}}", script)
-    values = {"policy": _policy(text), "version": __version__, **values}
+    page = (_FOLDER / "page.html").read_text(encoding="utf-8")
+    page = page.replace("{{script}}", (_FOLDER / "page.js").read_text(encoding="utf-8"))
+    values = {
+        "policy": _policy(page),
+        "version": __version__,
+        "title": html.escape(title),
+        "faces": json_in_html(shown),
+    }
     # In one go, so that a name that looks like a field stays a name.
-    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], text)
+    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], page)
     # A file name may hold bytes that are no text.
     write_bytes(path, page.encode("utf-8", "replace"))
-
-
-def wireframe_script() -> str:
-    """The JavaScript of `element`, `drawWireframe` and `wireframeButtons`, to be put into a page.
-
-    Comments before them describe them.
-    """
-    files = (_FOLDER / name for name in ("element.js", "wireframe.js"))
-    return "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def json_in_html(value: object) -> str:
@@ -114,7 +86,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
         "unit": face.unit,
         "scale": SCALE[face.unit],
         "digits": digits,
-        "points": np.round(face.shape, digits + 1).tolist(),
+        "points": np.round(face.xyz, digits + 1).tolist(),
         "landmarks": np.round(face.landmarks, 3).tolist(),
         "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
         "notes": face.notes,
@@ -132,8 +104,10 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
         def place(points):
             return scale * (points - low) + _BARE_MARGIN
     else:
-        cutout = cut_out(photo, face.landmarks)
-        place, jpeg, (height, width) = cutout.place, _data_uri(cutout), cutout.image.shape[:2]
+        cutout, buffer = cut_out(photo, face.landmarks), io.BytesIO()
+        cutout.image.save(buffer, "jpeg", quality=85, optimize=True)
+        jpeg = "data:image/jpeg;base64," + _base64(buffer.getvalue())
+        place, (width, height) = cutout.place, cutout.image.size
     return {
         "jpeg": jpeg,
         "width": round(float(width), 1),
@@ -145,17 +119,11 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
 
 def _mesh(face: Face) -> dict:
     """Vertices of the head, as whole steps from the lowest."""
-    vertices = fit_surfaces(face.shape[None], face.scheme)[0].astype(float)
+    vertices = fit_surfaces(face.xyz[None], face.scheme)[0].astype(float)
     lowest = vertices.min(0)
     step = np.ptp(vertices, axis=0).max() / _MOST
     steps = np.round((vertices - lowest) / step).astype("<i2")
     return {"lowest": lowest.tolist(), "step": step, "vertices": _base64(steps.tobytes())}
-
-
-def _data_uri(cutout: Cutout) -> str:
-    buffer = io.BytesIO()
-    Image.fromarray(cutout.image).save(buffer, "jpeg", quality=85, optimize=True)
-    return "data:image/jpeg;base64," + _base64(buffer.getvalue())
 
 
 def _base64(content: bytes) -> str:
@@ -167,15 +135,14 @@ def _scheme(name: str) -> dict:
     return {"lines": scheme.polylines, "names": scheme.names, "numbers": scheme.numbers}
 
 
-def _policy(template: str) -> str:
-    """Content-Security-Policy: only the page's own scripts run, only pictures beside it load."""
+def _policy(page: str) -> str:
+    """Content-Security-Policy: only the page's scripts and styles run, only its pictures load."""
     allowed = {"script": [], "style": []}
-    for kind, content in _HASHED.findall(template):
+    for kind, content in _HASHED.findall(page):
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         allowed[kind].append(f"'sha256-{digest}'")
-    scripts, styles = (" ".join(hashes) or "'none'" for hashes in allowed.values())
-    pictures = "data:" if allowed["script"] else "'self' file:"
+    scripts, styles = (" ".join(hashes) for hashes in allowed.values())
     return (
-        f"default-src 'none'; img-src {pictures}; script-src {scripts}; style-src {styles}; "
+        f"default-src 'none'; img-src data:; script-src {scripts}; style-src {styles}; "
         "base-uri 'none'; form-action 'none'"
     )

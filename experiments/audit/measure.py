@@ -85,5 +85,5 @@ class Evidence:
         model = load(self.run, method)
         if hasattr(model, "solver"):
             # As scikit-learn to rounding, and many sweeps sooner.
-            model.set_params(solver="batched", n_jobs=1)
+            model.set_params(solver="numba", n_jobs=1)
         return model

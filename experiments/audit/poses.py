@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import sem
 
-from data_gen.views.projections import PROJECTIONS, Cameras, project, rotations, sample_cameras
-from deepmds_keras.alignment import align
+from data_gen.views import PROJECTIONS, Cameras, project, rotations, sample_cameras
+from deepmds_keras.alignment import align, normalise
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.normalisation import normalise
 from experiments.audit.measure import Evidence
 from experiments.inputs import Faces
 from experiments.methods import predict
@@ -26,7 +25,7 @@ SWEEPS = {
     "roll": tuple(range(-90, 91, 15)),
     "field_of_view": (0, 5, 10, 20, 30, 45, 60),
 }
-# Ranges of the training views, see `data_gen.views.projections.sample_cameras`.
+# Ranges of the training views, see `data_gen.views.sample_cameras`.
 TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view": (0, 5)}
 # Standard deviations of each coordinate, in percent of the distance of the outer corners of the
 # eyes, in which the errors of landmark detectors are given.

@@ -20,10 +20,10 @@ import tensorflow.experimental.numpy as tnp
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
+from deepmds_keras.alignment import normalise
 from deepmds_keras.embedding import compiled_solver, embed
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import build_dissimilarity_net
-from deepmds_keras.normalisation import normalise
 from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.proximities import pair_features
 from deepmds_keras.training import Recipe, face_order, pairs_of_faces, steps_per_call, untuned
@@ -86,9 +86,10 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
 
     faces = draw_faces(run.preset.bench_faces)
     shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
+    solvers = {"sklearn": "sklearn"} | ({"batched": "numba"} if compiled_solver() else {})
     methods = {
-        solver: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
-        for solver in (("sklearn", "batched") if compiled_solver() else ("sklearn",))
+        way: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
+        for way, solver in solvers.items()
     }
     networks = methods["sklearn"]
     matrices = np.abs(networks.dissimilarities(faces.views))
@@ -111,7 +112,7 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         },
         "embedding": {
             "released": lambda views: released.embed(matrices[: len(views)]),
-            **{way: lambda v, way=way: embed(matrices[: len(v)], solver=way) for way in methods},
+            **{w: lambda v, s=s: embed(matrices[: len(v)], solver=s) for w, s in solvers.items()},
         },
         "end to end": {"released": lambda views: released.shapes(networks, views), **predictors},
     }

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views.photo_views import sample_photo_views
+from data_gen.views import sample_photo_views
 from experiments.records import environment, write_csv
 from experiments.run import Run
 

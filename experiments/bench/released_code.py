@@ -13,12 +13,13 @@ from collections.abc import Iterable, Iterator
 from itertools import product
 
 import numpy as np
+from sklearn.manifold import MDS
 
 from data_gen.datasets.dataset import Dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import project
-from deepmds_keras.embedding import check_dissimilarities, precomputed_mds
-from deepmds_keras.normalisation import centre, normalise
+from data_gen.views import project
+from deepmds_keras.alignment import centre, normalise
+from deepmds_keras.embedding import check_dissimilarities
 from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.pipeline import DeepMDS
 
@@ -71,7 +72,8 @@ def predict(model: DeepMDS, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def embed(dissimilarities: np.ndarray, seed: int = 0) -> np.ndarray:
     """Points `(n, L, 3)` of `(n, L, L)`: the best of four random starts, of each face in turn."""
-    scaling = precomputed_mds(3, n_init=_STARTS, random_state=seed)
+    options = {"metric": "precomputed", "init": "random", "normalized_stress": True}
+    scaling = MDS(3, metric_mds=False, n_init=_STARTS, random_state=seed, **options)
     return np.stack([scaling.fit_transform(own) for own in check_dissimilarities(dissimilarities)])
 
 

@@ -170,7 +170,7 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
     Args:
         errors: One row per face and method: `method` (id), `projection` (`"orthographic"` or
             `"perspective"`), `yaw` and `pitch` of the face in degrees as in
-            `data_gen.views.projections.Cameras`, `mse` in squared normalised units.
+            `data_gen.views.Cameras`, `mse` in squared normalised units.
     """
     methods = pd.Categorical(errors["method"], errors["method"].unique())
     errors = errors.assign(method=methods).sort_values(["method", "projection", "yaw"])

@@ -71,7 +71,7 @@ def measure(run: Run) -> pd.DataFrame:
     errors = {("mean_shape", "none"): score(mean_shape, test).mse}
     for step, distances in Bar(matrices(run, test), desc="anatomy", total=len(STEPS) - 2):
         distances = np.abs(distances)  # as in `DeepMDS.predict`
-        shapes = embed(distances, n_jobs=run.jobs)
+        shapes = embed(distances, solver="sklearn", n_jobs=run.jobs)
         errors[step, "non_metric"] = score(shapes, test).mse
         errors[step, "metric"] = score(metric_embed(distances), test).mse
     exact = Views(

@@ -13,14 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_gen.fitting.landmark_fitting import LandmarkFitter
-from data_gen.views.projections import project
-from deepmds_keras.alignment import align
-from deepmds_keras.baselines.aldrian import Aldrian
-from deepmds_keras.baselines.linear import Linear
+from data_gen.landmark_fitting import LandmarkFitter
+from data_gen.views import project
+from deepmds_keras.alignment import align, normalise
+from deepmds_keras.baselines.closed_form import Aldrian, Linear
 from deepmds_keras.camera import affine_cameras, orthographic_cameras
 from deepmds_keras.metrics import mse
-from deepmds_keras.normalisation import normalise
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
 from experiments.run import Run
 
@@ -106,8 +104,11 @@ class Contenders:
             cameras = affine_cameras(faces.views, faces.shapes)
             linear, shift = cameras[..., :3], cameras[..., 3]
         else:
-            rotations, scales, shift = orthographic_cameras(faces.views, faces.shapes)
-            linear = scales[:, None, None] * rotations[:, :2]
+            nearest = orthographic_cameras(faces.views, faces.shapes)
+            linear, shift = (
+                nearest.scale[:, None, None] * nearest.rotation[:, :2],
+                nearest.translation,
+            )
         projected = faces.shapes @ np.swapaxes(linear, 1, 2) + shift[:, None]
         return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.alignment import align
+from deepmds_keras.alignment import align, centre, normalise
 from deepmds_keras.metrics import mse
-from deepmds_keras.normalisation import centre, normalise
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import Contenders, limit
 from experiments.lifting.train import DEEP_MDS, LIFTING, SEEDED, hard_file, hard_seeds, load_network

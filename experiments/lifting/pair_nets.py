@@ -12,11 +12,11 @@ import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 from keras import layers, ops
 
+from deepmds_keras.alignment import normalise
 from deepmds_keras.networks import dense_blocks, distance_layers
-from deepmds_keras.normalisation import normalise
 from deepmds_keras.proximities import VARIANTS, pair_features
-from deepmds_keras.streams import Stream
 from deepmds_keras.training import Recipe, features_and_distances, steps_per_call, train_by_epoch
+from deepmds_keras.weights import Stream
 
 _UNITS = 64  # of a hidden layer: with the paper's 20 the pairs would have no room
 _EMBEDDED, _CODE = 16, 32

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.registry import load_model, model_files
-from data_gen.views.photo_views import sample_photo_views
+from data_gen.views import sample_photo_views
 from experiments.inputs import load_faces
 from experiments.lifting.views import CONDITIONS, Condition, sample_training, training_views
 from experiments.methods import load
@@ -62,7 +62,7 @@ def load_network(file: Path):
         return LandmarkLifter.load(file)
     from deepmds_keras.pipeline import DeepMDS
 
-    return DeepMDS.load(file).set_params(solver="batched", n_jobs=1)
+    return DeepMDS.load(file).set_params(solver="numba", n_jobs=1)
 
 
 def main(run: Run, name: str) -> None:

@@ -12,12 +12,10 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.registry import load_model, open_models
-from data_gen.views.photo_views import sample_photo_views
-from deepmds_keras.alignment import align
-from deepmds_keras.baselines.linear import Linear
-from deepmds_keras.baselines.mean_shape import MeanShape
+from data_gen.views import sample_photo_views
+from deepmds_keras.alignment import align, centre, normalise
+from deepmds_keras.baselines.closed_form import Linear, MeanShape
 from deepmds_keras.metrics import mse
-from deepmds_keras.normalisation import centre, normalise
 from experiments.face_models import TITLES
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.hidden import hidden_by_head
-from data_gen.views.projections import Cameras, project, sample_cameras, sample_hard_cameras
+from data_gen.views import Cameras, hidden_by_head, project, sample_cameras, sample_hard_cameras
 from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_gen.models.registry import OPEN, load_model, open_models
-from deepmds_keras.detection.detectors import DETECTORS
+from deepmds_keras.detection import DETECTORS
 from deepmds_keras.detection.mediapipe_landmarks import landmarks51, shared_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
@@ -20,7 +20,7 @@ from experiments.streams import Stream
 from experiments.tasks import unordered
 
 if TYPE_CHECKING:
-    from data_gen.datasets.portraits import Portraits
+    from data_gen.datasets.photos_standin import Portraits
 
 _PER_TASK = 50
 
@@ -46,7 +46,7 @@ def read_portraits(run: Run, model: str) -> dict[str, np.ndarray]:
     """What is known of all photos of a model.
 
     Returns:
-        `yaw` `(n,)` degrees; `landmarks_…` and `pixels_…` of the schemes, as `Portrait` has them;
+        `yaw` `(n,)` degrees; `landmarks_…` and `pixels_…` of the schemes, as `Photo` has them;
         `dlib` `(n, 68, 2)` and `mediapipe` `(n, 51, 2)` pixels, NaN where no face was found, and
         `mediapipe_shape` `(n, 51, 3)`, y up, as far as the detectors are installed.
     """
@@ -76,7 +76,7 @@ def _draw(run: Run, model: str, numbers: range, detectors: list[str]) -> tuple[r
 
 @functools.cache
 def _source(run: Run, model: str) -> Portraits:
-    from data_gen.datasets.portraits import Portraits
+    from data_gen.datasets.photos_standin import Portraits
 
     seed = (run.seed, Stream.PORTRAITS, OPEN.index(model), 1)  # 0 was of photos for training
     return Portraits(load_model(model, run.data, "ibug68"), seed)

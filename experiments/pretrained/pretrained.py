@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.registry import open_models
-from deepmds_keras.alignment import align
-from deepmds_keras.detection.errors import detector_errors
-from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.alignment import align, normalise, rms_radius
+from deepmds_keras.detection import detector_sd
+from deepmds_keras.landmarks import convert
 from deepmds_keras.metrics import mse
-from deepmds_keras.normalisation import normalise, rms_radius
 from deepmds_keras.weights import PRETRAINED
 from experiments.face_models import TITLES
 from experiments.lifting.train import load_network
@@ -50,7 +49,7 @@ def measure(run: Run) -> Iterator[dict]:
             kinds = {"exact": (pixels, np.ones(len(truth), bool), np.zeros(pixels.shape[1]))}
             for detector, (whole, *parts) in SCHEMES.items():
                 if detector in photos and scheme in (whole, *parts):
-                    pixels, sd = photos[detector], detector_errors(detector, scheme).sd
+                    pixels, sd = photos[detector], detector_sd(detector, scheme)
                     found = errors_of(photos, detector)[1]
                     kinds[detector] = convert(pixels, whole, scheme), found, sd
             for kind, (pixels, found, sd) in kinds.items():

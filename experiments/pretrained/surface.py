@@ -13,16 +13,22 @@ from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 
-from data_gen.build_openhead.surface import write_surface
+from data_gen.build_openhead.components import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
 from data_gen.models.registry import load_model, open_models
-from data_gen.views.photo_views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_expressive
-from data_gen.views.projections import project, sample_perspective_cameras
+from data_gen.views import (
+    FIELD_OF_VIEW,
+    PITCH,
+    ROLL,
+    YAW,
+    project,
+    sample_expressive,
+    sample_perspective_cameras,
+)
 from deepmds_keras.alignment import align, procrustes
-from deepmds_keras.lifting.trained import TrainedLifter
-from deepmds_keras.predict.surface import FILE, fit_surfaces, surface_landmarks
-from deepmds_keras.weights import pretrained_path
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.face_models import TITLES
 from experiments.run import Run
 from experiments.streams import Stream
@@ -77,7 +83,7 @@ def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np
         len(true), rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
     )
     views = project(true, cameras)
-    lifter = TrainedLifter.read(pretrained_path(f"lifting-{_SCHEME}"))
+    lifter = LandmarkLifter.pretrained(_SCHEME)
     yield "lifted from exact views", align(lifter.predict(views, landmark_sd=0), true)
     views = views + rng.normal(0, _VIEW_ERROR_MM, views.shape)
     shapes = align(lifter.predict(views, landmark_sd=_VIEW_ERROR_MM), true)

@@ -15,8 +15,13 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model, model_files, open_models
-from data_gen.views.photo_views import DETECTOR_SD_MM, sample_expressive, sample_photo_views
-from data_gen.views.projections import project, sample_perspective_cameras
+from data_gen.views import (
+    DETECTOR_SD_MM,
+    project,
+    sample_expressive,
+    sample_perspective_cameras,
+    sample_photo_views,
+)
 from deepmds_keras.landmarks import load_scheme
 from experiments.lifting.train import training_noise
 from experiments.recipes import deep_mds, fit, lifting
@@ -63,7 +68,7 @@ def main(run: Run, name: str) -> None:
         model, n = load_model("openhead", None, scheme), run.preset.train_faces
         data = sample_photo_views(model, scheme, n, rng, detector_sd=DEEP_MDS[scheme])[:2]
         network = deep_mds(run, "paper", "cosine")
-        network.set_params(centre_views=True, solver="batched", n_jobs=None)
+        network.set_params(centre_views=True, solver="auto", n_jobs=None)
     network.set_params(n_landmarks=len(load_scheme(scheme)))
     fit(network, *data, checkpoint=checkpoint)
     network.history_ = {}  # the curves would be a good part of the file

@@ -13,8 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import sem
 
-from deepmds_keras.baselines.linear import Linear
-from deepmds_keras.baselines.mean_shape import MeanShape
+from deepmds_keras.baselines.closed_form import Linear, MeanShape
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look
 from experiments.inputs import load_faces

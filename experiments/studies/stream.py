@@ -81,5 +81,5 @@ def write_shard(run: Run, path: Path, shard: int, size: int) -> int:
 def _loaded(run: Run) -> tuple:
     """The face model and the methods by id, once in each process."""
     methods = {method: load(run, method) for method in _METHODS}
-    methods["ours"].set_params(solver="batched", n_jobs=1)
+    methods["ours"].set_params(solver="numba", n_jobs=1)
     return load_model(run.model, run.data), methods

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from data_gen.views.projections import PROJECTIONS
+from data_gen.views import PROJECTIONS
 from deepmds_keras.files import read_arrays
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose

@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.alignment import align
+from deepmds_keras.alignment import align, centre, normalise
 from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import map_npy
-from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.landmarks.conversion import convert
-from deepmds_keras.normalisation import centre, normalise
+from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.photos import IMAGE_SIZE, open_photo
 from experiments.figures.qualitative import gallery
 from experiments.figures.style import save
@@ -71,13 +69,13 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
     Raises:
         InputError: The face model cannot be drawn, or dlib finds no face.
     """
-    from data_gen.datasets.portraits import Portraits
+    from data_gen.datasets.photos_standin import Portraits
     from data_gen.models.registry import load_model
 
     model = load_model(run.model, run.data)
     detections = []
     for photo in Portraits(model, (run.seed, Stream.STAND_IN_PHOTOS)).photos(range(_DRAWN)):
-        landmarks = shared_detector().detect(photo.image)
+        landmarks = next(iter(shared_detector().detect_all(photo.image)), None)
         if landmarks is not None:
             detections.append((abs(photo.yaw), photo.image, convert(landmarks, "ibug68", "ibug51")))
     if not detections:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, save_dataset
-from data_gen.views.projections import Cameras
+from data_gen.views import Cameras
 from deepmds_keras.camera import camera_angles
 from deepmds_keras.detection.dlib_landmarks import shared_detector
 from deepmds_keras.errors import InputError
@@ -108,7 +108,7 @@ def _search_piece(run: Run, pieces: Path, piece: int, source: Source, fit: Fit) 
 def _face(run: Run, image: np.ndarray | InputError, known: object, fit: Fit) -> dict:
     if isinstance(image, InputError):
         raise InputError(f"unreadable: {image}")
-    detected = shared_detector().detect(image)
+    detected = next(iter(shared_detector().detect_all(image)), None)
     if detected is None:
         raise InputError("no face found")
     return fit(run, image, detected, known)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.datasets.coma import find_meshes, load_coma
-from data_gen.datasets.dataset import dataset_of, save_dataset
-from data_gen.datasets.frames_standin import make_frames
-from data_gen.models.flame_embedding import embedding_near
+from data_gen.datasets.dataset import dataset_of, make_performances, save_dataset
+from data_gen.models.flame import load_embedding
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views.projections import sample_cameras
+from data_gen.views import sample_cameras
 from experiments.inputs import face_model, in_photos
 from experiments.progress import Bar
 from experiments.records import write_text
@@ -21,21 +20,20 @@ from experiments.streams import Stream
 
 def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
     """Landmarks `(n, 51, 3)` of the meshes of CoMA, millimetres, and how many were unreadable."""
-    embedding = embedding_near(run.data or folder)
+    embedding = load_embedding(run.data or folder)
     with Bar(total=len(find_meshes(folder)), desc="meshes", unit="mesh") as bar:
-        coma = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
-    if coma.skipped:
+        landmarks, skipped = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
+    if skipped:
         path = run.work / "frames-skipped.txt"
-        write_text(path, "".join(f"{mesh}: {reason}\n" for mesh, reason in coma.skipped))
-        print(f"  {len(coma.skipped)} meshes skipped, see {path}")
-    return coma.landmarks, len(coma.skipped)
+        write_text(path, "".join(f"{mesh}: {reason}\n" for mesh, reason in skipped))
+        print(f"  {len(skipped)} meshes skipped, see {path}")
+    return landmarks, len(skipped)
 
 
 def standin_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
     """Landmarks `(n, 51, 3)` of as many frames of the open stand-in, millimetres."""
-    frames = make_frames(model, run.preset.frame_subjects, run.preset.frames, rng)
-    landmarks = model.restrict(model.landmarks[run.scheme])
-    return landmarks.shape(frames.identity, frames.expression)
+    faces = make_performances(model, run.preset.frame_subjects, run.preset.frames, rng)
+    return model.restrict(model.landmarks[run.scheme]).shape(*faces)
 
 
 def main(run: Run) -> dict:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
-from data_gen.datasets import celeba
+from data_gen.datasets.celeba import find_images
+from data_gen.datasets.image_files import read_image
 from data_gen.datasets.photos_standin import PhotosStandin
-from data_gen.fitting.edge_fitting import EdgeFitter
-from data_gen.rendering.crops import crop
-from data_gen.rendering.renderer import MARGIN
+from data_gen.edge_fitting import EdgeFitter
+from data_gen.photographs import crop
+from data_gen.renderer import MARGIN
 from deepmds_keras.errors import InputError
 from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import face_model
@@ -28,11 +30,11 @@ _PHOTOS_PER_PIECE = 100
 
 
 @functools.cache
-def _source(run: Run) -> list[celeba.CelebaImage] | PhotosStandin:
+def _source(run: Run) -> list[Path] | PhotosStandin:
     """The first photos of CelebA's test partition, of all if it is not there; or the stand-in's."""
     folder = run.folder_of("celeba")
     if folder is not None:
-        return celeba.find_images(folder)[: run.preset.photos]
+        return find_images(folder)[: run.preset.photos]
     return PhotosStandin(face_model(run), run.preset.photos, [run.seed, Stream.PHOTOS])
 
 
@@ -53,11 +55,11 @@ def photos(
         for photo in source.photos(numbers):
             yield photo.name, photo.image, {"truth": photo.landmarks[run.scheme]}
         return
-    for record in source[numbers.start : numbers.stop]:
+    for path in source[numbers.start : numbers.stop]:
         try:
-            yield record.name, celeba.load_image(record), {}
+            yield path.name, read_image(path, ("JPEG", "PNG")), {}
         except InputError as error:
-            yield record.name, error, {}
+            yield path.name, error, {}
 
 
 def photos_of_piece(run: Run, piece: int) -> Iterator[tuple]:

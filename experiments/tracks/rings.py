@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_gen.datasets.dataset import save_dataset
-from data_gen.datasets.rings import make_rings
-from data_gen.models.expressions import sample_expressions
+from data_gen.datasets.dataset import make_rings, save_dataset
 from deepmds_keras.files import write_arrays
 from experiments.inputs import face_model
 from experiments.run import Run
@@ -34,7 +32,6 @@ def main(run: Run) -> dict:
         model,
         preset.ring_subjects,
         preset.ring_images,
-        sample_expressions(model, preset.ring_subjects * preset.ring_images, rng),
         rng,
         scheme=run.scheme,
         protocol=run.protocol,

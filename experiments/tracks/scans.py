@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.datasets import casia
-from data_gen.datasets.scans import Scan
-from data_gen.datasets.scans_standin import ScansStandin
-from data_gen.fitting.ground_truth import GroundTruth
-from data_gen.rendering.crops import crop
+from data_gen.datasets.scans_standin import Scan, ScansStandin
+from data_gen.photographs import crop
+from data_gen.registration import GroundTruth
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks.conversion import convert
+from deepmds_keras.landmarks import convert
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, face_model
 from experiments.records import listing, resumable
 from experiments.run import Run
@@ -34,8 +34,7 @@ def _source(run: Run) -> list[list[casia.CasiaScan]] | ScansStandin:
     scans = casia.find_scans(folder)
     if run.casia_index is not None:
         scans = casia.read_index(run.casia_index, scans)
-    subjects = sorted({scan.subject for scan in scans})
-    return [[scan for scan in scans if scan.subject == subject] for subject in subjects]
+    return [[*group] for _, group in groupby(scans, key=lambda scan: scan.name[:3])]
 
 
 def scans_of_subject(run: Run, subject: int) -> Iterator[tuple]:
@@ -43,14 +42,13 @@ def scans_of_subject(run: Run, subject: int) -> Iterator[tuple]:
     source = _source(run)
     scans = source.subject(subject) if isinstance(source, ScansStandin) else source[subject]
     for number, scan in enumerate(scans):
-        name = scan.name if isinstance(scan, Scan) else f"{scan.subject}-{scan.scan:03}"
         try:
             if not isinstance(scan, Scan):
-                scan = Scan(name, scan.condition, *casia.load_scan(scan))
+                scan = Scan(scan.name, scan.condition, *casia.load_scan(scan))
         except InputError as error:
-            yield name, error, None
+            yield scan.name, error, None
         else:
-            yield name, scan.image, (scan, subject < _EXAMPLES and number == 0)
+            yield scan.name, scan.image, (scan, subject < _EXAMPLES and number == 0)
 
 
 def register(

@@ -1,10 +1,12 @@
 """Cameras and head poses: what was turned is found turned, by the angles of the data."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views.projections import Cameras, project, rotations
+from data_gen.views import Cameras, project
 from deepmds_keras import InputError
 from deepmds_keras.camera import (
     affine_cameras,
@@ -12,6 +14,7 @@ from deepmds_keras.camera import (
     head_pose,
     head_poses,
     orthographic_cameras,
+    refit,
 )
 
 N = 40
@@ -44,7 +47,8 @@ def test_affine_cameras_are_recovered_and_orthographic_are_the_nearest():
     shapes, truth = rng.normal(size=(8, 20, 3)), rng.normal(size=(8, 2, 4))
     views = shapes @ np.swapaxes(truth[..., :3], 1, 2) + truth[:, None, :, 3]
     np.testing.assert_allclose(affine_cameras(views, shapes), truth, atol=1e-9)
-    rotations, scales, translations = orthographic_cameras(views, shapes)
+    found = orthographic_cameras(views, shapes)
+    rotations, scales, translations = found.rotation, found.scale, found.translation
     np.testing.assert_allclose(rotations @ np.swapaxes(rotations, 1, 2), [np.eye(3)] * 8, atol=1e-9)
     assert np.allclose(np.linalg.det(rotations), 1)
     # No other scale is nearer to the affine camera.
@@ -69,15 +73,6 @@ def test_the_angles_scale_and_place_of_a_view_are_found(shape):
         assert np.allclose(pose.translation, shift)
 
 
-def test_angles_are_those_of_the_data(shape):
-    rotations = [pose.rotation for pose in head_poses(seen(shape, random_cameras()), [shape] * N)]
-    assert np.allclose(np.linalg.det(rotations), 1)
-    poses = head_poses(seen(shape, random_cameras()), np.stack([shape] * N))
-    assert np.allclose(
-        [[getattr(pose, angle) for pose in poses] for angle in ANGLES], camera_angles(rotations)
-    )
-
-
 @pytest.mark.parametrize(
     ("angle", "landmark", "moved"),
     [
@@ -97,30 +92,6 @@ def test_direction_of_each_angle(shape, angle, landmark, moved):
     assert sum(abs(getattr(pose, other)) for other in ANGLES) == pytest.approx(20)
 
 
-def test_many_at_once_are_as_one_by_one(shape):
-    rng = np.random.default_rng(2)
-    shapes = shape + rng.normal(0, 4, (N, *shape.shape))
-    views = seen(shape, random_cameras()) + rng.normal(0, 4, (N, len(shape), 2))
-    for pose, view, own in zip(head_poses(views, shapes), views, shapes, strict=True):
-        alone = head_pose(view, own)
-        for name, value in vars(alone).items():
-            assert np.allclose(getattr(pose, name), value), name
-
-
-def test_the_residual_is_in_sizes_of_the_face(shape):
-    rng = np.random.default_rng(3)
-    turned = cameras([15.0], [-10.0], [30.0])
-    (view,) = seen(shape, turned) + rng.normal(0, 3, (1, len(shape), 2))
-    pose = head_pose(view, shape)
-    off = np.linalg.norm(pose.project(shape) - view, axis=1)
-    assert pose.residual == pytest.approx(
-        np.sqrt(np.mean(off**2)) / max(np.ptp(view[:, 0]), np.ptp(view[:, 1]))
-    )
-    assert 0.03 < pose.residual < 0.06  # of some 100 mm, 3 mm to either side
-    assert head_pose(70 * view + 900, shape).residual == pytest.approx(pose.residual)
-    assert head_pose(view, 0.01 * shape).residual == pytest.approx(pose.residual)
-
-
 def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
     views = seen(shape, cameras([10.0, 0, -20], [0.0, 5, 5], [0.0, 0, 10]))
     mirrored = views * [-1, 1]
@@ -134,23 +105,38 @@ def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
     assert [abs(pose.yaw) > 90 for pose in poses] == 3 * [False] + 3 * [True]
 
 
-def test_what_is_no_view_of_the_shape_is_named(shape):
-    view = shape[:, :2]
-    with pytest.raises(InputError, match=r"same faces and landmarks. Received \(1, 50\) and \(1,"):
-        head_pose(view[:50], shape)
-    with pytest.raises(InputError, match="view must be finite"):
-        head_pose(np.where(view == view[3], np.nan, view), shape)
-    with pytest.raises(InputError, match=r"of one face, .* Received shapes \(2, 51, 2\)"):
-        head_pose(np.stack([view] * 2), shape)
-    with pytest.raises(InputError, match="shape must have shape"):
-        head_pose(view, view)
-    with pytest.raises(InputError, match="view must not be collinear"):
-        head_pose(np.stack([view[:, 0]] * 2, 1), shape)
+@pytest.mark.parametrize(
+    ("view", "message"),
+    [
+        (lambda v: v[:50], r"same faces and landmarks. Received \(1, 50\) and \(1,"),
+        (lambda v: np.where(v == v[3], np.nan, v), "view must be finite"),
+        (lambda v: np.stack([v] * 2), r"of one face, .* Received shapes \(2, 51, 2\)"),
+        (lambda v: np.stack([v[:, 0]] * 2, 1), "view must not be collinear"),
+    ],
+)
+def test_what_is_no_view_of_the_shape_is_named(shape, view, message):
+    with pytest.raises(InputError, match=message):
+        head_pose(view(shape[:, :2]), shape)
 
 
-def test_angles_from_straight_above_are_those_of_the_same_rotation():
-    none = np.zeros(3)
-    pitches = np.array([90.0, -90.0, 89.9999])
-    seen = Cameras(none, np.array([30.0, -20, 170]), pitches, np.array([20.0, 50, -170]), none)
-    again = Cameras(none, *camera_angles(rotations(seen)), none)
-    np.testing.assert_allclose(rotations(again), rotations(seen), atol=1e-6)
+def test_many_poses_are_those_of_each_face_with_their_perspective(shape):
+    """And is fitted again where the shape is larger, near or far."""
+    centred, turned = shape - shape.mean(0), random_cameras()
+    far = head_poses(seen(centred, turned), np.stack([centred] * N))
+    near = replace(far, scale=np.full(N, 2.5), perspective=np.linspace(0, 1 / 300, N))
+    views = near.project(np.stack([centred] * N))
+    assert len(near) == N
+    for i, pose in enumerate(near):
+        assert np.allclose(pose.project(centred), views[i])
+        assert np.allclose([pose.yaw, pose.pitch, pose.roll], camera_angles(far.rotation)[:, i])
+        alone = head_pose(seen(centred, turned)[i], centred)
+        for name, value in far[i].as_dict().items():
+            assert np.allclose(getattr(alone, name), value, atol=1e-9), name
+    views[:, :3] = np.nan
+    found = refit(near, views, np.stack([1.2 * centred] * N))
+    assert np.allclose(found.scale, 2.5 / 1.2, rtol=0.01)
+    assert np.allclose(found.perspective, near.perspective / 1.2, rtol=0.01)
+    off = found.project(np.stack([1.2 * centred] * N)) - views
+    assert np.nanmax(np.abs(off)) < 0.5, "of some 300"
+    with pytest.raises(TypeError):
+        len(near[0])

@@ -1,4 +1,4 @@
-"""Non-metric MDS: true distances come back as the shape, and only the order of distances counts."""
+"""Non-metric MDS: true distances come back as the shape, by either solver, from the same start."""
 
 import sys
 from functools import partial
@@ -6,86 +6,86 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
+from sklearn.isotonic import IsotonicRegression
 
-from deepmds_keras import InputError, align, embed
-from deepmds_keras.embedding import SOLVERS, classical_scaling, compiled_solver, pairwise_distances
+from deepmds_keras import DeepMDS, InputError, MissingPackageError, align, embed, embedding
+from deepmds_keras.embedding import classical_scaling, leading_eigenpairs, sklearn_mds
 
+pytest.importorskip("numba", reason="numba is not installed")
+from deepmds_keras.compiled_mds import compiled_mds  # noqa: E402
 
-@pytest.fixture
-def faces():
-    return np.random.default_rng(0).random((4, 20, 3))
-
-
-@pytest.fixture
-def distances(faces):
-    return np.array([squareform(pdist(face)) for face in faces])
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-def error(points, faces):
-    return np.sqrt(((align(points, faces) - faces) ** 2).mean())
+def symmetric(matrices):
+    """With a zero diagonal."""
+    upper = np.triu(matrices, 1)
+    return upper + np.swapaxes(upper, -1, -2)
 
 
-def test_true_distances_give_the_shape_in_its_size(faces, distances):
-    points, stress = embed(distances, return_stress=True)
-    assert error(points, faces) < 1e-8
-    assert stress.max() < 1e-6
-    assert np.allclose([pdist(p) for p in points], [pdist(f) for f in faces])
+def clouds(n=3, n_landmarks=30, seed=0):
+    """As wide, high and deep as faces."""
+    return np.random.default_rng(seed).standard_normal((n, n_landmarks, 3)) * [1, 0.8, 0.4]
 
 
-def test_start_alone_solves_euclidean_distances(faces, distances):
-    assert error(classical_scaling(distances), faces) < 1e-8
+def noisy(shapes, noise=0.03):
+    """Their distances, with relative errors."""
+    distances = np.array([squareform(pdist(shape)) for shape in shapes])
+    error = np.random.default_rng(1).standard_normal(distances.shape)
+    return symmetric(distances * (1 + noise * error))
 
 
-def test_only_the_order_of_dissimilarities_counts(faces, distances):
-    bent = distances**1.5 + 0.1 * (distances > 0)
-    assert error(classical_scaling(bent), faces) > 0.02  # a metric method is misled
-    assert error(embed(bent, eps=1e-9, max_iter=3000), faces) < 0.02
+def error(points, shapes):
+    return np.sqrt(((align(points, shapes) - shapes) ** 2).mean())
 
 
-def test_scale_of_the_dissimilarities_is_the_scale_of_the_points(distances):
-    assert np.allclose(embed(7 * distances), 7 * embed(distances), atol=1e-6)
-
-
-def test_batch_equals_one_by_one_equals_two_processes(distances):
-    many = np.concatenate([distances] * 12)  # more than one task
-    together = embed(many)
-    assert np.array_equal(together[:4], np.stack([embed(matrix) for matrix in distances]))
-    assert np.array_equal(together, embed(many, n_jobs=2))
-
-
-def test_points_are_centred_on_their_principal_axes(distances):
-    for points in embed(distances):
-        assert np.allclose(points.mean(0), 0)
-        moments = points.T @ points
+def test_true_distances_give_the_shape_in_its_size_on_its_principal_axes():
+    shapes = clouds()
+    points, stress = embed(7 * noisy(shapes, 0), return_stress=True)
+    assert error(points / 7, shapes) < 1e-8 and stress.max() < 1e-6
+    assert np.allclose([pdist(p) for p in points], [7 * pdist(s) for s in shapes])
+    for moments in np.swapaxes(points, 1, 2) @ points:
         assert np.allclose(moments, np.diag(np.diag(moments)), atol=1e-8)
         assert (np.diff(np.diag(moments)) <= 0).all()
+    assert np.allclose(points.mean(1), 0)
+
+
+def test_only_the_order_of_dissimilarities_counts():
+    shapes = clouds(n_landmarks=20)
+    bent = noisy(shapes, 0) ** 1.5 + symmetric(np.full((20, 20), 0.1))
+    assert error(classical_scaling(bent), shapes) > 0.02  # a metric method is misled
+    assert error(embed(bent, eps=1e-9, max_iter=3000), shapes) < 0.02
+
+
+@pytest.mark.parametrize("solver", ["numba", "sklearn"])
+def test_batch_equals_one_by_one_equals_two_jobs(solver):
+    distances, done = noisy(clouds(4)), []
+    many = np.concatenate([distances] * 40)  # more than one task
+    together = embed(many, solver=solver, progress=done.append)
+    assert sum(done) == 160
+    one_by_one = np.stack([embed(matrix, solver=solver) for matrix in distances])
+    assert np.array_equal(together[:4], one_by_one)
+    assert np.array_equal(together, embed(many, solver=solver, n_jobs=2))
 
 
 @pytest.mark.parametrize(
-    "solve", [classical_scaling, *(partial(embed, solver=solver) for solver in SOLVERS)]
+    "solve", [classical_scaling, partial(embed, solver="sklearn"), partial(embed, solver="numba")]
 )
-def test_the_sign_of_an_axis_hangs_neither_on_rounding_nor_on_symmetry(faces, solve):
-    half = faces * [1, 0.7, 0.4] + [1, 0, 0]
-    symmetric = np.concatenate([half, half * [-1, 1, 1]], 1)
-    matrices = np.array([squareform(pdist(face)) for face in symmetric])
+def test_the_sign_of_an_axis_depends_neither_on_rounding_nor_on_symmetry(solve):
+    half = np.random.default_rng(0).random((4, 20, 3)) * [1, 0.7, 0.4] + [1, 0, 0]
+    matrices = noisy(np.concatenate([half, half * [-1, 1, 1]], 1), 0)
     expected = solve(matrices)
     rng = np.random.default_rng(1)
     for _ in range(5):  # the rounding errors of another processor
-        error = squareform(rng.uniform(-1e-14, 1e-14, matrices[0].size // 2 - 20))
-        np.testing.assert_allclose(solve(matrices * (1 + error)), expected, atol=1e-6)
+        rounding = squareform(rng.uniform(-1e-14, 1e-14, matrices[0].size // 2 - 20))
+        np.testing.assert_allclose(solve(matrices * (1 + rounding)), expected, atol=1e-6)
 
 
-def test_progress_counts_every_face(distances):
-    done = []
-    embed(np.concatenate([distances] * 12), progress=done.append)
-    assert sum(done) == 48
-
-
-def test_diagonal_and_slightly_negative_entries_do_no_harm(faces, distances):
-    dirty = distances.copy()
-    dirty[:, np.arange(20), np.arange(20)] = 0.007
+def test_diagonal_and_slightly_negative_entries_do_no_harm():
+    shapes = clouds()
+    dirty = noisy(shapes, 0) + 0.007 * np.eye(30)
     dirty[:, 0, 1] = dirty[:, 1, 0] = -0.01
-    assert error(embed(dirty), faces) < 0.05
+    assert error(embed(dirty), shapes) < 0.05
 
 
 @pytest.mark.parametrize(
@@ -94,66 +94,133 @@ def test_diagonal_and_slightly_negative_entries_do_no_harm(faces, distances):
         (lambda d: d[:, :5], "square matrices"),
         (lambda d: d[0, 0], "square matrices"),
         (lambda d: np.where(d > 1, np.nan, d), "finite"),
-        (lambda d: d + np.triu(np.ones((20, 20))), "symmetric"),
+        (lambda d: d + np.triu(np.ones((30, 30))), "symmetric"),
         (lambda d: -d, "must not be negative"),
         (lambda d: 0 * d, "must not all be zero"),
     ],
 )
-def test_bad_matrices_are_named(distances, spoil, message):
+def test_bad_matrices_are_named(spoil, message):
     with pytest.raises(InputError, match=message):
-        embed(spoil(distances))
+        embed(spoil(noisy(clouds())))
+    with pytest.raises(InputError, match="n_components must be 1 to 30.* Received 31"):
+        embed(noisy(clouds()), 31)
 
 
-@pytest.mark.parametrize("n_components", [2, 3])
-def test_batched_solver_gives_what_sklearn_gives(n_components):
-    rng = np.random.default_rng(5)
-    points = rng.normal(size=(40, 30, 3))
-    true = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-    noise = 0.1 * np.triu(rng.normal(size=true.shape), 1)
-    matrices = np.abs(true + noise + np.swapaxes(noise, 1, 2))
-    matrices[:, np.arange(30), np.arange(30)] = 0
-    (a, stress_a), (b, stress_b) = (
-        embed(matrices, n_components, solver=solver, return_stress=True) for solver in SOLVERS
-    )
-    np.testing.assert_allclose(stress_a, stress_b, rtol=1e-9)
-    np.testing.assert_allclose(align(b, a), a, atol=1e-8)
-
-
-def test_scale_is_the_one_with_the_least_squares():
-    points = np.random.default_rng(6).normal(size=(12, 3))
-    matrix = np.linalg.norm(points[:, None] - points, axis=-1) ** 1.3
-    found = embed(matrix)
-    distances = np.linalg.norm(found[:, None] - found, axis=-1)
-
-    def misfit(scale):
-        return np.square(scale * distances - matrix).sum()
-
-    assert misfit(1) < min(misfit(0.999), misfit(1.001))
-
-
-def test_without_numba_the_batched_solver_is_that_of_scikit_learn(distances, monkeypatch):
+@pytest.fixture
+def without_numba(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
     monkeypatch.delitem(sys.modules, "deepmds_keras.compiled_mds", raising=False)
-    compiled_solver.cache_clear()
-    try:
-        assert compiled_solver() is None
-        assert np.array_equal(embed(distances, solver="batched"), embed(distances))
-    finally:
-        compiled_solver.cache_clear()
+    embedding.compiled_solver.cache_clear()
+    yield
+    embedding.compiled_solver.cache_clear()
 
 
-def test_with_numba_the_batched_solver_is_compiled():
-    pytest.importorskip("numba", reason="numba is not installed")
-    assert compiled_solver().__module__ == "deepmds_keras.compiled_mds"
+def test_without_numba_its_solver_is_refused_and_the_default_is_scikit_learns(without_numba):
+    matrices = noisy(clouds())
+    assert np.array_equal(embed(matrices), embed(matrices, solver="sklearn"))
+    with pytest.raises(MissingPackageError, match=r"\.\[fast\]"):
+        embed(matrices, solver="numba")
 
 
-def test_unknown_solver_is_named():
-    with pytest.raises(InputError, match="solver must be one of sklearn, batched. Received 'new'"):
-        embed(np.ones((4, 4)), solver="new")
+def test_both_entries_have_the_same_default_and_it_is_compiled():
+    matrices = noisy(clouds())
+    assert DeepMDS().solver == embed.__kwdefaults__["solver"] == "auto"
+    assert DeepMDS.pretrained("deepmds-ibug51").solver == "auto"  # written as "batched"
+    assert np.array_equal(embed(matrices), embed(matrices, solver="numba"))
+    with pytest.warns(DeprecationWarning, match='now called "numba"'):
+        assert np.array_equal(embed(matrices, solver="batched"), embed(matrices))
+    with pytest.raises(InputError, match="one of auto, numba, sklearn. Received 'new'"):
+        embed(matrices, solver="new")
 
 
-def test_distances_are_those_of_all_pairs():
-    points = np.random.default_rng(0).random((2, 5, 3))
-    found = pairwise_distances(points)
-    assert found.shape == (2, 5, 5)
-    assert found[1, 2, 4] == pytest.approx(np.linalg.norm(points[1, 2] - points[1, 4]))
+# The compiled solver takes the steps of scikit-learn and stops at the same one.
+
+
+def compare(matrices, start, *limits):
+    for matrix, first in zip(matrices, start, strict=True):
+        points, stress, n_iter = compiled_mds(matrix, first, *limits)
+        expected, expected_stress, expected_n_iter = sklearn_mds(matrix, first, *limits)
+        assert n_iter == expected_n_iter
+        assert stress == pytest.approx(expected_stress, rel=1e-9, abs=1e-12)
+        assert np.abs(points - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    "matrices",
+    [
+        pytest.param(noisy(clouds(2, 72)), id="72 landmarks"),
+        pytest.param(noisy(clouds(20, 3), 0.3), id="3 landmarks"),
+        pytest.param(noisy(clouds(), 0) ** 3, id="bent distances"),
+        pytest.param(symmetric(np.random.default_rng(2).random((4, 20, 20))), id="no distances"),
+        pytest.param(np.round(noisy(clouds()), 1), id="ties and a few missing pairs"),
+        pytest.param(1 + np.round(noisy(clouds(), 0.3)), id="few values, many ties"),
+        pytest.param(1 - np.eye(12)[None], id="all alike"),
+        pytest.param(1e8 * noisy(clouds()), id="large unit"),
+    ],
+)
+def test_points_stress_and_iterations_are_those_of_scikit_learn(matrices):
+    compare(matrices, classical_scaling(matrices))
+
+
+@pytest.mark.parametrize("n_components", [1, 2, 5])
+@pytest.mark.parametrize("limits", [(1, 1e-6), (2, 1e-6), (300, 1e-3), (100, 1e-9)])
+def test_dimensions_and_limits_are_those_of_scikit_learn(n_components, limits):
+    start = np.random.default_rng(3).standard_normal((3, 30, n_components))
+    start[:, 5] = start[:, 6]  # landmarks that start at one place are parted alike, too
+    compare(noisy(clouds()), start, *limits)
+
+
+def test_stress_falls_to_that_of_the_best_order_preserving_distances():
+    matrix = noisy(clouds(), 0.2)[0]
+    start = classical_scaling(matrix[None])[0]
+    stress = [compiled_mds(matrix, start, n, 0)[1] for n in (1, 2, 3, 5, 10, 20, 50, 100)]
+    assert (np.diff(stress) < 0).all()
+    points, last, _ = compiled_mds(matrix, start, 1000, 1e-12)
+    distances = pdist(points)
+    best = IsotonicRegression().fit_transform(squareform(matrix), distances)
+    kruskal = np.sqrt(((distances - best) ** 2).sum() / (distances**2).sum())
+    assert last * 0.98 < kruskal <= last  # whose disparities are of one iteration earlier
+
+
+# Largest eigenpairs: those of `eigh` for any symmetric matrix, and without it for faces.
+
+
+def gram(distances):
+    centring = np.eye(distances.shape[-1]) - 1 / distances.shape[-1]
+    return -0.5 * centring @ np.square(distances) @ centring
+
+
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize(
+    "matrices",
+    [
+        pytest.param(gram(noisy(clouds(8, 72))), id="faces"),
+        pytest.param(gram(noisy(clouds(8, 5))), id="5 landmarks"),
+        pytest.param(gram(noisy(clouds(1, 72) * [1, 1, 0], 0)), id="rank 2"),
+        pytest.param(gram(noisy(clouds(1, 72), 0.5)), id="no clear third"),
+        pytest.param(-gram(noisy(clouds(8, 72))), id="most negative"),
+        pytest.param(np.diag([3.0, 2, 2] + 37 * [0.01])[None], id="second twice"),
+        pytest.param(np.diag([1.0, 1, 1] + 37 * [0.0])[None], id="first three times"),
+        pytest.param(1e-9 * gram(noisy(clouds(8, 72))), id="small"),
+    ],
+)
+def test_eigenpairs_are_those_of_eigh_whatever_is_in_the_batch(matrices, count):
+    values, vectors = leading_eigenpairs(matrices, count)
+    largest = np.abs(matrices).max()
+    expected = np.linalg.eigvalsh(matrices)[:, : -count - 1 : -1]
+    assert np.abs(values - expected).max() < 1e-11 * largest
+    assert np.allclose(np.swapaxes(vectors, 1, 2) @ vectors, np.eye(count))
+    # What has no value has no direction.
+    wrong = (matrices @ vectors - values[:, None] * vectors) * np.sqrt(np.abs(values))[:, None]
+    assert np.abs(wrong).max() < 1e-6 * largest**1.5
+    for i in range(len(matrices)):
+        alone = leading_eigenpairs(matrices[i : i + 1], count)
+        assert np.array_equal(alone[0][0], values[i]) and np.array_equal(alone[1][0], vectors[i])
+
+
+@pytest.mark.parametrize("n_landmarks", [51, 72])
+def test_faces_need_no_full_decomposition(n_landmarks, monkeypatch):
+    sizes, eigh = [], np.linalg.eigh
+    monkeypatch.setattr(np.linalg, "eigh", lambda a: sizes.append(a.shape[-1]) or eigh(a))
+    leading_eigenpairs(gram(noisy(clouds(8, n_landmarks), 0.01)), 3)
+    assert sizes and max(sizes) < 20

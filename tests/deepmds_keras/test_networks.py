@@ -1,89 +1,93 @@
-"""Both networks: their sizes as published, their wiring, and the authors' weights in them."""
+"""Both networks: sizes as published, wiring, the features they take, and the authors' weights."""
 
 import keras
 import numpy as np
 import pytest
+import tensorflow.experimental.numpy as tnp
 from places import SHARED
 
-from deepmds_keras import DeepMDS, InputError, build_autoencoder, build_dissimilarity_net
-from deepmds_keras.networks import forward
-from deepmds_keras.normalisation import normalise
-from deepmds_keras.proximities import VARIANTS
+from deepmds_keras import (
+    DeepMDS,
+    InputError,
+    build_autoencoder,
+    build_dissimilarity_net,
+    normalise,
+    pair_features,
+)
+from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.proximities import VARIANTS, proximities
 
 RELEASED = SHARED / "released" / "bfm"
 
 
-def trainable(network):
-    return sum(int(np.prod(weight.shape)) for weight in network.trainable_weights)
-
-
 @pytest.mark.parametrize(
-    ("n_landmarks", "ours", "total"), [(72, 24_880, 25_584), (51, 19_378, 19_998)]
+    ("network", "trainable", "total", "inputs"),
+    [
+        (build_autoencoder(72), 24_880, 25_584, 144),
+        (build_autoencoder(51), 19_378, 19_998, 102),
+        (build_dissimilarity_net("released"), 2423, 2625, 5),
+        (build_dissimilarity_net("paper"), 2443, 2645, 6),
+    ],
+    ids=lambda value: getattr(value, "name", None),
 )
-def test_autoencoder_has_the_papers_number_of_parameters(n_landmarks, ours, total):
-    network = build_autoencoder(n_landmarks)
-    assert (trainable(network), network.count_params()) == (ours, total)
-    assert network.input_shape == network.output_shape == (None, 2 * n_landmarks)
-
-
-@pytest.mark.parametrize(
-    ("variant", "ours", "total"), [("released", 2423, 2625), ("paper", 2443, 2645)]
-)
-def test_dissimilarity_net_has_less_than_3000_parameters(variant, ours, total):
-    network = build_dissimilarity_net(variant)
-    assert (trainable(network), network.count_params()) == (ours, total)
-    assert total < 3000
-    assert network.input_shape == (None, VARIANTS[variant])
+def test_networks_are_functional_uncompiled_and_as_large_as_published(
+    network, trainable, total, inputs
+):
+    assert (count_trainable(network), network.count_params()) == (trainable, total)
+    assert network.input_shape == (None, inputs)
+    assert isinstance(network, keras.src.models.Functional) and not network.compiled
 
 
 def test_short_connection_reaches_past_the_third_layer():
     network = build_dissimilarity_net()
-    inputs = np.random.default_rng(0).random((9, 6), np.float32)
-    network.get_layer("hidden_3").set_weights(
-        [np.zeros_like(w) for w in network.get_layer("hidden_3").get_weights()]
-    )
-    assert np.ptp(forward(network, inputs)) > 1e-3
-
-
-def test_networks_are_functional_uncompiled_and_named():
-    for network in (build_autoencoder(51), build_dissimilarity_net("released")):
-        assert type(network) is keras.Model or isinstance(network, keras.src.models.Functional)
-        assert not network.compiled
-    assert build_autoencoder(51).name == "autoencoder_51"
-
-
-def test_seed_decides_the_weights():
-    first, again, other = (build_autoencoder(51, seed=s).get_weights() for s in (1, 1, 2))
-    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    assert not np.array_equal(first[0], other[0])
-
-
-def test_forward_equals_predict():
-    network = build_autoencoder(51)
-    inputs = np.random.default_rng(0).random((10, 102), np.float32)
-    assert np.allclose(forward(network, inputs, 3), network.predict(inputs, verbose=0), atol=1e-6)
+    third = network.get_layer("hidden_3")
+    third.set_weights([np.zeros_like(weight) for weight in third.get_weights()])
+    assert np.ptp(forward(network, np.random.default_rng(0).random((9, 6), np.float32))) > 1e-3
 
 
 def test_forward_of_many_batches_is_that_of_one_and_of_the_weights_as_they_are():
     network = build_dissimilarity_net()
-    inputs = np.random.default_rng(0).random((100, 6))
+    inputs = np.random.default_rng(0).random((100, 6), np.float32)
     for scale in (1, 1.5):
         network.set_weights([scale * weight for weight in network.get_weights()])
-        assert np.allclose(forward(network, inputs, 30), forward(network, inputs), atol=1e-6)
+        expected = network.predict(inputs, verbose=0)
+        assert np.allclose(forward(network, inputs, 30), expected, atol=1e-6)
+        assert np.allclose(forward(network, inputs), expected, atol=1e-6)
 
 
-def test_unknown_variant_is_named():
-    with pytest.raises(InputError, match="variant must be one of paper, released. Received 'x'"):
-        build_dissimilarity_net("x")
+def test_features_of_a_pair_are_the_papers_or_those_of_the_released_code():
+    view = np.array([[0.2, 0.5], [0.6, 0.4], [0.0, 0.0]])
+    product, exponential = [0.12, 0.2], [np.exp(-0.4), np.exp(-0.1)]
+    paper, released = pair_features(view), pair_features(view, "released")
+    assert paper.shape == (3, 6) and paper.dtype == np.float32
+    assert np.allclose(paper[0], [0.4, 0.1, *product, *exponential])
+    assert np.allclose(released[0], [*product, *exponential, np.hypot(0.4, 0.1)])
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_batch_and_a_graph_have_the_same_features(variant):
+    views = np.random.default_rng(0).random((3, 7, 2), np.float32)
+    assert np.array_equal(pair_features(views, variant), [pair_features(v, variant) for v in views])
+    ends = views[:, :-1], views[:, 1:]
+    in_graph = proximities(*map(tnp.array, ends), variant, tnp)
+    assert np.allclose(in_graph, proximities(*ends, variant), atol=1e-6)
+
+
+def test_bad_input_is_named():
+    for build in (build_dissimilarity_net, lambda variant: pair_features(np.ones((4, 2)), variant)):
+        with pytest.raises(
+            InputError, match="variant must be one of paper, released. Received 'x'"
+        ):
+            build("x")
+    with pytest.raises(InputError, match=r"views must have shape .* Received \(3, 7, 3\)"):
+        pair_features(np.zeros((3, 7, 3)))
 
 
 @pytest.mark.skipif(not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent")
 def test_the_authors_weights_reproduce_what_the_authors_code_gives():
     model = DeepMDS.from_released(RELEASED / "AE_occ2orth_BFM.h5", RELEASED / "deep_dissim_ours.h5")
     with np.load(RELEASED / "oracle.npz", allow_pickle=False) as oracle:
-        views, frontal, distances = (
-            oracle[key] for key in ("views", "autoencoder", "dissimilarity")
-        )
+        views, frontal, distances = map(oracle.get, ("views", "autoencoder", "dissimilarity"))
     assert np.allclose(normalise(views), views, atol=1e-6)
     assert np.abs(model.frontalise(views) - frontal).max() < 1e-5
     assert np.abs(model.dissimilarities(views) - distances).max() < 1e-5

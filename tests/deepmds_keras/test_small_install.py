@@ -1,5 +1,6 @@
 """The package without its extras: lifters predict, and what does not says what to install."""
 
+import ast
 import configparser
 import re
 import subprocess
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
+import deepmds_keras
 from data_gen.models.registry import load_model
 from deepmds_keras.lifting.lifter import LandmarkLifter
 
@@ -72,25 +74,33 @@ def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path, weights, l
 import numpy as np
 import deepmds_keras
 face, = deepmds_keras.predict_landmarks(np.load(sys.argv[1]), model=sys.argv[2])
-print(face.shape.shape, face.std.shape)
+print(face.xyz.shape, face.std.shape)
 """
     done = python(code, tmp_path / "face.npy", weights)
     assert done.stdout == "(51, 3) (51, 3)\n", done.stderr
 
 
-@pytest.mark.parametrize(
-    ("code", "extra"),
-    [
-        ("from deepmds_keras import DeepMDS", "keras"),
-        ("from deepmds_keras import LandmarkLifter", "keras"),
-        ("from deepmds_keras import embed", "keras"),
-        ("from deepmds_keras.video.frames import import_av; import_av()", "video"),
-    ],
-)
-def test_what_lacks_a_package_says_which_extra_brings_it(code, extra):
+def test_every_name_of_the_package_loads_or_says_that_it_needs_keras():
+    code = """
+import deepmds_keras
+for name in deepmds_keras.__all__:
+    try:
+        getattr(deepmds_keras, name)
+    except deepmds_keras.MissingPackageError as error:
+        assert "from the repository, pip install '.[keras]'" in str(error)
+        print(name)
+"""
     done = python(code)
-    assert done.returncode
-    assert f"pip install 'deepmds-keras[{extra}]'" in done.stderr.splitlines()[-1]
+    assert not done.returncode, done.stderr
+    assert {*done.stdout.split()} == {
+        *("DeepMDS", "build_autoencoder", "build_dissimilarity_net", "embed")
+    }
+
+
+def test_editors_see_the_names_that_are_loaded_later():
+    source = (ROOT / "deepmds_keras" / "__init__.py").read_text(encoding="utf-8")
+    imports = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
+    assert {*deepmds_keras.__all__} <= {alias.name for node in imports for alias in node.names}
 
 
 def test_the_extras_are_those_of_the_messages():
@@ -99,5 +109,5 @@ def test_the_extras_are_those_of_the_messages():
     extras = setup["options.extras_require"]
     for path in (ROOT / "deepmds_keras").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        for extra in re.findall(r"""deepmds-keras\[(\w+)\]|needs\(.*, "(\w+)"\)""", text):
+        for extra in re.findall(r"""pip install '\.\[(\w+)\]|needs\(.*, "(\w+)"\)""", text):
             assert "".join(extra) in extras, path

@@ -1,10 +1,9 @@
 """Training: seeds decide everything, a stopped run ends as one that was not, faces come in turn."""
 
-import keras
 import numpy as np
 import pytest
 
-from deepmds_keras import InputError, LandmarkLifter, normalise
+from deepmds_keras import InputError, normalise
 from deepmds_keras.networks import forward
 from deepmds_keras.proximities import proximities
 from deepmds_keras.training import (
@@ -31,8 +30,8 @@ def faces():
 RECIPE = Recipe(3, 53, "cosine", batch_size=8)
 
 
-def autoencoder(faces, **options):
-    return train_autoencoder(faces[0], faces[1][..., :2], RECIPE, **options)
+def autoencoder(faces, recipe=RECIPE, **options):
+    return train_autoencoder(faces[0], faces[1][..., :2], recipe, **options)
 
 
 def dissimilarity_net(faces, **options):
@@ -48,97 +47,59 @@ def whole(faces, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("train", [autoencoder, dissimilarity_net])
-def test_a_run_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path, request, train):
-    def stop_after_the_second(losses, epochs=[]):  # noqa: B006 (counts the calls)
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(faces, tmp_path, train):
+    epochs = []
+
+    def stop_after_the_second(losses):
         epochs.append(losses)
         if len(epochs) == 2:
             raise StopTraining
 
     path = tmp_path / "checkpoint.npz"
-    if train is autoencoder:
-        network, history, _ = request.getfixturevalue("whole")
-    else:
-        network, history = train(faces)
+    network, history = train(faces)
     with pytest.raises(StopTraining):
         train(faces, checkpoint=path, progress=stop_after_the_second)
-    resumed, history_resumed = train(faces, checkpoint=path)
-    for a, b in zip(network.get_weights(), resumed.get_weights(), strict=True):
-        assert np.array_equal(a, b)
-    assert history == history_resumed
+    for _ in range(2):  # the second time nothing is left to do
+        resumed, history_resumed = train(faces, checkpoint=path)
+        for a, b in zip(network.get_weights(), resumed.get_weights(), strict=True):
+            assert np.array_equal(a, b)
+        assert history == history_resumed
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.npz"]
-    finished, _ = train(faces, checkpoint=path)  # nothing is left to do
-    assert np.array_equal(finished.get_weights()[0], network.get_weights()[0])
-
-
-def test_seed_decides_weights_and_losses(faces, whole):
-    """That the same one gives the same is what the test before relies on."""
-    assert autoencoder(faces, seed=2)[1] != whole[1]
 
 
 def test_losses_fall_and_inference_is_that_of_the_network(faces):
-    network, history = train_autoencoder(
-        faces[0], faces[1][..., :2], Recipe(4, 500, "cosine", 3e-3, batch_size=8)
-    )
+    network, history = autoencoder(faces, Recipe(4, 500, "cosine", 3e-3, batch_size=8))
     assert history["train"][-1] < 0.1 * history["train"][0]
-    assert history["inference"][-1] < 0.1 * history["train"][0]
-    flat = faces[0].reshape(64, -1)
-    own = np.mean((network.predict(flat, verbose=0) - faces[1][..., :2].reshape(64, -1)) ** 2)
-    assert np.isclose(history["inference"][-1], own, rtol=1e-4)
+    views, frontal = faces[0].reshape(64, -1), faces[1][..., :2].reshape(64, -1)
+    error = np.mean((network.predict(views, verbose=0) - frontal) ** 2)
+    assert np.isclose(history["inference"][-1], error, rtol=1e-4)
 
 
 @pytest.mark.slow
 def test_released_variant_sees_self_pairs_too(faces):
     """The paper's pairs are those i < j; the released code also trains the diagonal towards 0."""
     recipe = Recipe(4, 500, "cosine", learning_rate=0.01)
-    diagonals = {}
+    diagonals, points = {}, faces[0].reshape(-1, 2)
     for variant in ("paper", "released"):
         network, _ = train_dissimilarity_net(*faces, recipe, variant=variant)
-        points = faces[0].reshape(-1, 2)
         diagonals[variant] = np.abs(forward(network, proximities(points, points, variant))).mean()
     assert diagonals["released"] < 0.5 * diagonals["paper"]
 
 
-def test_checkpoint_of_another_run_is_refused(faces, whole):
+def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, whole, tmp_path):
+    assert autoencoder(faces, seed=2)[1] != whole[1]
     with pytest.raises(InputError, match="checkpoint.npz is of another run; delete it"):
         autoencoder(faces, checkpoint=whole[2], seed=1)
-
-
-def test_damaged_checkpoint_is_refused(faces, whole, tmp_path):
     path = tmp_path / "checkpoint.npz"
     path.write_bytes(whole[2].read_bytes()[:1000])
     with pytest.raises(InputError, match="checkpoint.npz must be an npz written by save"):
         autoencoder(faces, checkpoint=path)
+    with pytest.raises(InputError, match="schedule must be one of constant, cosine"):
+        autoencoder(faces, Recipe(1, schedule="linear"))
 
 
-def test_every_face_is_seen_equally_often():
+def test_every_face_is_seen_equally_often_and_no_call_of_the_graph_is_a_partial_one():
     epochs = [face_order(10, 4, seed=0, epoch=epoch) for epoch in range(5)]
     assert np.array_equal(np.bincount(np.concatenate(epochs)), np.full(10, 2))
     assert not np.array_equal(np.sort(epochs[0]), np.sort(epochs[1]))
-
-
-def test_no_call_of_the_graph_is_a_partial_one():
     assert [steps_per_call(steps) for steps in (1250, 1000, 97, 53, 7)] == [50, 50, 1, 1, 7]
-
-
-@pytest.mark.parametrize(
-    "train",
-    [autoencoder, lambda faces: LandmarkLifter(12, steps=1, batch_size=8).fit(*faces)],
-    ids=["networks", "lifting"],
-)
-def test_no_epoch_ends_only_when_a_tuner_wakes(faces, monkeypatch, train):
-    """The thread that tunes the reading of data sleeps ever longer, and `fit` waits for it."""
-    given = []
-
-    def fit(model, data, **options):
-        given.append(data)
-        raise StopTraining
-
-    monkeypatch.setattr(keras.Model, "fit", fit)
-    with pytest.raises(StopTraining):
-        train(faces)
-    assert given[0].options().autotune.enabled is False
-
-
-def test_unknown_schedule_is_named(faces):
-    with pytest.raises(InputError, match="schedule must be one of constant, cosine"):
-        train_autoencoder(faces[0], faces[1][..., :2], Recipe(1, schedule="linear"))

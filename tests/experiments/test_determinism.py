@@ -24,7 +24,7 @@ def batched(whole_bfm, tmp_path):
     for method in DEEP_MDS:
         path = run.prediction_file(method)
         arrays, described = read_arrays(path)
-        model = load(run, method).set_params(solver="batched")
+        model = load(run, method).set_params(solver="numba")
         predicted = np.float32(model.predict(test.views))
         assert np.abs(predicted - arrays["shapes"]).max() < 1e-3
         write_arrays(path, arrays | {"shapes": predicted}, described)

@@ -6,10 +6,11 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
+from data_gen.models.ict import KEPT, N_VERTICES
+
 
 def write_mat(folder, arrays):
-    file = folder / "PublicMM1" / "01_MorphableModel.mat"
-    file.parent.mkdir(exist_ok=True)
+    file = folder / "01_MorphableModel.mat"
     savemat(file, arrays, do_compression=True)
     return file
 
@@ -21,35 +22,41 @@ def write_h5(folder, arrays, filename="model2017-1_bfm_nomouth.h5"):
     return folder / filename
 
 
-def write_obj(file, vertices, faces=()):
-    text = ["mtllib ICTFaceModelMaterial.mtl"]
-    text += ["v {:.6f} {:.6f} {:.6f}".format(*row) for row in vertices]
-    text += ["vt 0.5 0.5"] * 4
-    text += ["f " + " ".join(f"{i + 1}/{i % 4 + 1}" for i in face) for face in faces]
-    file.write_text("\n".join(text) + "\n")
-
-
 def write_ict_folder(folder, arrays):
-    model = folder / "FaceXModel"
-    model.mkdir()
-    neutral = arrays["mean"]
-    write_obj(model / "generic_neutral_mesh.obj", neutral, arrays["quads"])
-    for k, offset in enumerate(arrays["identity"]):
-        write_obj(model / f"identity{k:03d}.obj", neutral + offset, arrays["quads"])
-    for name, offset in zip(arrays["expression_names"], arrays["expression"], strict=True):
-        write_obj(model / f"{name}.obj", neutral + offset, arrays["quads"])
-    return model
+    """The official layout: all 26,719 vertices, those of gums and shells too."""
+    folder = folder / "FaceXModel"
+    folder.mkdir()
+    faces = [" ".join(f"{i + 1}/{i % 4 + 1}" for i in face) for face in arrays["faces"]]
+    names = [f"identity{k:03d}" for k in range(len(arrays["identity"]))]
+    offsets = dict(zip(names, arrays["identity"], strict=True))
+    offsets |= dict(zip(arrays["expression_names"], arrays["expression"], strict=True))
+    for name, offset in {"generic_neutral_mesh": np.zeros((N_VERTICES, 3)), **offsets}.items():
+        vertices = (arrays["mean"] + offset).tolist()
+        text = [
+            "mtllib ICTFaceModelMaterial.mtl",
+            *("v {!r} {!r} {!r}".format(*v) for v in vertices),
+        ]
+        text += ["vt 0.5 0.5"] * 4 + [f"f {face}" for face in faces]
+        (folder / f"{name}.obj").write_text("\n".join(text) + "\n")
+    return folder
 
 
 def write_ict_npz(folder, arrays, **changes):
-    quads = np.array(arrays["quads"])
+    """The same compiled, without the vertices that are of no use."""
+    mean = np.float32(arrays["mean"])
+    number = np.full(N_VERTICES, -1)
+    number[KEPT] = np.arange(len(KEPT))
+    faces = number[np.array(arrays["faces"])]
+    faces = faces[(faces >= 0).all(axis=1)]
     fields = {
-        "mean": arrays["mean"].astype(np.float32),
-        "identity": arrays["identity"].astype(np.float32),
-        "expression": arrays["expression"].astype(np.float32),
+        "mean": mean[KEPT],
+        **{
+            k: (np.float32(arrays["mean"] + arrays[k]) - mean)[:, KEPT]
+            for k in ("identity", "expression")
+        },
         "expression_names": np.array(arrays["expression_names"]),
-        "triangles": quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int32),
-        "vertex_index": np.arange(len(arrays["mean"]), dtype=np.int32),
-    } | changes
-    np.savez(folder / "ict_light.npz", **fields)
+        "triangles": faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int32),
+        "vertex_index": KEPT.astype(np.int32),
+    }
+    np.savez(folder / "ict_light.npz", **fields | changes)
     return folder / "ict_light.npz"

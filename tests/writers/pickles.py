@@ -1,9 +1,8 @@
-"""Pickles as they are found, and as nobody should trust them."""
+"""Pickles as users have them, and as nobody should trust them."""
 
 from __future__ import annotations
 
 import pickle
-import struct
 import sys
 import types
 
@@ -14,16 +13,6 @@ PYTHON2 = (
     b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x10"
     b"\x00\x00\x00\x00\x00\x00\xf8?\x00\x00\x00\x00\x00\x00\x00\xc0tbU\x04nameU\x02r\xe9u."
 )
-
-
-LYING = {
-    "bytes of 8 GB": b"\x80\x04\x8e" + (1 << 33).to_bytes(8, "little") + b"abc.",
-    "a byte array of 8 GB": b"\x80\x05\x96" + (1 << 33).to_bytes(8, "little") + b"abc.",
-    "a string of 2 GB": b"\x80\x02T\xff\xff\xff\x7fabc.",
-    "a string of negative length": b"\x80\x02T\xff\xff\xff\xffabc.",
-    "number 50 million in the memo": b"\x80\x02r" + struct.pack("<I", 50_000_000) + b".",
-    "number 50 million in the memo as text": b"p50000000\n.",
-}
 
 
 def chumpy_pickle(value, protocol):

@@ -38,22 +38,20 @@ def _read(filename: str) -> dict[str, list[dict[str, float]]]:
     poses: dict[str, dict[str, dict[str, float]]] = {}
     for row in read_table(Path(__file__).parent / filename):
         pose = poses.setdefault(row["name"], {}).setdefault(row["pose"], {})
-        for side in _SIDES[row["side"]]:
-            pose[row["expression"] + side] = float(row["weight"])
+        pose |= {row["expression"] + side: float(row["weight"]) for side in _SIDES[row["side"]]}
     return {name: list(keys.values()) for name, keys in poses.items()}
 
 
 _PERFORMED, _HELD = _read("coma.csv"), _read("casia.csv")
 SEQUENCES = tuple(_PERFORMED)
 SCAN_EXPRESSIONS = tuple(_HELD)
-# The names in use, the same in the same order for every model, so that the same random numbers
-# give the same expressions on each.
+# The same in the same order for every model, so that equal random numbers give equal expressions.
 _NAMES = sorted(
     {name for poses in (*_PERFORMED.values(), *_HELD.values()) for pose in poses for name in pose}
     | set(_CO_ACTIVE)
 )
 # The lids have met by about 1 and would cross beyond.
-_MOST = np.array([1.0 if name.startswith("eyeBlink") else 1.2 for name in _NAMES])
+_MAX_WEIGHT = np.array([1.0 if name.startswith("eyeBlink") else 1.2 for name in _NAMES])
 _NUMBERS_CO_ACTIVE = np.array([_NAMES.index(name) for name in _CO_ACTIVE])
 _IS_LEFT, _IS_RIGHT = (
     np.array([name.endswith(side) for name in _NAMES]) for side in ("Left", "Right")
@@ -72,19 +70,14 @@ _HELD_POSES = np.concatenate([_vectors(poses) for poses in _HELD.values()])
 def sequence_weights(
     model: MorphableModel, sequence: str, n_frames: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """One performance of a sequence: from neutral smoothly to each key pose, and back.
+    """One performance of one of `SEQUENCES`: from neutral smoothly to each key pose, and back.
 
     Strength, timing, and how much more one side does than the other are random, and a few other
     expressions come and go a little.
 
-    Args:
-        model: Morphable model with named expressions.
-        sequence: One of `SEQUENCES`.
-        n_frames: Number of frames, evenly spaced in time.
-        rng: Source of the random numbers.
-
     Returns:
-        `(n_frames, E)` expression weights in [0, 1.2]; those of the first and last frame are 0.
+        `(n_frames, E)` expression weights in [0, 1.2], evenly spaced in time; those of the first
+        and last frame are 0.
 
     Raises:
         InputError: Unknown sequence, or the names of the model's expressions are not known.
@@ -105,7 +98,7 @@ def sequence_weights(
     rate, phase = rng.uniform(0.5, 2, _N_CO_ACTIVE), rng.random(_N_CO_ACTIVE)
     waves = height * _ease(2 * (rate * time[:, None] + phase))
     weights[:, others] += waves * _ease(2 * time)[:, None]
-    return weights.clip(0, _MOST) @ columns
+    return weights.clip(0, _MAX_WEIGHT) @ columns
 
 
 def scan_expression_weights(
@@ -113,13 +106,8 @@ def scan_expression_weights(
 ) -> np.ndarray:
     """Held expressions, each of random strength and a little lopsided.
 
-    Args:
-        model: Morphable model with named expressions.
-        names: `n` of `SCAN_EXPRESSIONS`, one per face.
-        rng: Source of the random numbers.
-
     Returns:
-        `(n, E)` expression weights in [0, 1.2].
+        `(n, E)` expression weights in [0, 1.2], a face for each name (of `SCAN_EXPRESSIONS`).
 
     Raises:
         InputError: Unknown name, or the names of the model's expressions are not known.
@@ -127,16 +115,11 @@ def scan_expression_weights(
     columns = _columns(model)
     faces = np.array([_number(name, SCAN_EXPRESSIONS, "expression") for name in names], int)
     weights = _HELD_POSES[faces] * _strengths(len(faces), _HELD_ASYMMETRY, rng)
-    return weights.clip(0, _MOST) @ columns
+    return weights.clip(0, _MAX_WEIGHT) @ columns
 
 
 def sample_expressions(model: MorphableModel, n: int, rng: np.random.Generator) -> np.ndarray:
     """Random expressive faces: moments of random sequences, or mixtures of two of them.
-
-    Args:
-        model: Morphable model with named expressions.
-        n: Number of faces.
-        rng: Source of the random numbers.
 
     Returns:
         `(n, E)` expression weights in [0, 1.2].
@@ -149,17 +132,17 @@ def sample_expressions(model: MorphableModel, n: int, rng: np.random.Generator) 
     weights = share * _moments(n, rng) + (1 - share) * _moments(n, rng)
     others = rng.permuted(np.tile(_NUMBERS_CO_ACTIVE, (n, 1)), axis=1)[:, :_N_CO_ACTIVE]
     weights[np.arange(n)[:, None], others] += rng.uniform(0, _CO_ACTIVITY, others.shape)
-    return weights.clip(0, _MOST) @ columns
+    return weights.clip(0, _MAX_WEIGHT) @ columns
 
 
 def _moments(n: int, rng: np.random.Generator) -> np.ndarray:
     """On the way between two successive poses of a random sequence, `(n, names)`."""
     before = np.concatenate([course[:-1] for course in _COURSES])
     after = np.concatenate([course[1:] for course in _COURSES])
-    n_ways = np.array([len(course) - 1 for course in _COURSES])
+    n_segments = np.array([len(course) - 1 for course in _COURSES])
     sequence = rng.integers(len(_COURSES), size=n)
-    way = (n_ways.cumsum() - n_ways)[sequence] + rng.integers(n_ways[sequence])
-    moments = _between(before[way], after[way], rng.random(n))
+    segment = (n_segments.cumsum() - n_segments)[sequence] + rng.integers(n_segments[sequence])
+    moments = _between(before[segment], after[segment], rng.random(n))
     return moments * _strengths(n, _PERFORMED_ASYMMETRY, rng)
 
 
@@ -188,17 +171,17 @@ def _number(name: str, known: tuple[str, ...], what: str) -> int:
 
 def _columns(model: MorphableModel) -> np.ndarray:
     """Blendshapes that each name in use moves, `(names, E)` of 0 and 1."""
-    own = {name: number for number, name in enumerate(model.expression_names)}
-    columns = np.zeros((len(_NAMES), len(own)))
+    number = {name: i for i, name in enumerate(model.expression_names)}
+    columns = np.zeros((len(_NAMES), len(number)))
     for row, name in zip(columns, _NAMES, strict=True):
         sided = name.removesuffix("Left").removesuffix("Right")
         side = name.removeprefix(sided)
         spellings = ((name,), (f"{sided}_{side[:1]}",), (f"{name}_L", f"{name}_R"))
-        found = next((words for words in spellings if own.keys() >= set(words)), None)
-        if found is None:
+        known = next((words for words in spellings if number.keys() >= set(words)), None)
+        if known is None:
             raise InputError(
                 f"{model.name}: expressions must have the names of ARKit's blendshapes, as those "
                 f"of openhead and ict have; use one of these. Received none named {name}."
             )
-        row[[own[word] for word in found]] = 1
+        row[[number[word] for word in known]] = 1
     return columns

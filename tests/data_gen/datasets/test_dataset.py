@@ -1,100 +1,112 @@
-"""The data set: what is in it, the same bytes from the same seed, and files that are refused."""
+"""Data sets: what is in them, the same bytes from the same seed, and files that are refused."""
 
 import numpy as np
 import pytest
 
-from data_gen.datasets import dataset as module
-from data_gen.datasets.dataset import load_dataset, make_dataset, save_dataset
+from data_gen.datasets import dataset
+from data_gen.datasets.dataset import (
+    load_dataset,
+    make_dataset,
+    make_performances,
+    make_rings,
+    save_dataset,
+)
+from data_gen.models.expressions import SEQUENCES
 from data_gen.models.openhead import load_openhead
-from data_gen.views.projections import project
+from data_gen.views import project
 from deepmds_keras.errors import InputError
 
-
-@pytest.fixture(scope="module")
-def model():
-    return load_openhead()
+MODEL, SUBJECTS, IMAGES = load_openhead(), 7, 4
 
 
-@pytest.fixture
-def faces(model):
-    return make_dataset(model, 30, np.random.default_rng(0))
+def neutral(**options):
+    return make_dataset(MODEL, 30, np.random.default_rng(0), **options)
 
 
-def test_views_are_projections_of_the_landmarks(faces):
-    again = project(faces.landmarks.astype(float), faces.cameras)
-    assert np.allclose(faces.views, again, atol=1e-3)
-    assert len(faces) == 30
+def rings():
+    return make_rings(MODEL, SUBJECTS, IMAGES, np.random.default_rng(0))
 
 
-def test_faces_are_those_of_the_model(model, faces):
-    restricted = model.restrict(model.landmarks["bfm72"])
-    offsets = (faces.landmarks - restricted.mean).reshape(30, -1)
-    basis = restricted.identity_basis_times_sd.reshape(model.n_identity, -1)
-    fitted = np.linalg.lstsq(basis.T, offsets.T, rcond=None)[0]
-    assert np.abs(basis.T @ fitted - offsets.T).max() < 1e-2
+@pytest.mark.parametrize(("make", "scheme"), [(neutral, "bfm72"), (rings, "ibug51")])
+def test_landmarks_are_those_of_the_model_and_views_their_projections(make, scheme):
+    faces = make()
+    expression = faces.expression if make is rings else None
+    shapes = MODEL.shape(faces.identity.astype(float), expression)
+    assert np.allclose(faces.landmarks, shapes[:, MODEL.landmarks[scheme]], atol=1e-3)
+    views = project(faces.landmarks.astype(float), faces.cameras)
+    assert np.allclose(faces.views, views, atol=1e-3)
+    assert abs(faces.identity.std() - 1) < 0.05
+    assert np.array_equal(make().views, faces.views)
 
 
-def test_progress_counts_every_face_and_chunks_change_nothing_but_the_draw(model, monkeypatch):
-    monkeypatch.setattr(module, "_FACES_PER_CHUNK", 7)
+def test_faces_are_sampled_in_chunks_and_counted(monkeypatch):
+    monkeypatch.setattr(dataset, "_FACES_PER_CHUNK", 7)
     done = []
-    faces = make_dataset(model, 30, np.random.default_rng(0), progress=done.append)
+    faces = neutral(progress=done.append)
     assert done == [7, 7, 7, 7, 2]
-    assert np.isfinite(faces.landmarks).all()
     assert len(np.unique(faces.landmarks[:, 0, 0])) == 30
 
 
-def test_same_seed_same_bytes_and_round_trip(model, faces, tmp_path):
+def test_images_of_a_ring_share_the_identity_and_nothing_else():
+    faces = rings()
+    identity = faces.identity.reshape(SUBJECTS, IMAGES, -1)
+    assert np.array_equal(identity, np.repeat(identity[:, :1], IMAGES, axis=1))
+    assert len(np.unique(identity[:, 0], axis=0)) == SUBJECTS
+    assert len(np.unique(faces.expression, axis=0)) == SUBJECTS * IMAGES
+    assert (faces.cameras.yaw.reshape(SUBJECTS, IMAGES).std(1) > 0).sum() >= SUBJECTS - 1
+
+
+def test_every_subject_performs_every_sequence_from_neutral():
+    n = 2 * len(SEQUENCES)
+    identity, expression = make_performances(MODEL, 2, 4 * n + 5, np.random.default_rng(0))
+    assert len(identity) == len(expression) == 4 * n + 5
+    assert len(np.unique(identity, axis=0)) == 2
+    starts = np.arange(n) * (4 * n + 5) // n
+    assert not expression[starts].any() and expression.any(1).sum() > n
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "options", "message"),
+    [
+        (make_dataset, (3,), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (3, 2), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (0, 2), {}, "n_subjects and images_per_subject must be at least 1"),
+        (make_performances, (2, 71), {}, "n_frames at least 36 for each"),
+    ],
+)
+def test_unusable_arguments_are_refused(make, arguments, options, message):
+    with pytest.raises(InputError, match=message):
+        make(MODEL, *arguments, np.random.default_rng(0), **options)
+
+
+def test_a_file_gives_back_what_was_written(tmp_path):
+    faces = rings()
     save_dataset(tmp_path / "a.npz", faces)
-    save_dataset(tmp_path / "b.npz", make_dataset(model, 30, np.random.default_rng(0)))
     loaded = load_dataset(tmp_path / "a.npz")
-    assert np.array_equal(loaded.views, load_dataset(tmp_path / "b.npz").views)
-    assert np.array_equal(loaded.landmarks, faces.landmarks)
+    for name in ("identity", "expression", "landmarks", "views", "description"):
+        assert np.array_equal(getattr(loaded, name), getattr(faces, name))
     assert np.allclose(loaded.cameras.yaw, faces.cameras.yaw)
-    assert loaded.description["model_sha256"] == model.sha256
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
 
 
-def test_unusable_files_are_refused(faces, tmp_path):
-    path = tmp_path / "faces.npz"
-    with pytest.raises(InputError, match="faces.npz does not exist"):
-        load_dataset(path)
-    save_dataset(path, faces)
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-500])
-    with pytest.raises(InputError, match="faces.npz must be a data set"):
-        load_dataset(path)
-    path.write_bytes(whole)
-    with np.load(path) as file:
-        arrays = dict(file)
-    for key, value, message in (
-        ("views", arrays["views"][:5], r"views must have shape \(30, 72, 2\)"),
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("views", np.zeros((5, 72, 2)), r"views must be .* shape \(30, 72, 2\). Received float64"),
+        ("landmarks", None, "landmarks must be .* Received nothing"),
+        ("identity", np.full((30, 3), "a"), "identity must be finite numbers"),
         ("yaw", np.full(30, np.nan), "yaw must be finite"),
         ("projection", np.full(30, 9), "projection must be a number below 2"),
-    ):
-        np.savez(path, **(arrays | {key: value}))
-        with pytest.raises(InputError, match=message):
-            load_dataset(path)
-    np.savez(path, **{key: value for key, value in arrays.items() if key != "views"})
-    with pytest.raises(InputError, match="views must have shape .* Received nothing"):
-        load_dataset(path)
-
-
-def test_unknown_scheme_is_named(model):
-    with pytest.raises(InputError, match=r"scheme must be one of .* Received 'dlib'"):
-        make_dataset(model, 3, np.random.default_rng(0), scheme="dlib")
-
-
-def test_a_flipped_byte_is_refused_or_harmless(faces, tmp_path):
+        ("description", np.array("{"), "description must be JSON"),
+    ],
+)
+def test_unusable_files_are_refused(tmp_path, key, value, message):
     path = tmp_path / "faces.npz"
-    save_dataset(path, faces)
-    whole = path.read_bytes()
-    refused = 0
-    for position in np.random.default_rng(0).integers(0, len(whole), 100):
-        damaged = bytearray(whole)
-        damaged[position] ^= 0xFF
-        path.write_bytes(damaged)
-        try:
-            load_dataset(path)
-        except InputError:
-            refused += 1
-    assert refused > 90
+    save_dataset(path, neutral())
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file if name != key}
+    np.savez(path, **arrays, **({} if value is None else {key: value}))
+    with pytest.raises(InputError, match=message):
+        load_dataset(path)
+    path.write_bytes(path.read_bytes()[:-500])
+    with pytest.raises(InputError, match="faces.npz must be a data set"):
+        load_dataset(path)

@@ -1,20 +1,27 @@
 """FaceMesh's points of faces in images, and the 51 landmarks of them."""
 
 import csv
-from concurrent.futures import ThreadPoolExecutor
+import subprocess
+import sys
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
-from places import MEDIAPIPE, SHARED
+from places import MEDIAPIPE, ROOT, SHARED
 from writers.heads import CANTHI, NOSE_TIP, drawn_heads, nme
 
-from deepmds_keras.detection.mediapipe_landmarks import MediaPipeLandmarks, detect, landmarks51
+from deepmds_keras.detection.mediapipe_landmarks import (
+    MediaPipeLandmarks,
+    detect,
+    has_face_mesh,
+    landmarks51,
+)
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.photos import open_photo
 
 LEFT_BROW = slice(5, 10)
+IMAGE = np.zeros((40, 80, 3), np.uint8)
 installed = pytest.mark.skipif(not MEDIAPIPE, reason="MediaPipe is not installed")
 
 
@@ -49,14 +56,11 @@ def test_landmarks_of_drawn_heads_are_those_of_the_model(points, heads):
     assert nme(pixels(points[: len(images)]), truth).max() < 0.06
 
 
-def test_a_blank_image_has_no_points(points):
-    assert np.isnan(points[-1]).all()
-    assert np.isfinite(points[:-1]).all()
-
-
-def test_an_image_has_the_same_points_whatever_came_before(points):
+def test_a_blank_image_has_no_points_and_no_image_leaves_a_trace(points):
+    assert np.isnan(points[-1]).all() and np.isfinite(points[:-1]).all()
     # In FaceMesh's video mode they would depend on the image before.
     assert np.array_equal(points[0], points[-2])
+    assert detect([]).shape == (0, 468, 3)
 
 
 @installed
@@ -77,27 +81,15 @@ def test_every_face_is_found_the_largest_first(heads):
 
 
 @installed
-def test_threads_take_turns(heads):
-    find = MediaPipeLandmarks().detect_all
-    alone = [find(image) for image in heads[0]]
-    with ThreadPoolExecutor(4) as threads:
-        assert all(map(np.array_equal, threads.map(find, [*heads[0]] * 3), alone * 3))
-
-
-@installed
-def test_no_images_have_no_faces():
-    assert detect([]).shape == (0, 468, 3)
-
-
-@installed
-def test_what_is_no_image_is_refused():
-    with pytest.raises(InputError, match=r"image must be RGB, uint8 \(H, W, 3\). Received float64"):
-        detect([np.zeros((8, 8, 3))])
-
-
-def test_no_number_of_faces_is_refused():
-    with pytest.raises(InputError, match="max_faces must be at least 1. Received 0"):
-        MediaPipeLandmarks(max_faces=0)
+def test_each_face_has_its_score_which_is_lower_where_it_lies(heads):
+    image = heads[0][2]
+    row = np.concatenate([image, np.rot90(image)], axis=1)
+    detector = MediaPipeLandmarks()
+    faces, scores = detector.detect_scored(row)
+    assert scores.shape == (len(faces),) and (scores > 0.3).all()
+    upright = scores[faces[..., 0].mean(1) < 256]
+    assert upright.max() > 0.9
+    assert detector.detect_scored(np.rot90(image, 2))[1].max(initial=0) < upright.max()
 
 
 def test_depth_grows_towards_the_viewer_on_the_scale_of_x(points, heads):
@@ -105,23 +97,6 @@ def test_depth_grows_towards_the_viewer_on_the_scale_of_x(points, heads):
     eyes = frontal[CANTHI]
     protrusion = (frontal[NOSE_TIP, 2] - eyes[:, 2].mean()) / np.ptp(eyes[:, 0])
     assert 0.3 < protrusion < 0.7
-
-
-@installed
-def test_photos_by_the_corrected_list_and_by_the_authors():
-    paths = sorted((SHARED / "tf_flame").glob("*.jpeg"))
-    if not paths:
-        pytest.skip("../shared is absent")
-    found = detect(map(open_photo, paths))
-    truth = np.array([np.load(path.with_name(f"{path.stem}_lmks.npy")) for path in paths])
-    assert nme(pixels(found), truth).mean() < 0.03
-    assert 0.045 < nme(pixels(found, "authors"), truth).mean() < 0.057
-
-
-def test_both_lists_name_51_points_of_the_468():
-    for which in ("corrected", "authors"):
-        assert len(set(numbers(which))) == 51
-        assert 0 <= numbers(which).min() <= numbers(which).max() < 468
 
 
 def test_the_authors_left_brow_begins_one_point_too_far_out():
@@ -141,26 +116,88 @@ def test_the_authors_list_is_the_published_one_less_one():
     assert np.array_equal(numbers("authors") + 1, published)
 
 
-def test_the_corrected_list_is_symmetric(points):
-    """Each landmark's mirror image on a frontal head is the point of its counterpart."""
-    frontal = pixels(points[2:3])[0]
-    mirror = load_scheme("ibug51").mirror
-    middle = frontal[:, 0].mean()
-    width = np.ptp(frontal[CANTHI, 0])
-    mirrored = np.stack([2 * middle - frontal[mirror, 0], frontal[mirror, 1]], axis=1)
-    assert np.linalg.norm(mirrored - frontal, axis=1).max() < 0.1 * width
+@pytest.fixture
+def later(monkeypatch):
+    """Puts a later MediaPipe in place: `later(n_points, error)`, which keeps what it was given."""
+
+    def later(n_points=478, error=None):
+        point = SimpleNamespace(x=0.5, y=0.25, z=-0.125)
+
+        def create(options):
+            package.given = options
+            if error is not None:
+                raise error
+            faces = [[SimpleNamespace(**vars(point) | {"x": i / 1000}) for i in range(n_points)]]
+            return SimpleNamespace(detect=lambda image: SimpleNamespace(face_landmarks=faces))
+
+        package = ModuleType("mediapipe")
+        package.ImageFormat = SimpleNamespace(SRGB=1)
+        package.Image = lambda image_format, data: (image_format, data)
+        package.tasks = SimpleNamespace(
+            BaseOptions=dict,
+            vision=SimpleNamespace(
+                FaceLandmarkerOptions=dict,
+                FaceLandmarker=SimpleNamespace(create_from_options=create),
+            ),
+        )
+        monkeypatch.setitem(sys.modules, "mediapipe", package)
+        return package
+
+    return later
 
 
-def test_y_is_turned_up_and_z_kept():
-    points = np.random.default_rng(0).random((2, 468, 3))
-    landmarks = landmarks51(points)
-    assert np.array_equal(landmarks, points[:, numbers("corrected")] * (1, -1, 1))
+@installed
+def test_face_mesh_is_all_that_is_loaded_and_it_is_silent():
+    code = """
+import sys
+import numpy as np
+from deepmds_keras.detection.mediapipe_landmarks import shared_detector
+print(len(shared_detector().detect_all(np.full((40, 80, 3), 255, np.uint8))))
+names = {name for name in sys.modules if name.split(".")[0] == "mediapipe"}
+print({name for name in names if not name.startswith("mediapipe.python._framework_bindings")})
+print({"tensorflow", "cv2", "matplotlib", "jax"} & {*sys.modules})
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == ["0", "set()", "set()"]
 
 
-def test_an_unknown_list_or_other_points_are_refused():
-    with pytest.raises(
-        InputError, match="which must be one of corrected, authors. Received 'left'"
-    ):
-        landmarks51(np.zeros((1, 468, 3)), "left")
-    with pytest.raises(InputError, match=r"shape \(n, 468, 3\). Received \(478, 3\)"):
-        landmarks51(np.zeros((478, 3)))
+def test_what_is_not_installed_is_named_in_one_line(tmp_path, monkeypatch, later):
+    path = tmp_path / "face.task"
+    path.write_bytes(b"a model")
+    later(error=TypeError("create(): incompatible function arguments"))
+    with pytest.raises(InputError, match="0.10.30 or later.*TypeError: create"):
+        MediaPipeLandmarks(path)
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
+    assert not has_face_mesh()
+    with pytest.raises(InputError, match="0.10.30 or later"):
+        MediaPipeLandmarks(path)
+    with pytest.raises(InputError, match=r"repository, pip install '.\[mediapipe\]'") as refused:
+        MediaPipeLandmarks()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_landmarker_gives_the_468_points_before_the_irises(tmp_path, later):
+    package = later()
+    (tmp_path / "face.task").write_bytes(b"a model")
+    (face,) = MediaPipeLandmarks(tmp_path / "face.task", max_faces=3).detect_all(IMAGE)
+    assert package.given == {"base_options": {"model_asset_buffer": b"a model"}, "num_faces": 3}
+    assert face.shape == (468, 3)
+    np.testing.assert_allclose(face[:, 0], np.arange(468) / 1000 * 80, rtol=1e-6)
+    np.testing.assert_allclose(face[:, 1:], [[0.25 * 40, 0.125 * 80]] * 468)
+
+
+def test_a_landmarker_that_cannot_be_read_is_named(tmp_path, later):
+    path = tmp_path / "face.task"
+    with pytest.raises(InputError, match=r"face.task must be a face landmarker.*No such file"):
+        MediaPipeLandmarks(path)
+    with pytest.raises(InputError, match=r"must be a face landmarker.*directory"):
+        MediaPipeLandmarks(tmp_path)
+    path.write_bytes(b"no model")
+    later(error=RuntimeError("Unable to open\nzip archive."))
+    said = r"face.task must be a face landmarker.*RuntimeError: Unable to open zip archive\.$"
+    with pytest.raises(InputError, match=said):
+        MediaPipeLandmarks(path)
+    later(n_points=21)
+    with pytest.raises(InputError, match=r"face.task must be .* Received: 21 points a face"):
+        MediaPipeLandmarks(path).detect_all(IMAGE)

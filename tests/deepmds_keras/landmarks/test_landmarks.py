@@ -1,17 +1,34 @@
-"""Landmark tables: what holds for every scheme, and where each is on the face models."""
-
-import csv
+"""Landmark schemes: what holds for each, where each is on the face models, and conversion."""
 
 import numpy as np
 import pytest
 from places import SHARED
 
-from data_gen.landmarks import load_basel_anchors, load_vertices
+from data_gen.landmarks import load_vertices
+from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead, read_openhead
+from deepmds_keras import landmarks
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import load_scheme, load_schemes
+from deepmds_keras.files import read_table
+from deepmds_keras.landmarks import FOLDER, convert, load_scheme, load_schemes, scheme_of
 
 SIZES = {"bfm72": 72, "ibug68": 68, "ibug51": 51, "mediapipe": 468}
+PAIRS = {
+    int(row["number"]): (int(row["ibug68"]), row["evidence"])
+    for row in read_table(FOLDER / "bfm72_ibug68.csv")
+}
+FARTHEST = {"vertex": 7.0, "place": 3.5}  # mm between the two landmarks on a head model
+FIVE = {
+    "five.csv": """number,name,group,mirror
+1,right_eye_outer_corner,right_eye,2
+2,left_eye_outer_corner,left_eye,1
+3,nose_tip,nose,3
+4,right_mouth_corner,outer_mouth,5
+5,left_mouth_corner,outer_mouth,4
+""",
+    "five_polylines.csv": "polyline,landmarks\n1,1-3-2\n2,4-5\n",
+    "five_ibug68.csv": "number,ibug68\n1,37\n2,46\n3,31\n4,49\n5,55\n",
+}
 
 
 @pytest.fixture(params=[name for name, scheme in load_schemes().items() if scheme.names])
@@ -19,78 +36,62 @@ def scheme(request):
     return load_scheme(request.param)
 
 
+@pytest.fixture(params=["openhead", "ict"])
+def model(request):
+    if request.param == "openhead":
+        return load_openhead()
+    path = SHARED / "ict-facekit" / "ict_light.npz"
+    if not path.is_file():
+        pytest.skip("../shared/ict-facekit is absent")
+    return load_ict(path)
+
+
+def numbered(scheme, n=None):
+    """Landmarks whose coordinates are their position, its double and its negative."""
+    position = np.arange(float(n or len(load_scheme(scheme))))
+    return np.stack([position, 2 * position, -position], axis=1)
+
+
+def distances(model):
+    """`(72, 68)` millimetres on the mean face."""
+    bfm72, ibug68 = (model.mean[model.landmarks[scheme]] for scheme in ("bfm72", "ibug68"))
+    return np.linalg.norm(bfm72[:, None] - ibug68, axis=-1)
+
+
 def test_scheme_has_its_number_of_landmarks_each_named_once(scheme):
     n = SIZES[scheme.name]
     assert len(scheme) == len(scheme.names) == len(scheme.groups) == len(scheme.mirror) == n
     assert len(set(scheme.names)) == n
     assert list(scheme.numbers) == sorted(set(scheme.numbers))
+    assert all(0 <= i < n for line in scheme.polylines for i in line)
+    with pytest.raises(ValueError, match="read-only"):
+        scheme.mirror[0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        load_vertices(scheme.name).vertices["openhead"][0] = 1
 
 
-def test_no_two_schemes_are_taken_for_each_other_by_their_number_of_landmarks():
-    schemes = load_schemes()
-    assert {name: len(scheme) for name, scheme in schemes.items()} == SIZES
-    sizes = [size for scheme in schemes.values() for size in scheme.sizes]
-    assert len({*sizes}) == len(sizes)
+def test_the_number_of_landmarks_tells_the_scheme():
+    assert {name: len(scheme) for name, scheme in load_schemes().items()} == SIZES
+    found = [scheme_of(n) for n in (51, 68, 72, 468, 478)]
+    assert found == ["ibug51", "ibug68", "bfm72", "mediapipe", "mediapipe"]
+    with pytest.raises(InputError, match=r"51, 68, 72, 468 or 478 landmarks. Received 70\."):
+        scheme_of(70)
+    with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe. Received 'bfm73'"):
+        load_scheme("bfm73")
 
 
-def test_mirror_is_an_involution_that_swaps_right_and_left(scheme):
+def test_mirror_is_an_involution_that_swaps_right_and_left_also_on_the_open_head(scheme):
     np.testing.assert_array_equal(scheme.mirror[scheme.mirror], np.arange(len(scheme)))
+    vertices = load_vertices(scheme.name).vertices["openhead"]
+    np.testing.assert_array_equal(read_openhead()["mirror"][vertices], vertices[scheme.mirror])
     swap = {"right": "left", "left": "right"}
-    for i, name in enumerate(scheme.names):
+    for i, (name, x) in enumerate(
+        zip(scheme.names, load_openhead().mean[vertices, 0], strict=True)
+    ):
         side, _, rest = name.partition("_")
         mirrored = f"{swap[side]}_{rest}" if side in swap else name
         assert scheme.names[scheme.mirror[i]] == mirrored
-
-
-def test_right_is_the_subjects_right_on_the_open_head(scheme):
-    x = load_openhead().mean[load_vertices(scheme.name).vertices["openhead"], 0]
-    for name, across in zip(scheme.names, x, strict=True):
-        side = name.split("_")[0]
-        assert across < -1 if side == "right" else across > 1 if side == "left" else abs(across) < 1
-
-
-def test_open_head_vertices_are_closed_under_its_mirror(scheme):
-    vertices = load_vertices(scheme.name).vertices["openhead"]
-    np.testing.assert_array_equal(read_openhead()["mirror"][vertices], vertices[scheme.mirror])
-
-
-def test_tables_agree_with_the_open_head_file():
-    head = load_openhead()
-    for name in ("bfm72", "ibug68"):
-        expected = load_vertices(name).vertices["openhead"]
-        np.testing.assert_array_equal(head.landmarks[name], expected)
-
-
-def test_vertices_are_distinct_on_every_model(scheme):
-    for model, vertices in load_vertices(scheme.name).vertices.items():
-        assert len(set(vertices)) == len(vertices) == len(scheme), model
-        assert vertices.min() >= 0, model
-
-
-def test_only_complete_models_have_vertices():
-    assert set(load_vertices("bfm72").vertices) == {"openhead", "ict", "bfm2009"}
-    assert set(load_vertices("ibug68").vertices) == {"openhead", "ict"}
-    assert set(load_vertices("ibug68").anchors) == {"openhead", "ict", "bfm2009", "bfm2017"}
-
-
-def test_polylines_pass_through_landmarks_and_mirror_in_the_mouth():
-    scheme = load_scheme("bfm72")
-    assert scheme.polylines[0] == (0, 2, 11, 3, 0)
-    assert all(0 <= i < 72 for line in scheme.polylines for i in line)
-    edges = {
-        frozenset(pair)
-        for line in load_scheme("ibug68").polylines
-        for pair in zip(line, line[1:], strict=False)
-    }
-    mirror = load_scheme("ibug68").mirror
-    assert {frozenset(int(mirror[i]) for i in edge) for edge in edges} == edges
-
-
-def test_bfm2009_vertices_are_the_published_ones_less_one():
-    published = {1: 2088, 12: 5959, 29: 8320, 57: 14472, 72: 53307}
-    vertices = load_vertices("bfm72").vertices["bfm2009"]
-    assert {number: vertices[number - 1] + 1 for number in published} == published
-    assert (np.diff(vertices) > 0).all()
+        assert x < -1 if side == "right" else x > 1 if side == "left" else abs(x) < 1
 
 
 def test_ibug51_is_ibug68_without_the_jaw():
@@ -99,43 +100,93 @@ def test_ibug51_is_ibug68_without_the_jaw():
     np.testing.assert_array_equal(inner.mirror, full.mirror[17:] - 17)
     vertices = (load_vertices(name).vertices["ict"] for name in ("ibug51", "ibug68"))
     np.testing.assert_array_equal(next(vertices), next(vertices)[17:])
-    anchors = (load_vertices(name).anchors["bfm2009"] for name in ("ibug51", "ibug68"))
-    assert next(anchors) == {i - 17: vertex for i, vertex in next(anchors).items() if i >= 17}
     lines = [tuple(i + 17 for i in line) for line in inner.polylines]
     assert lines == list(full.polylines[1:])
+    points = numbered("ibug68")
+    np.testing.assert_array_equal(convert(points, "ibug68", "ibug51"), points[17:])
 
 
-def test_schemes_cannot_be_changed_by_their_users(scheme):
-    with pytest.raises(ValueError, match="read-only"):
-        scheme.mirror[0] = 1
-    with pytest.raises(ValueError, match="read-only"):
-        load_vertices(scheme.name).vertices["openhead"][0] = 1
+def test_corners_tip_and_chin_are_those_that_everybody_knows():
+    mediapipe = convert(numbered("mediapipe"), "mediapipe", "ibug68", missing="nan")[:, 0]
+    bfm72 = convert(numbered("bfm72"), "bfm72", "ibug68", missing="nan")[:, 0] + 1
+    known = {  # iBUG number: FaceMesh's point, from 0, and landmark of the 72, from 1
+        37: (33, 1),
+        40: (133, 12),
+        43: (362, 46),
+        46: (263, 57),
+        49: (61, 7),
+        55: (291, 51),
+        31: (4, 29),
+        9: (np.nan, 71),
+    }
+    for number, points in known.items():
+        np.testing.assert_array_equal((mediapipe[number - 1], bfm72[number - 1]), points)
 
 
-def test_basel_names_come_in_mirrored_pairs():
-    names = load_basel_anchors().keys()
-    swapped = {n.replace("right", "#").replace("left", "right").replace("#", "left") for n in names}
-    assert swapped == set(names)
+def test_points_that_two_schemes_share_survive_the_way_there_and_back():
+    for source in SIZES:
+        for target in SIZES:
+            there = convert(numbered(source), source, target, missing="nan")
+            back = convert(there, target, source, missing="nan")
+            known = ~np.isnan(back[:, 0])
+            np.testing.assert_array_equal(back[known], numbered(source)[known])
+            assert known.sum() == (~np.isnan(there[:, 0])).sum()
+            assert np.isnan(there).any(1).sum() == np.isnan(there).all(1).sum()
+    refined = numbered("mediapipe", 478)
+    for target in ("mediapipe", "ibug51"):
+        left_out = convert(refined[:468], "mediapipe", target)
+        np.testing.assert_array_equal(convert(refined, "mediapipe", target), left_out)
 
 
-def test_unknown_scheme_is_refused():
-    with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe. Received 'bfm73'"):
-        load_scheme("bfm73")
-    with pytest.raises(InputError, match="bfm72, ibug68, ibug51. Received 'bfm73'"):
-        load_vertices("bfm73")
+@pytest.mark.parametrize(
+    ("points", "arguments", "message"),
+    [
+        (np.zeros((68, 2)), ("ibug", "ibug51"), "must be one of bfm72, .* Received 'ibug'"),
+        (np.zeros((68, 2)), ("ibug68", "flame"), "must be one of .* Received 'flame'"),
+        (np.zeros((51, 2)), ("ibug68", "ibug51"), r"L = 68, .* Received \(51, 2\) of float64"),
+        (np.zeros((470, 3)), ("mediapipe", "ibug51"), r"L = 468 or 478, .* Received \(470, 3\)"),
+        (np.zeros((68, 4)), ("ibug68", "ibug51"), "d = 2 or 3"),
+        (np.zeros(68), ("ibug68", "ibug51"), "Received"),
+        (np.full((68, 2), "a"), ("ibug68", "ibug51"), "must be numbers"),
+    ],
+)
+def test_what_is_not_of_the_source_is_refused(points, arguments, message):
+    with pytest.raises(InputError, match=message):
+        convert(points, *arguments)
+    with pytest.raises(InputError, match=r"in bfm72, or missing .* without 28 of the 51: \[19, "):
+        convert(np.zeros((72, 2)), "bfm72", "ibug51")
+    with pytest.raises(InputError, match="missing must be"):
+        convert(np.zeros((68, 2)), "ibug68", "ibug51", missing="zero")
 
 
-def test_vertices_agree_with_the_shared_tables(shared):
-    with (shared / "landmarks" / "bfm72.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    vertices = load_vertices("bfm72").vertices
-    for column, model in (("bfm_vertex", "bfm2009"), ("ict_vertex", "ict")):
-        np.testing.assert_array_equal([int(row[column]) for row in rows], vertices[model])
+def test_pairs_of_the_72_and_the_68_are_the_same_point_on_both_head_models(model):
+    bfm72, ibug68 = load_scheme("bfm72"), load_scheme("ibug68")
+    assert len({number for number, _ in PAIRS.values()}) == len(PAIRS) == 24
+    for ours, (theirs, evidence) in PAIRS.items():
+        mirrored = int(bfm72.mirror[ours - 1]) + 1
+        assert PAIRS[mirrored] == (int(ibug68.mirror[theirs - 1]) + 1, evidence)
+        assert distances(model)[ours - 1, theirs - 1] < FARTHEST[evidence], (ours, theirs)
+    near = distances(model) < FARTHEST["place"]
+    alike = np.array(bfm72.names)[:, None] == np.array(ibug68.names)
+    found = {tuple(map(int, pair)) for pair in np.argwhere(near & alike) + 1}
+    by_place = {(ours, theirs) for ours, (theirs, how) in PAIRS.items() if how == "place"}
+    assert by_place <= found <= {(ours, theirs) for ours, (theirs, _) in PAIRS.items()}
 
 
-@pytest.fixture
-def shared():
-    folder = SHARED
-    if not folder.is_dir():
-        pytest.skip("../shared is absent")
-    return folder
+def test_a_scheme_that_tables_alone_describe_is_like_the_others(tmp_path, monkeypatch):
+    for name, text in FIVE.items():
+        (tmp_path / name).write_text(text)
+    for table in FOLDER.glob("*.csv"):
+        (tmp_path / table.name).write_bytes(table.read_bytes())
+    with (tmp_path / "schemes.csv").open("a") as file:
+        file.write("five,five,1,5,\n")
+    monkeypatch.setattr(landmarks, "FOLDER", tmp_path)
+    load_schemes.cache_clear()
+    try:
+        assert scheme_of(5) == "five" and load_scheme("five").index("nose_tip") == 2
+        ibug68 = np.random.default_rng(0).random((3, 68, 2))
+        expected = ibug68[:, [36, 45, 30, 48, 54]]
+        np.testing.assert_array_equal(convert(ibug68, "ibug68", "five"), expected)
+        assert not np.isnan(convert(np.zeros((478, 3)), "mediapipe", "five")).any()
+    finally:
+        load_schemes.cache_clear()

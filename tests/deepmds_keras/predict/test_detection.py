@@ -1,58 +1,15 @@
-"""Any detector can find the landmarks of photos: it is a row of a table."""
+"""Any detector finds the landmarks of photos, whichever side is up; its errors are known."""
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from deepmds_keras import InputError, photos
-from deepmds_keras.detection.detectors import DETECTORS, Detector
-from deepmds_keras.predict.arguments import parse
-from deepmds_keras.predict.detection import faces_in_photos
-
-
-@pytest.fixture
-def made_up(monkeypatch):
-    """A third detector, of the 68: as many faces as the first pixel says, the right one first."""
-
-    def open_model(landmarker):
-        assert landmarker == "its model"
-        face = np.full((68, 2), 7.0) + np.arange(68)[:, None]
-
-        def find(photo):
-            n = photo[0, 0, 0]
-            return face + 9.0 * np.arange(n)[::-1, None, None], n > 0
-
-        return find
-
-    row = Detector("ibug68", open_model, lambda: True, "nobody's")
-    monkeypatch.setitem(DETECTORS, "made-up", row)
-    return row
-
-
-def test_a_third_detector_finds_faces_in_the_order_of_the_method(tmp_path, made_up):
-    paths = [tmp_path / name for name in ("two.png", "none.png", "text.png", "one.png")]
-    for path, n in zip(paths, (2, 0, None, 1), strict=True):
-        if n is None:
-            path.write_text("hello")
-        else:
-            Image.new("RGB", (90, 90), (n, 0, 0)).save(path)
-    two, none, text, one = faces_in_photos(paths, "made-up", "its model", None)
-    assert two.shape == (2, 68, 2) and one.shape == (1, 68, 2)
-    np.testing.assert_array_equal(one[0, :, 0], 7 + np.arange(68))
-    np.testing.assert_array_equal(two, [one[0], one[0] + 9], "from left to right")
-    assert isinstance(none, InputError) and isinstance(text, InputError)
-    assert (
-        "no face found by made-up, whichever side is up; try --detector mediapipe or dlib, or"
-        in str(none)
-    )
-    assert "text.png must be a photo" in str(text)
+from deepmds_keras.detection import detector_sd
+from deepmds_keras.predict.detection import find_upright
 
 
 @pytest.mark.parametrize("unsure", [0.0, 0.8])
-@pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
-    tmp_path, monkeypatch, quarters, unsure
-):
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(quarters, unsure):
     """A detector of a white spot in the left upper quarter of a photo that is higher than wide."""
     looked_at = []
 
@@ -62,32 +19,35 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(
         height, width = photo.shape[:2]
         upright = height > width and x < width / 2 and y < height / 2
         # One that is wrong, and less sure, where the photo is not upright.
-        return np.full((1, 68, 2), (x, y) if upright else (3, 3)), 0.95 if upright else unsure
+        score = 0.95 if upright else unsure
+        return np.full((1, 68, 2), (x, y) if upright else (3, 3)), np.array([score])
 
-    row = Detector("ibug68", lambda _: detect, lambda: True, "")
-    monkeypatch.setitem(DETECTORS, "spots", row)
-    upright = np.zeros((120, 90, 3), np.uint8)
-    upright[30:32, 20:24] = 255
-    turned = np.rot90(upright, -quarters)
-    paths = [tmp_path / "upright.png", tmp_path / "turned.png"]
-    for path, photo in zip(paths, (upright, turned), strict=True):
-        Image.fromarray(photo).save(path)
-    first, second = faces_in_photos(paths, "spots", None, None)
-    assert len(looked_at) == 2 + 3  # what is found upright is not turned
-    for faces, photo in ((first, upright), (second, turned)):
-        y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
-        np.testing.assert_array_equal(faces, np.full((1, 68, 2), (x, y)))
+    photo = np.zeros((120, 90, 3), np.uint8)
+    photo[30:32, 20:24] = 255
+    photo = np.rot90(photo, -quarters)
+    faces, scores = find_upright(photo, detect)
+    assert len(looked_at) == (4 if quarters else 1), "what is found upright is not turned"
+    y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
+    np.testing.assert_array_equal(faces, np.full((1, 68, 2), (x, y)))
+    assert scores == [0.95]
 
 
-def test_landmarks_of_a_large_photo_are_in_its_own_pixels(tmp_path, made_up, monkeypatch):
-    monkeypatch.setattr(photos, "_FULL_PIXELS", 8_000)
-    Image.new("RGB", (100, 90), (1, 0, 0)).save(tmp_path / "large.png")
-    (faces,) = faces_in_photos([tmp_path / "large.png"], "made-up", "its model", None)
-    np.testing.assert_array_equal(faces[0, :, 0], 2 * (7 + np.arange(68)))
+@pytest.mark.parametrize("score", [1.0, np.nan])
+def test_faces_come_from_left_to_right_with_their_scores(score):
+    places = np.array([300.0, 20, 100])
+
+    def detect(photo):
+        return places[:, None, None] + np.zeros((3, 68, 2)), np.array([score, 0.1, 0.2])
+
+    faces, scores = find_upright(np.zeros((50, 400, 3), np.uint8), detect)
+    assert [*faces[:, 0, 0]] == [20, 100, 300]
+    np.testing.assert_array_equal(scores, [0.1, 0.2, score])
+    none = np.empty((0, 68, 2)), np.empty(0)
+    assert [len(each) for each in find_upright(np.zeros((9, 9, 3)), lambda _: none)] == [0, 0]
 
 
-def test_the_command_offers_a_third_detector_with_its_terms(made_up, capsys):
-    assert parse(["predict", "a.jpg", "--detector", "made-up"]).detector == "made-up"
-    with pytest.raises(SystemExit):
-        parse(["predict", "--help"])
-    assert "made-up (nobody's)" in " ".join(capsys.readouterr().out.split())
+def test_errors_of_each_detector_are_known_in_its_schemes():
+    for detector, scheme, n in (("dlib", "ibug68", 68), ("mediapipe", "ibug51", 51)):
+        sd = detector_sd(detector, scheme)
+        assert sd.shape == (n,) and (sd > 0.02).all() and (sd < 0.5).all()
+    assert detector_sd("mediapipe", "bfm72") is None

@@ -9,15 +9,13 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from pages import drawn
-from PIL import Image
 
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.camera import HeadPose, head_pose
-from deepmds_keras.normalisation import normalise
-from deepmds_keras.predict.cutout import cut_out
+from deepmds_keras.alignment import normalise
+from deepmds_keras.camera import head_pose
 from deepmds_keras.predict.faces import Face
-from deepmds_keras.predict.index_page import write_index
-from deepmds_keras.predict.page import json_in_html, wireframe_script, write_page
+from deepmds_keras.predict.overlay import cut_out
+from deepmds_keras.predict.page import json_in_html, write_page
 
 PHONE = {
     "viewport": {"width": 390, "height": 844},
@@ -83,7 +81,7 @@ def test_the_photo_is_loaded_and_the_shape_drawn(page_of, face, photo):
     page = page_of([face], [photo])
     assert page.title() == "3D face of photo"
     width, height = page.locator("img").evaluate("(i) => [i.naturalWidth, i.naturalHeight]")
-    assert (height, width) == cut_out(photo, face.landmarks).image.shape[:2]
+    assert (width, height) == cut_out(photo, face.landmarks).image.size
     assert coloured(drawn(page), (201, 79, 0)) > 500
     assert page.locator("svg circle").count() == 72
 
@@ -126,8 +124,8 @@ def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, po
     page = page_of([face], [photo])
     page.get_by_role("button", name=button).click()
     drawn(page)
-    extent = face.shape.min(0), face.shape.max(0)
-    centred = face.shape - np.mean(extent, axis=0)
+    extent = face.xyz.min(0), face.xyz.max(0)
+    centred = face.xyz - np.mean(extent, axis=0)
     radius = np.linalg.norm(centred, axis=1).max()
     seen = (centred @ pose.get("rotation", face.pose.rotation).T)[:, :2]
     gaps = np.linalg.norm(seen[:, None] - seen, axis=2) + 9 * np.eye(len(seen))
@@ -173,46 +171,6 @@ def test_dragging_keys_and_wheel_turn_and_zoom_and_reset_goes_back(page_of, face
     assert np.array_equal(drawn(page), first)
 
 
-def test_a_reader_without_a_mouse_reaches_the_canvas_and_its_numbers(page_of, face, photo):
-    page = page_of([face], [photo])
-    first = drawn(page)
-    canvas = page.locator("canvas")
-    assert "photo" in canvas.get_attribute("aria-label")
-    for _ in range(12):
-        page.keyboard.press("Tab")
-        if canvas.evaluate("(c) => c === document.activeElement"):
-            break
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("+")
-    assert not np.array_equal(drawn(page), first)
-    page.keyboard.press("0")
-    assert np.array_equal(drawn(page), first)
-
-    page.get_by_text("Coordinates").click()
-    page.locator("tbody").wait_for()
-    cells = page.locator("tbody tr").nth(28).locator("td").all_inner_texts()
-    assert cells[:2] == ["29", "nose tip"]
-    values = [float(cell.replace("−", "-")) for cell in cells[2:]]
-    assert np.allclose(values[:3], face.shape[28], atol=1e-4)
-    assert np.allclose(values[3:], face.landmarks[28], atol=0.1)
-
-
-def test_numbers_and_landmarks_can_be_switched(page_of, face, photo):
-    page = page_of([face], [photo])
-    of_photo, of_shape = page.get_by_role("button", name="Numbers").all()
-    number = page.locator("svg text").nth(28)
-    assert not number.is_visible()
-    of_photo.click()
-    assert number.is_visible()
-    assert number.text_content() == "29"
-    page.get_by_role("button", name="Landmarks").click()
-    assert not page.locator("svg").is_visible()
-    before = drawn(page)
-    of_shape.click()
-    assert of_shape.get_attribute("aria-pressed") == "true"
-    assert (drawn(page)[..., 3] > 0).sum() > (before[..., 3] > 0).sum() + 1000
-
-
 def test_the_table_can_be_taken_away_as_csv(page_of, face, photo):
     page = page_of([face], [photo])
     page.get_by_text("Coordinates").click()
@@ -225,18 +183,8 @@ def test_the_table_can_be_taken_away_as_csv(page_of, face, photo):
     assert "+z out of the face" in lines[1]
     rows = list(csv.DictReader(lines[2:]))
     values = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
-    assert np.allclose(values, face.shape, atol=1e-5)
+    assert np.allclose(values, face.xyz, atol=1e-5)
     assert rows[28]["name"] == "nose_tip"
-
-
-def test_nothing_is_wider_than_a_phone(page_of, face, photo):
-    long = replace(face, name="a" * 150, notes=("b" * 200,))
-    page = page_of([long], [photo], **PHONE)
-    page.get_by_text("Coordinates").click()
-    page.locator("tbody").wait_for()
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    left, right = (page.locator(kind).first.bounding_box() for kind in ("img", "canvas"))
-    assert right["y"] > left["y"] + left["height"]  # below, not beside
 
 
 def test_a_finger_that_moves_sideways_turns_the_shape(page_of, face, photo):
@@ -247,12 +195,8 @@ def test_a_finger_that_moves_sideways_turns_the_shape(page_of, face, photo):
     for kind, at in (("Start", 0), ("Move", 30), ("Move", 60), ("Move", 90), ("End", None)):
         points = [] if at is None else [{"x": x + at, "y": y}]
         touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
-    turned = drawn(page)
-    assert not np.array_equal(turned, first)
-    for kind, half in (("Start", 40), ("Move", 60), ("Move", 80), ("End", None)):
-        points = [] if half is None else [{"x": x - half, "y": y}, {"x": x + half, "y": y}]
-        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
-    assert not np.array_equal(drawn(page), turned)
+    assert not np.array_equal(drawn(page), first)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
 def test_a_hostile_name_is_text(page_of, face, photo):
@@ -267,11 +211,6 @@ def test_a_hostile_name_is_text(page_of, face, photo):
     assert page.locator("dd").first.inner_text() == "<b>y<"
     assert page.locator("img").count() == 1
     assert page.evaluate("window.ran") is None
-
-
-def test_a_name_of_bytes_that_are_no_text_is_written(page_of, face, photo):
-    page = page_of([replace(face, name="photo\udcff")], [photo])
-    assert "photo" in page.locator("h2").inner_text()
 
 
 def test_only_the_scripts_of_the_page_run_and_nothing_is_loaded(tmp_path, browser, face, photo):
@@ -296,8 +235,8 @@ def test_only_the_scripts_of_the_page_run_and_nothing_is_loaded(tmp_path, browse
 
 def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):
     faces = [replace(face, name=f"photo-{i}") for i in range(5)]
-    faces[3] = replace(faces[3], photo=None, unit="mm", shape=160 * face.shape)
-    page = page_of(faces, (None if face.photo is None else photo for face in faces))
+    faces[3] = replace(faces[3], photo=None, unit="mm", xyz=160 * face.xyz)
+    page = page_of(faces, [None if face.photo is None else photo for face in faces])
     assert page.title() == "5 faces in 3D"
     assert page.locator("h2").all_inner_texts() == [face.name for face in faces]
     assert page.locator("img").count() == 4
@@ -309,45 +248,6 @@ def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):
     assert sizes[0] == 0  # far out of sight: hundreds of faces would not fit into memory
 
 
-def test_dark_and_printed_pages_have_colours_of_their_own(page_of, face, photo):
-    page = page_of([face], [photo], color_scheme="dark")
-    canvas = page.locator("canvas")
-    background = "(c) => getComputedStyle(c).backgroundColor"
-    assert coloured(drawn(page), (255, 148, 72)) > 200
-    assert canvas.evaluate(background) == "rgb(31, 34, 38)"
-    page.emulate_media(media="print", color_scheme="dark")
-    assert canvas.evaluate(background) == "rgb(255, 255, 255)"
-    assert coloured(drawn(page), (201, 79, 0)) > 200
-    assert not page.get_by_role("button", name="Front").is_visible()
-
-
-def test_several_shapes_are_drawn_over_one_another(tmp_path, visit, shape):
-    options = {
-        "shapes": [
-            {"name": "truth", "points": shape.tolist(), "colour": "#0000ff"},
-            {"name": "ours", "points": (shape + 0.05).tolist(), "colour": "#ff0000"},
-        ],
-        "lines": [[0, 2, 11, 3, 0]],
-    }
-    path = tmp_path / "two.html"
-    path.write_text(
-        "<!DOCTYPE html><meta charset=utf-8><canvas style='width:400px;height:400px'></canvas>"
-        f"<script>{wireframe_script()}</script><script>const options = {json_in_html(options)};"
-        "const view = drawWireframe(document.querySelector('canvas'), options);</script>",
-        encoding="utf-8",
-    )
-    page = visit(path, **STILL)
-    both = drawn(page)
-    assert coloured(both, (0, 0, 255)) > 50
-    assert coloured(both, (255, 0, 0)) > 50
-    page.evaluate("view.show(options.shapes.slice(1))")
-    one = drawn(page)
-    assert coloured(one, (0, 0, 255)) == 0
-    assert coloured(one, (255, 0, 0)) > 50
-    page.evaluate("view.show([]), view.showNumbers(true), view.mark(0)")
-    assert coloured(drawn(page), (255, 0, 0)) == 0
-
-
 def test_json_in_html_holds_no_markup_and_stays_what_it_is():
     value = {"</script><!--": ["&<>", 1.5, None, "é\u2028\udcff"]}
     text = json_in_html(value)
@@ -356,87 +256,6 @@ def test_json_in_html_holds_no_markup_and_stays_what_it_is():
     assert json.loads(text) == value
     with pytest.raises(ValueError, match="JSON"):
         json_in_html([float("nan")])
-
-
-def test_a_page_that_fails_leaves_no_file(tmp_path, face):
-    def photos():
-        raise RuntimeError("the photo is gone")
-        yield
-
-    with pytest.raises(RuntimeError):
-        write_page(tmp_path / "page.html", [face], photos())
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_page_does_not_tell_where_the_photo_lies(tmp_path, face, photo):
-    write_page(tmp_path / "page.html", [face], [photo])
-    assert "private" not in (tmp_path / "page.html").read_text(encoding="utf-8")
-
-
-def test_a_large_photo_stays_small_and_its_landmarks_in_place():
-    dots = np.array([[2100, 1500], [2900, 1600], [2500, 2200]]) + 0.5
-    photo = np.zeros((3000, 4000, 3), np.uint8)
-    for x, y in dots.astype(int):
-        photo[y - 12 : y + 13, x - 12 : x + 13] = 255
-    cutout = cut_out(photo, dots)
-    assert max(cutout.image.shape) <= 800
-    for x, y in cutout.landmarks:
-        assert cutout.image[int(y), int(x)].min() > 200
-        assert cutout.image[int(y) + 15, int(x)].max() < 60
-
-
-@pytest.mark.parametrize("at", [(-500.0, -500.0), (5.0, 5.0), (99.0, 59.0)])
-def test_a_face_at_or_beyond_the_edge_of_the_photo_is_cut_out(at):
-    photo = np.random.default_rng(1).integers(0, 255, (60, 100, 3), np.uint8)
-    landmarks = np.array(at) + [[0, 0], [10, 0], [5, 12]]
-    cutout = cut_out(photo, landmarks)
-    low = (landmarks - cutout.landmarks).mean(0).round().astype(int)
-    height, width = cutout.image.shape[:2]
-    assert np.array_equal(cutout.image, photo[low[1] : low[1] + height, low[0] : low[0] + width])
-
-
-def test_poses_reach_the_page_as_they_are(page_of, face, photo):
-    assert isinstance(face.pose, HeadPose)
-    assert np.allclose([face.pose.yaw, face.pose.pitch, face.pose.roll], [20, 12, -8])
-    text = page_of([face], [photo]).locator(".facts").inner_text()
-    assert "yaw 20.0°, pitch 12.0°, roll −8.0°" in text
-
-
-# Frames in half a second while the mesh turns, the most of six such times: others may compute, too.
-FRAMES = """async (canvas) => {
-  const counts = [];
-  for (let k = 0; k < 6; k += 1) {
-    const begun = performance.now();
-    for (counts.push(0); performance.now() - begun < 500; counts[k] += 1) {
-      canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
-      await new Promise(requestAnimationFrame);
-    }
-  }
-  return Math.max(...counts);
-}"""
-
-
-@pytest.mark.parametrize(
-    "window",
-    [pytest.param(STILL, id="1280"), pytest.param(PHONE, id="390", marks=pytest.mark.slow)],
-)
-def test_the_mesh_is_shaded_and_turns_in_thirty_frames_a_second(page_of, face, photo, window):
-    page = page_of([face], [photo], mesh=True, **window)
-    before, canvas = drawn(page), page.locator("canvas")
-    solid = (np.ptp(before[..., :3].astype(int), axis=-1) < 25) & (before[..., 3] == 255)
-    assert solid.mean() > 0.15
-    assert len(np.unique(before[solid], axis=0)) > 50  # of many shades
-    assert coloured(before, (201, 79, 0)) > 300  # the landmarks before it
-    if window is PHONE:
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    canvas.focus()
-    assert canvas.evaluate(FRAMES) >= 15
-    page.wait_for_timeout(400)  # then it is drawn finely again
-    page.get_by_role("button", name="Reset").click()
-    page.wait_for_timeout(800)
-    assert (np.abs(drawn(page).astype(int) - before) > 60).mean() < 0.01
-    page.get_by_role("button", name="Surface").click()
-    assert (drawn(page)[..., 3] == 255).mean() < 0.1
 
 
 def test_the_mesh_is_where_the_landmarks_are(page_of, face, photo):
@@ -453,53 +272,3 @@ def test_the_mesh_is_where_the_landmarks_are(page_of, face, photo):
     # The tip of the nose ends both, the back of the head is behind all landmarks.
     assert abs(solid.max() - x.max()) < 12
     assert solid.min() < x.min() - 60
-
-
-def test_a_landmark_before_the_mesh_is_marked(page_of, face, photo):
-    page = page_of([face], [photo], mesh=True)
-    page.get_by_role("button", name="Front").click()
-    drawn(page)
-    box = page.locator("canvas").bounding_box()
-    image = drawn(page)
-    near = (np.abs(image[..., :3].astype(int) - (201, 79, 0)) < 30).all(-1)
-    # The lowest of the drawn landmarks is one of the chin.
-    y, x = (int(values[-1]) for values in near.nonzero())
-    scale = box["width"] / image.shape[1]
-    page.mouse.move(box["x"] + scale * x, box["y"] + scale * (y - 2))
-    drawn(page)
-    marked = page.locator("svg circle").evaluate_all(
-        "(dots) => dots.flatMap((d, i) => d.classList.contains('marked') ? [i] : [])"
-    )
-    assert len(marked) == 1
-    assert face.shape[marked[0], 1] < np.quantile(face.shape[:, 1], 0.1)
-
-
-def test_lines_over_the_photo_are_those_of_the_shape(page_of, face, photo):
-    wide = replace(face, shape=face.shape * (1.5, 1, 1))
-    right, wider = (
-        max(float(pair.split(",")[0]) for points in page_of([one], [photo])
-            .locator("svg polyline").evaluate_all("(l) => l.map((p) => p.getAttribute('points'))")
-            for pair in points.split())
-        for one in (face, wide)
-    )  # fmt: skip
-    assert wider > right + 10
-
-
-def test_the_index_leads_to_every_page_of_the_folder(tmp_path, browser, face, photo):
-    for name in ("a #1", "b"):
-        write_page(tmp_path / f"{name}.html", [replace(face, name=name)], [photo])
-        Image.fromarray(photo).save(tmp_path / f"{name}.png")
-    results = [["b.csv", "b.png", "b.html"], ["c.csv"], ["a #1.png", "a #1.html"]]
-    write_index(tmp_path / "index.html", results)
-    for window in (STILL, PHONE):
-        context = browser.new_context(offline=True, **window)
-        page = context.new_page()
-        page.goto((tmp_path / "index.html").as_uri())
-        assert page.title() == "Faces of 2 sources"
-        assert page.get_by_role("link").all_inner_texts() == ["a #1", "b"]
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        pictures = page.locator("img").evaluate_all("(all) => all.map((i) => i.naturalWidth)")
-        assert pictures == [640, 640]
-        page.get_by_role("link", name="a #1").click()
-        assert page.title() == "3D face of a #1"
-        context.close()

@@ -1,4 +1,4 @@
-"""What a run reads, and that no result can overwrite another or a source."""
+"""What a run reads, and that no result can be called like another."""
 
 import errno
 import os
@@ -8,15 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepmds_keras import InputError
-from deepmds_keras.predict.sources import (
-    check_folder,
-    find_sources,
-    is_landmark_file,
-    is_photo,
-    name_faces,
-    name_sources,
-    said_skipped,
-)
+from deepmds_keras.predict.sources import find_sources, list_skipped, name_faces, name_sources
 
 
 def touched(folder, *names):
@@ -26,25 +18,20 @@ def touched(folder, *names):
     return [folder / name for name in names]
 
 
-def test_a_folder_gives_its_photos_by_name(tmp_path):
-    touched(tmp_path, "b.JPG", "a.png", "c.webp", ".hidden.jpg", "._b.jpg", "notes.txt", "a.csv")
-    touched(tmp_path, "deeper/d.jpg")
+def test_a_folder_gives_its_photos_by_name_and_counts_the_rest(tmp_path):
+    touched(tmp_path, "b.JPG", "a.png", "c.webp", "1.mp4", "2.MP4", "3.mp4", ".b", ".c.jpg")
+    touched(tmp_path, "README", "within/d.jpg", "old.png")
     (tmp_path / "folder.jpg").mkdir()
-    sources, errors, skipped = find_sources([tmp_path])
+    sources, errors, skipped = find_sources([tmp_path], results=[tmp_path / "old.png"])
     assert [path.name for path in sources] == ["a.png", "b.JPG", "c.webp"]
     assert not errors
-    assert skipped == {"hidden": 2, ".txt": 1, ".csv": 1, "subfolder (--recursive)": 2}
+    counts = {"hidden": 2, ".mp4": 3, "without suffix": 1, "subfolder (--recursive)": 2}
+    assert skipped == counts | {"result of an earlier run": 1}
+    listed = list_skipped(skipped)
+    assert "3 .mp4, " in listed and "2 subfolders (--recursive)" in listed
 
 
-def test_what_a_folder_does_not_give_is_counted_by_its_kind(tmp_path):
-    touched(tmp_path, "a.jpg", "1.mp4", "2.MP4", "3.mp4", ".b", ".c.jpg", "within/d.jpg", "README")
-    touched(tmp_path / "other", "a.jpg", "a/b.jpg", "b.mp4")
-    _, _, skipped = find_sources([tmp_path, tmp_path / "other"])
-    assert said_skipped(skipped) == "4 .mp4, 3 subfolders (--recursive), 2 hidden, 1 without suffix"
-    assert said_skipped(find_sources([tmp_path / "a.jpg"])[2]) == ""
-
-
-def test_folders_within_are_taken_if_asked_for_but_no_results_and_nothing_twice(tmp_path):
+def test_subfolders_are_taken_if_asked_for_but_no_results_and_nothing_twice(tmp_path):
     touched(tmp_path, "b/b.jpg", "b/a/c.jpg", "a/d.heic", "e.jpg", ".hidden/f.jpg", "b/notes.txt")
     touched(tmp_path, "b/out/g.png", "b/out/deepmds.json")
     (tmp_path / "a" / "round").symlink_to(tmp_path)
@@ -55,53 +42,49 @@ def test_folders_within_are_taken_if_asked_for_but_no_results_and_nothing_twice(
     assert skipped == {"hidden": 1, "linked folder": 1, "folder of results": 1, ".txt": 1}
 
 
-def test_a_folder_within_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_subfolder_that_cannot_be_read_is_named(tmp_path, monkeypatch, listed):
+    """As for a user without rights: root, who may run the tests, reads every folder."""
     touched(tmp_path, "a.jpg", "within/b.jpg")
-    scandir = os.scandir
 
-    def forbidden(path):
-        """As for a user without rights: root, who may run the tests, reads every folder."""
-        if Path(path).name == "within":
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-        return scandir(path)
+    def refusing(function, names):
+        def refuse(path, *arguments, **options):
+            if isinstance(path, (str, Path)) and any(name in names for name in Path(path).parts):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+            return function(path, *arguments, **options)
 
-    monkeypatch.setattr(os, "scandir", forbidden)
-    sources, (error,), _ = find_sources([tmp_path], recursive=True)
+        return refuse
+
+    monkeypatch.setattr(os, "scandir", refusing(os.scandir, [] if listed else ["within"]))
+    monkeypatch.setattr(os, "stat", refusing(os.stat, ["b.jpg", "deepmds.json"]))
+    sources, errors, skipped = find_sources([tmp_path], recursive=True)
     assert [path.name for path in sources] == ["a.jpg"]
-    assert str(error).startswith(f"{tmp_path / 'within'} must be a folder that can be read")
+    if listed:
+        assert skipped == {"no file": 1} and not errors
+    else:
+        assert str(errors[0]).startswith(f"{tmp_path / 'within'} must be a folder that can be read")
 
 
-def test_files_stay_in_order_and_are_taken_once(tmp_path):
-    b, a, points = touched(tmp_path, "b.jpg", "a.jpg", "points.npy")
-    sources, errors, _ = find_sources([points, b, str(tmp_path), tmp_path / "." / "b.jpg"])
-    assert sources == [points, b, a]
-    assert not errors
-
-
-def test_one_bad_path_does_not_stop_the_others(tmp_path):
-    photo, text, _ = touched(tmp_path, "a.jpg", "a.txt", "empty/.hidden.jpg")
+def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
+    b, a, points, text, _ = touched(
+        tmp_path, "b.jpg", "a.jpg", "points.npy", "a.txt", "empty/.hidden.jpg"
+    )
     bad = [tmp_path / "none.jpg", text, tmp_path / "empty"]
-    sources, errors, _ = find_sources([*bad, photo])
-    assert sources == [photo]
+    paths = [*bad, points, b, str(tmp_path), tmp_path / "." / "b.jpg", a]
+    sources, errors, _ = find_sources(paths)
+    assert sources == [points, b, a]
     for path, error, said in zip(
         bad, errors, ("does not exist", "'.txt'", "must hold photos"), strict=True
     ):
         assert isinstance(error, InputError)
-        assert str(error).startswith(f"{path} ")
-        assert said in str(error)
+        assert str(error).startswith(f"{path} ") and said in str(error)
 
 
-def test_suffixes_tell_photos_from_landmarks():
-    photos = [Path(name) for name in ("a.jpg", "a.JPEG", "a.tif", "a.HEIC")]
-    points = [Path(name) for name in ("a.csv", "a.NPY", "a.pts", "a.json")]
-    files = [*photos, *points, Path("a"), Path("a.mp4"), Path("jpg")]
-    assert [path for path in files if is_photo(path)] == photos
-    assert [path for path in files if is_landmark_file(path)] == points
-
-
-def test_a_source_has_its_own_name_where_that_is_free():
-    sources = [Path("x/a.jpg"), Path("b.c.png"), Path("a.png"), Path("y/a.jpg"), Path("z/a.jpg")]
-    assert name_sources(sources) == ["a", "b.c", "a_png", "a_jpg", "a_jpg_2"]
+def test_a_source_gives_its_name_to_the_results_where_that_is_free():
+    names = ("x/a.jpg", "b.c.png", "a.png", "y/a.jpg", "z/a.jpg", "deepmds.jpg", "d.mesh.jpg")
+    expected = ["a", "b.c", "a_png", "a_jpg", "a_jpg_2", "deepmds_jpg", "d.mesh_jpg"]
+    assert name_sources([*map(Path, names)]) == expected
+    assert name_sources([Path("p-1.jpg"), Path("p-2.jpg")]) == ["p-1", "p-2"]
 
 
 def test_no_face_of_a_source_is_called_like_one_of_another():
@@ -118,18 +101,4 @@ def test_no_face_of_a_source_is_called_like_one_of_another():
 def test_several_faces_are_numbered_so_that_they_sort():
     assert name_faces("a", 1) == ["a"]
     assert name_faces("a", 2) == ["a-1", "a-2"]
-    twelve = name_faces("a", 12)
-    assert twelve[0] == "a-01"
-    assert sorted(twelve) == twelve
-
-
-def test_a_result_may_lie_beside_a_photo_but_not_overwrite_a_source(tmp_path):
-    photo, points = touched(tmp_path, "a.jpg", "a.CSV")
-    check_folder(tmp_path, [photo], [".csv", ".png"])
-    check_folder(tmp_path / "out", [photo, points], [".csv", ".png"])
-    with pytest.raises(InputError, match="a.CSV, which a result could overwrite"):
-        check_folder(tmp_path / "out" / "..", [photo, points], [".csv", ".png"])
-
-
-def test_no_name_is_that_of_the_mesh_of_another():
-    assert name_sources([Path("a.jpg"), Path("a.mesh.jpg")]) == ["a", "a.mesh_jpg"]
+    assert name_faces("a", 12) == sorted(name_faces("a", 12))

@@ -1,37 +1,33 @@
-"""`deepmds predict` on videos: a row for each frame and face, and a video to look at."""
+"""Videos: every frame upright at its time, faces followed and smoothed, landmarks drawn."""
 
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
-import pandas as pd
 import pytest
-from places import ROOT
-from writers.heads import drawn_heads
+from scipy.ndimage import gaussian_filter1d
 from writers.videos import write_video
 
+from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
-from deepmds_keras.detection.detectors import DETECTORS, Detector
+from deepmds_keras.detection import DETECTORS, Detector
 from deepmds_keras.predict import videos
-from deepmds_keras.predict.landmark_files import read_landmarks
-from deepmds_keras.video import preview
-from deepmds_keras.video.frames import Video
+from deepmds_keras.predict.detection import (
+    find_in_video,
+    follow_faces,
+    smooth_over_time,
+)
+from deepmds_keras.predict.face_lifter import FaceLifter
+from deepmds_keras.predict.videos import Video, write_landmark_video
 
 pytest.importorskip("av")
-GREY, SIDE = 90, 64
+SIDE = 64
 # 68 points about as those of a face, of 20 pixels.
 FACE = np.random.default_rng(3).uniform(0, 20, (68, 2))
-
-
-@pytest.fixture(scope="module")
-def heads(apart):
-    """Images of five open heads, and their 51 landmarks in pixels."""
-    return apart(drawn_heads)
+LARGE = np.random.default_rng(0).uniform(0, 100, (51, 2))
+PLAYLIST = (
+    b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n"
+)
 
 
 @pytest.fixture
@@ -41,31 +37,16 @@ def squares(monkeypatch):
     def find(image):
         columns = np.flatnonzero((image.min(-1) > 180).any(0))
         starts = columns[np.diff(columns, prepend=-9) > 1]
-        return np.array([FACE + (x, 5) for x in starts]).reshape(-1, 68, 2), 1.0
+        faces = np.array([FACE + (x, 5) for x in starts]).reshape(-1, 68, 2)
+        return faces, np.ones(len(faces))
 
     row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
-    monkeypatch.setitem(DETECTORS, "dlib", row)
+    monkeypatch.setitem(DETECTORS, "squares", row)
 
 
-@pytest.fixture
-def run(capsys, tmp_path):
-    """Runs the command in this process: `run(*arguments)` → status, stdout, stderr's lines."""
-
-    def run(*arguments, out=tmp_path / "out"):
-        capsys.readouterr()
-        options = ("--detector", "dlib", "--jobs", 1)
-        with pytest.raises(SystemExit) as ended:
-            main([str(each) for each in ("predict", *arguments, *options, "--out", out)])
-        said = capsys.readouterr()
-        lines = [line.strip() for line in re.split(r"[\r\n]+", said.err)]
-        return ended.value.code, said.out, [line for line in lines if line[:4] in ("erro", "note")]
-
-    return run
-
-
-def scene(*places):
+def scene(*places, ground=(90, 90, 90)):
     """A frame with white squares of 20 pixels at these columns."""
-    image = np.full((SIDE, 4 * SIDE, 3), GREY, np.uint8)
+    image = np.zeros((SIDE, 4 * SIDE, 3), np.uint8) + np.uint8(ground)
     for x in places:
         image[10:30, x : x + 20] = 255
     return image
@@ -79,152 +60,183 @@ def clip(tmp_path):
     return write_video(tmp_path / "clip.mp4", [scene(*at) for at in places])
 
 
-def test_a_row_for_each_frame_and_face(tmp_path, run, squares, clip):
-    status, said, errors = run(clip, "--format", "csv,npz,json")
-    assert (status, errors) == (0, [])
-    assert "faces in 27 frames" in said
-    assert "track 1: 0.0 to 1.2 s, found in 27 frames" in said
-    with np.load(tmp_path / "out" / "clip.npz") as file:
+def counted(n):
+    """Grey images, each a little lighter, with a red corner at the left and a blue one above it."""
+    images = np.zeros((n, 64, 96, 3), np.uint8)
+    images += np.uint8(np.linspace(20, 200, n))[:, None, None, None]
+    images[:, 32:, :32], images[:, :32, :32] = (255, 0, 0), (0, 0, 255)
+    return images
+
+
+def at(*places):
+    """Faces of about 100 pixels, each moved to the right by so many pixels."""
+    return np.stack([LARGE + (x, 0) for x in places]) if places else np.zeros((0, 51, 2))
+
+
+def follow(frames, times=None, cuts=()):
+    times = np.arange(len(frames)) / 25 if times is None else times
+    return [[*n] for n in follow_faces(frames, times, [i in cuts for i in range(len(frames))])]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".webm", ".avi"])
+def test_every_frame_comes_once_in_order_and_again(tmp_path, suffix):
+    video = Video(write_video(tmp_path / f"a{suffix}", counted(30)))
+    for _ in range(2):
+        frames = list(video)
+        assert [frame.index for frame in frames] == list(range(30))
+        assert np.allclose([frame.time for frame in frames], np.arange(30) / 25, atol=2e-3)
+        light = [frame.image[:, 48:].mean() for frame in frames]
+        assert np.allclose(light, np.linspace(20, 200, 30), atol=6)
+    assert video.n_frames == 30
+    red, blue = frames[0].image[48, 16], frames[0].image[16, 16]
+    assert np.argmax(red) == 0 and np.argmax(blue) == 2 and frames[0].image.shape == (64, 96, 3)
+    assert [frame.index for frame in Video(video.path, 4)] == [*range(0, 30, 4)]
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_frames_are_turned_as_a_player_turns_them(tmp_path, turns):
+    upright = counted(2)
+    stored = np.ascontiguousarray(np.rot90(upright, -turns, axes=(1, 2)))
+    image = next(iter(Video(write_video(tmp_path / "a.mp4", stored, rotation=90 * turns)))).image
+    assert image.shape == upright[0].shape and image.flags.c_contiguous
+    assert np.abs(image.astype(int) - upright[0]).mean() < 10
+    wide = next(iter(Video(write_video(tmp_path / "b.mp4", upright, pixel="4/3")))).image
+    assert wide.shape == (64, 128, 3), "pixels that are no squares become squares"
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize("damage", ["cut", "hole"])
+def test_of_a_damaged_file_there_is_what_can_be_decoded(tmp_path, suffix, damage):
+    noise = np.random.default_rng(0).integers(0, 255, (25, 48, 64, 3), np.uint8)
+    path = write_video(tmp_path / f"a{suffix}", noise)
+    content = bytearray(path.read_bytes())
+    fifth = len(content) // 5
+    if damage == "cut":
+        content = content[: len(content) // 2]
+    else:
+        content[2 * fifth : 3 * fifth] = bytes(fifth)
+    path.write_bytes(content)
+    assert (5 < len(list(Video(path))) < 20) if damage == "cut" else len(list(Video(path))) > 10
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", PLAYLIST, b"\0\0\0\x18ftypmp42", None])
+def test_what_is_no_video_is_named(tmp_path, content):
+    path = tmp_path / "a:b.mp4"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="a:b.mp4 must be a video that can be read. Received: "):
+        list(Video(path))
+
+
+def test_two_faces_that_pass_each_other_in_turns_of_order_keep_their_numbers():
+    left, right = np.linspace(0, 150, 40), np.linspace(400, 250, 40)
+    frames = [
+        at(a, b) if i % 3 else at(b, a) for i, (a, b) in enumerate(zip(left, right, strict=True))
+    ]
+    assert follow(frames) == [[2, 1] if i % 3 else [1, 2] for i in range(40)]
+    # Of all pairs the second number and the first face are nearest; not of both pairs together.
+    assert follow([at(0, 60), at(35, 95)]) == [[1, 2], [1, 2]]
+
+
+@pytest.mark.parametrize(("lost", "expected"), [(20, 1), (30, 2)])
+def test_a_face_that_is_lost_for_less_than_a_second_keeps_its_number(lost, expected):
+    assert follow([at(0), *[at()] * lost, at(10)]) == [[1], *[[]] * lost, [expected]]
+
+
+def test_somebody_elsewhere_or_of_another_size_is_somebody_else():
+    assert follow([at(0), at(150)])[1] == follow([at(0), 5 * at(0)])[1] == [2]
+    assert follow([at(0), at(0, 300), at(300, 600)]) == [[1], [1, 2], [2, 3]]
+    assert follow([at(0), at(20), at(40)], [0, 3, 6]) == [[1], [1], [1]]
+    assert follow([]) == []
+
+
+def test_a_cut_ends_all_tracks_but_those_of_faces_that_stay():
+    assert follow([at(0), at(10), at(20)], cuts=[1]) == [[1], [2], [2]]
+    assert follow([at(0), at(0.5), at(20)], cuts=[1]) == [[1], [1], [1]]
+
+
+def test_a_hard_cut_between_two_people_begins_a_track_and_a_flash_or_a_pan_none(squares, tmp_path):
+    """The second is where the first was, but for a few pixels."""
+    first = [scene(20)] * 10
+    second = [scene(24, ground=(20, 120, 20))] * 10
+    flash = [scene(20, ground=(20, 120, 20))] + first
+    for frames, tracks in (
+        (first + second, [1] * 10 + [2] * 10),
+        (first + flash, [1] * 21),
+        ([scene(20 + 8 * i, ground=(8 * i,) * 3) for i in range(20)], [1] * 20),
+    ):
+        found = find_in_video(
+            write_video(tmp_path / "a.mp4", frames), "a", detector="squares", smooth=3
+        )
+        assert [ref.track for ref in found.frame_refs] == tracks
+        if frames[-1] is second[-1]:  # it is not smoothed over the cut
+            assert np.allclose(found.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
+
+
+def test_smoothing_is_a_gaussian_over_runs_of_one_face():
+    noise = np.random.default_rng(0).normal(0, 1, (60, 51, 2))
+    whole = smooth_over_time(noise, np.arange(60), 2)
+    assert np.allclose(whole, gaussian_filter1d(noise, 2, axis=0, mode="nearest"))
+    frames = np.r_[0:20, 21:61]
+    other = np.concatenate([noise[:20], noise[20:] + 1000])
+    parts = (smooth_over_time(each, frames, 3)[:20] for each in (noise, other))
+    assert np.allclose(*parts), "what lies beyond a gap has no say"
+    frames, tracks = np.repeat(np.arange(30), 2), np.tile([1, 2], 30)
+    order = np.random.default_rng(1).permutation(60)
+    smooth = smooth_over_time(noise[order], frames[order], 2, tracks=tracks[order])
+    for track in (1, 2):
+        alone = smooth_over_time(noise[tracks == track], np.arange(30), 2)
+        rows = np.flatnonzero(tracks[order] == track)
+        assert np.allclose(smooth[rows[frames[order][rows].argsort()]], alone)
+    assert np.allclose(smooth_over_time(noise, 3 * np.arange(60), 2, step=3), whole)
+    assert np.array_equal(smooth_over_time(noise, np.arange(60), 0), noise)
+
+
+def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, capsys):
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, ("predict", clip, "--detector", "squares", "--jobs", 1, "--out", out,
+              "--format", "npz,json"))])  # fmt: skip
+    assert ended.value.code == 0
+    assert re.search(r"track 1: 0.0 to 1.2 s, .* 27 frames", capsys.readouterr().out)
+    with np.load(out / "clip.npz") as file:
         arrays = dict(file)
     frames = [i for i in range(30) if not 12 <= i < 15]
     one, two = (arrays["track"] == track for track in (1, 2))
-    assert list(arrays["frame"][one]) == frames
-    assert list(arrays["frame"][two]) == [*range(20, 30)]
-    assert (np.diff(arrays["frame"]) >= 0).all()
+    assert list(arrays["frame"][one]) == frames and [*arrays["frame"][two]] == [*range(20, 30)]
     assert np.allclose(arrays["time"], arrays["frame"] / 25, atol=1e-3)
-    assert np.isfinite(arrays["shape"]).all() and len(arrays["shape"]) == 37
     seen = arrays["landmarks"][one, 0, 0] - FACE[0, 0]
     assert np.allclose(seen, 20 + 2 * np.array(frames), atol=1)
-
-    table = pd.read_csv(tmp_path / "out" / "clip.csv", comment="#")
-    assert list(table.columns[:4]) == ["face", "frame", "time", "track"]
-    for key in ("frame", "time", "track"):
-        assert np.allclose(table[key].to_numpy().reshape(37, 68), arrays[key][:, None])
-    again = read_landmarks(tmp_path / "out" / "clip.csv")
-    assert np.allclose(again, arrays["landmarks"], atol=1e-3)
-    faces = json.loads((tmp_path / "out" / "clip.json").read_bytes())["faces"]
+    faces = json.loads((out / "clip.json").read_bytes())["faces"]
     assert [face["frame"] for face in faces] == list(arrays["frame"])
-    assert [face["track"] for face in faces] == list(arrays["track"])
-
-
-def test_the_preview_and_pictures_show_the_tracks(tmp_path, run, squares, clip):
-    assert run(clip, "--view")[0] == 0
-    out = tmp_path / "out"
-    assert len(list(out.glob("clip-*.png"))) == 2
-    assert (out / "clip.html").read_text(encoding="utf-8").count("data:image/jpeg") == 2
-    frames = list(Video(out / "clip.mp4"))
-    assert len(frames) == 30
     # Dots are yellow: much less blue than red.
-    marked = [(f.image[..., 0] > f.image[..., 2] + 60.0).any() for f in frames]
+    marked = [(f.image[..., 0] > f.image[..., 2] + 60.0).any() for f in Video(out / "clip.mp4")]
     assert marked == [not 12 <= i < 15 for i in range(30)]
 
 
-def test_smoothing_goes_over_time_but_not_over_gaps(tmp_path, run, squares):
-    """A face that stands still, then jumps while it is hidden, and stands still again."""
-    places = [[20]] * 10 + [[]] * 2 + [[30]] * 10
-    path = write_video(tmp_path / "a.mp4", [scene(*at) for at in places])
-    assert run(path, "--smooth", 3, "--format", "npz")[0] == 0
-    with np.load(tmp_path / "out" / "a.npz") as file:
-        x, tracks = file["landmarks"][:, 0, 0] - FACE[0, 0], file["track"]
-    assert np.allclose(x, [20] * 10 + [30] * 10, atol=0.5)
-    assert {*tracks} == {1}
-    jumping = write_video(tmp_path / "b.mp4", [scene(20 + 4 * (i % 2)) for i in range(20)])
-    assert run(jumping, "--smooth", 3, "--format", "npz")[0] == 0
-    with np.load(tmp_path / "out" / "b.npz") as file:
-        assert np.abs(np.diff(file["landmarks"][:, 0, 0])).max() < 1
+def test_drawn_landmarks_are_at_their_times_and_places(tmp_path, squares, clip, monkeypatch):
+    monkeypatch.setattr(videos, "_SIDE", 128)
+    faces = [face for _, some in FaceLifter("squares").predict_video(clip, 2) for face in some]
+    write_landmark_video(tmp_path / "a b:c.mp4", faces, 2)
+    frames = list(Video(tmp_path / "a b:c.mp4"))
+    assert np.allclose([frame.time for frame in frames], np.arange(15) / 12.5, atol=2e-3)
+    x = [np.nonzero(f.image[..., 0] > f.image[..., 2] + 60.0)[1].mean() for f in frames[:6]]
+    assert frames[0].image.shape == (32, 128, 3)
+    assert np.allclose(np.diff(x), 2, atol=0.7), "half of four pixels a frame"
 
 
-def test_every_nth_frame_keeps_its_index_and_is_smoothed_with_the_next(tmp_path, run, squares):
-    path = write_video(tmp_path / "a.mp4", [scene(20 + 4 * (i % 4 // 2)) for i in range(20)])
-    assert run(path, "--every", 2, "--smooth", 3, "--format", "npz")[0] == 0
-    with np.load(tmp_path / "out" / "a.npz") as file:
-        assert list(file["frame"]) == [*range(0, 20, 2)]
-        assert np.abs(np.diff(file["landmarks"][:, 0, 0])).max() < 1
-    assert len(list(Video(tmp_path / "out" / "a.mp4"))) == 10
-
-
-def test_bad_videos_get_a_line_each_and_damaged_ones_a_note(tmp_path, run, squares, clip):
-    noise = np.random.default_rng(0).integers(0, 120, (25, 64, 64, 3), np.uint8)
-    noise[:, 10:30, 20:40] = 255
-    cut = write_video(tmp_path / "cut.mkv", noise)
-    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
-    (tmp_path / "text.mp4").write_text("hello")
-    write_video(tmp_path / "nobody.mp4", [scene()] * 3)
-    names = ("text.mp4", "nobody.mp4", "cut.mkv", "clip.mp4", "none.webm")
-    status, said, lines = run(*(tmp_path / name for name in names), "--format", "csv")
-    assert status == 1
-    wanted = {
-        "text.mp4": "must be a video that can be read. Received: Invalid data",
-        "nobody.mp4": "no face found by dlib",
-        "none.webm": "does not exist",
-        "cut.mkv": "note: .* of the 1.0 s that it should have, the first 0.. s could be read",
-    }
-    assert len(lines) == len(wanted)
-    for name, text in wanted.items():
-        (line,) = [line for line in lines if str(tmp_path / name) in line]
-        assert re.search(text, line), name
-    assert said.count("faces in") == 2
-    text = (tmp_path / "out" / "cut.csv").read_text(encoding="utf-8")
-    assert "the video is damaged" in text
-    assert run(clip, cut, "--format", "csv")[1].startswith("2 of 2 sources are done already")
-
-
-def test_a_folder_is_not_searched_for_videos_but_results_do_not_overwrite_one(run, squares, clip):
-    status, _, (line,) = run(clip.parent)
-    assert (status, "name videos" in line) == (1, True)
-    status, _, (line,) = run(clip, out=clip.parent)
-    assert (status, "must be another folder than that of" in line) == (1, True)
-
-
-def test_dlib_follows_a_head_that_turns(tmp_path, run, heads):
-    images, landmarks = heads
-    order = [0, 1, 2, 3, 4]
-    path = write_video(tmp_path / "turning.mov", images[order])
-    assert run(path, "--format", "npz")[0] == 0
-    with np.load(tmp_path / "out" / "turning.npz") as file:
-        assert {*file["track"]} == {1} and list(file["frame"]) == order
-        assert np.abs(file["landmarks"][:, -51:] - landmarks[order]).mean() < 4
-        assert file["yaw"][4] > file["yaw"][0] + 20
-
-
-@pytest.mark.parametrize("place", ["detection", "preview"])
-def test_what_is_stopped_leaves_nothing_and_goes_on(
-    tmp_path, run, squares, clip, monkeypatch, place
-):
-    def stop(*arguments):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        if place == "detection":
-            patched.setattr(videos, "follow_faces", stop)
-        else:
-            patched.setattr(preview, "_drawn", stop)
-        assert run(clip, "--format", "csv")[0] == 130
-    out = tmp_path / "out"
-    assert not [file.name for file in out.iterdir() if "partial" in file.name]
-    assert not (out / "clip.mp4").exists()
-    assert run(clip, "--format", "csv")[0] == 0
-    assert {"clip.csv", "clip.mp4"} < {file.name for file in out.iterdir()}
-
-
-@pytest.mark.slow
-def test_a_run_that_is_stopped_leaves_nothing_half_written(tmp_path, heads):
-    path = write_video(tmp_path / "a.mp4", [heads[0][2]] * 300)
-    out = tmp_path / "out"
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "deepmds_keras", "predict", path, "--out", out]
-    started = subprocess.Popen(
-        [*map(str, command), "--detector", "dlib", "--jobs", "1"],
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-    )
-    while not (out / "deepmds.json").exists() and started.poll() is None:
-        time.sleep(0.02)
-    time.sleep(0.5)
-    started.send_signal(signal.SIGINT)
-    _, errors = started.communicate()
-    assert started.returncode == 130, errors
-    assert "Traceback" not in errors
-    assert [file.name for file in out.iterdir()] == ["deepmds.json"]
-    assert json.loads((out / "deepmds.json").read_bytes()) == {}
+def test_from_python_a_video_gives_its_frames_with_their_faces(squares, clip, tmp_path):
+    lifter = FaceLifter("squares")
+    seen = list(lifter.predict_video(clip, every=3))
+    assert [frame.index for frame, _ in seen] == [*range(0, 30, 3)]
+    for frame, faces in seen:
+        tracks = [1] * (frame.index != 12) + [2] * (frame.index >= 20)
+        assert [face.frame_ref.track for face in faces] == tracks
+        assert all(face.frame_ref.frame == frame.index for face in faces)
+        assert frame.image.shape == (SIDE, 4 * SIDE, 3)
+    for wrong in ({"every": 0}, {"every": 1.5}, {"smooth": -1}, {"smooth": np.inf}):
+        with pytest.raises(InputError, match="every must be"):
+            next(lifter.predict_video(clip, **wrong))
+    nobody = write_video(tmp_path / "nobody.mp4", [scene()] * 3)
+    with pytest.raises(InputError, match="no face found by squares, in any frame"):
+        next(lifter.predict_video(nobody))

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_gen.views.projections import Cameras, project, rotations
+from data_gen.views import Cameras, project, rotations
+from deepmds_keras.alignment import normalise, unit
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.normalisation import normalise, unit
 from experiments.audit import poses
 from experiments.audit.poses import NOISE_PERCENTS, SWEEPS, viewmtx
 from experiments.inputs import Faces

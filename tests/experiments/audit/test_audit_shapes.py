@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from deepmds_keras.alignment import align
+from deepmds_keras.alignment import align, normalise
 from deepmds_keras.embedding import pairwise_distances
-from deepmds_keras.normalisation import normalise
 from experiments.audit import shapes
 from experiments.scoring.scores import Scores
 

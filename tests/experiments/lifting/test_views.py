@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.views.projections import project
+from data_gen.views import project
 from deepmds_keras import align, normalise
 from deepmds_keras.metrics import mse
 from experiments.lifting import views

@@ -7,7 +7,7 @@ import runs
 from places import MEDIAPIPE
 
 from data_gen.models.registry import load_model
-from deepmds_keras.normalisation import normalise, rms_radius
+from deepmds_keras.alignment import normalise, rms_radius
 from experiments.presets import TINY
 from experiments.pretrained.pretrained import errors_of
 from experiments.pretrained.train import sample_faces

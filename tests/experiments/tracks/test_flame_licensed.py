@@ -10,8 +10,7 @@ from PIL import Image
 from scipy.sparse import csc_matrix
 from writers.scans import vrml, write_ply
 
-from data_gen.datasets.dataset import load_dataset
-from data_gen.datasets.frames_standin import make_frames
+from data_gen.datasets.dataset import load_dataset, make_performances
 from data_gen.models.registry import load_model
 
 N_FRAMES, N_SCANS = 40, 4
@@ -57,9 +56,9 @@ def write_flame(folder, model):
 
 def write_coma(folder, model):
     """Frames as PLY meshes; one is cut short."""
-    frames = make_frames(model, 1, N_FRAMES, np.random.default_rng(0))
+    frames = make_performances(model, 1, N_FRAMES, np.random.default_rng(0))
     sequence = folder / "CoMA" / "FaceTalk_170725_00137_TA" / "bareteeth"
-    shapes = np.float32(model.shape(frames.identity, frames.expression) / 1e3)
+    shapes = np.float32(model.shape(*frames) / 1e3)
     files = [
         write_ply(sequence / f"bareteeth.{k:06}.ply", vertices, model.triangles)
         for k, vertices in enumerate(shapes, 1)
@@ -113,9 +112,9 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
     assert "bareteeth.000007.ply" in (work / "frames-skipped.txt").read_text()
     train = load_dataset(work / "train.npz")
     model = load_model("openhead", scheme="ibug51")
-    frames = make_frames(model, 1, N_FRAMES, np.random.default_rng(0))
+    frames = make_performances(model, 1, N_FRAMES, np.random.default_rng(0))
     landmarks = model.restrict(model.landmarks["ibug51"])
-    expected = np.delete(landmarks.shape(frames.identity, frames.expression), 6, axis=0)
+    expected = np.delete(landmarks.shape(*frames), 6, axis=0)
     assert np.allclose(train.landmarks, expected, atol=1e-3)
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.alignment import align
+from deepmds_keras.alignment import align, normalise
 from deepmds_keras.metrics import depth_corr, mse
-from deepmds_keras.normalisation import normalise
 from experiments.tracks.bfm import TRUE_DEPTH, as_released
 
 

@@ -1,1 +1,0 @@
-"""Face models fitted to landmarks, edges and scans."""

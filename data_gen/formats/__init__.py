@@ -1,1 +1,0 @@
-"""File formats of other programs, read without believing a header or running anything."""

@@ -1,1 +1,0 @@
-"""Cameras: shapes of faces into 2D views of their landmarks."""

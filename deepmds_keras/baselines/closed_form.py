@@ -1,0 +1,257 @@
+"""Compared methods whose answer is that of linear equations; none of them takes TensorFlow."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+from sklearn.base import BaseEstimator
+from sklearn.linear_model import RidgeCV
+
+from deepmds_keras.camera import affine_cameras
+from deepmds_keras.checks import check_faces, check_fitted, check_points, check_training_faces
+from deepmds_keras.errors import InputError
+
+CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB
+_FLAT = 1e-5  # depth of a shape, as a share of its length, that leaves its affine camera open
+_AUTHORS_REGULARISATION = 1e-7
+_AUTHORS_ROUNDS = 50
+
+
+class MeanShape(BaseEstimator):
+    """The paper's trivial case: the mean training shape, whatever the view.
+
+    Attributes:
+        mean_: `(L, 3)`.
+    """
+
+    def fit(self, views: np.ndarray, shapes: np.ndarray) -> MeanShape:
+        """Take the mean.
+
+        Args:
+            views: `(n, L, 2)`, ignored but for their number.
+            shapes: `(n, L, 3)` in one common frame and unit, such as that of `normalise`.
+
+        Raises:
+            InputError: NaN, infinity, degenerate or unequal numbers of landmarks.
+        """
+        _, shapes = check_training_faces(views, shapes)
+        self.mean_ = shapes.mean(0)
+        return self
+
+    def predict(self, views: np.ndarray) -> np.ndarray:
+        """`(n, L, 3)`: the mean, once for each of the `(n, L, 2)` views."""
+        mean = check_fitted(self, "mean_")
+        return np.tile(mean, (len(check_faces(views, "views", 2, len(mean))), 1, 1))
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers that training sets."""
+        return check_fitted(self, "mean_").size
+
+
+@dataclass(eq=False, repr=False)
+class Linear(BaseEstimator):
+    """One linear map from all 2L coordinates of a view to all 3L of the shape, with intercept.
+
+    What a learnt method has to beat to justify that it is not linear. The penalty is the one of
+    `alphas` with the least leave-one-out error on the training faces, in closed form.
+
+    Args:
+        alphas: Penalties to choose from, for views and shapes in the unit of `normalise`.
+
+    Attributes:
+        ridge_: Fitted `sklearn.linear_model.RidgeCV`; `ridge_.alpha_` is the penalty chosen.
+        n_landmarks_: L.
+    """
+
+    alphas: tuple[float, ...] = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+
+    def fit(self, views: np.ndarray, shapes: np.ndarray) -> Linear:
+        """Solve the normal equations; arguments and errors as `MeanShape.fit`, all normalised."""
+        views, shapes = check_training_faces(views, shapes)
+        n, self.n_landmarks_ = views.shape[:2]
+        self.ridge_ = RidgeCV(np.asarray(self.alphas)).fit(
+            views.reshape(n, -1), shapes.reshape(n, -1)
+        )
+        return self
+
+    def predict(self, views: np.ndarray) -> np.ndarray:
+        """`(n, L, 3)` shapes of the `(n, L, 2)` views, in the frame and unit of the training."""
+        ridge = check_fitted(self, "ridge_")
+        views = check_faces(views, "views", 2, self.n_landmarks_)
+        return ridge.predict(views.reshape(len(views), -1)).reshape(len(views), -1, 3)
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers that training sets."""
+        ridge = check_fitted(self, "ridge_")
+        return ridge.coef_.size + ridge.intercept_.size
+
+
+@dataclass(eq=False, repr=False)
+class _ModelFit(BaseEstimator):
+    """Fit of a morphable model's coefficients to views; a subclass has `_solve`."""
+
+    mean: np.ndarray
+    basis_times_sd: np.ndarray
+    n_parameters = 0  # none are trained: the face model is given
+
+    def predict(self, views: np.ndarray) -> np.ndarray:
+        """Shapes of the faces seen, in the unit and frame of `mean`.
+
+        Args:
+            views: `(n, L, 2)`, any scale and place, y up.
+
+        Returns:
+            `(n, L, 3)`.
+
+        Raises:
+            InputError: An unusable model, option or view.
+        """
+        mean, basis = self._checked_model()
+        views = check_faces(views, "views", 2, len(mean))
+        chunks = np.split(views, range(CHUNK, len(views), CHUNK))
+        coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])
+        return _shapes(coefficients, mean, basis)
+
+    def _checked_model(self) -> tuple[np.ndarray, np.ndarray]:
+        mean = check_points(self.mean, "mean", 3)[0]
+        extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
+        if extents[2] < _FLAT * extents[0]:
+            raise InputError("mean must not be flat. Received landmarks in one plane.")
+        basis = np.asarray(self.basis_times_sd, float)
+        if basis.ndim != 3 or basis.shape[1:] != mean.shape or not np.isfinite(basis).all():
+            raise InputError(
+                f"basis_times_sd must be finite, of shape (components, {len(mean)}, 3). "
+                f"Received shape {basis.shape}."
+            )
+        return mean, basis
+
+
+@dataclass(eq=False, repr=False)
+class Aldrian(_ModelFit):
+    """Shape coefficients of a morphable model and an affine camera, by alternating solves.
+
+    Aldrian and Smith 2013 (doi:10.1109/TPAMI.2012.206), geometric part. Given the camera the
+    coefficients have a closed form, `solve_shape`; given the shape so has the camera,
+    `affine_cameras`. The first camera sees the mean face. Coefficients are standard normal, so
+    with the true noise each solve is a maximum a posteriori estimate.
+
+    An affine camera can pass for part of the identity (stretched or sheared faces), where only
+    the prior decides. The rounds creep along that valley, the slower the less noise is assumed:
+    `max_iter` stops them before they settle, and too small a `view_noise` then does harm, since
+    the first, wrong cameras are fitted too closely.
+
+    Args:
+        mean: `(L, 3)` landmarks of the mean face, in any unit.
+        basis_times_sd: `(K, L, 3)` offsets at one standard deviation, in the same unit.
+        view_noise: Standard deviation of the view's coordinates, as a part of the larger side of
+            its bounding box. The default is eos's, sqrt(3) pixels, on a face of 500 pixels.
+        max_iter: Most rounds of camera and shape; the default is the number of the paper's code.
+        tol: A face is finished once no coefficient moves by more than this in a round.
+    """
+
+    _: KW_ONLY
+    view_noise: float = 3.5e-3
+    max_iter: int = 50
+    tol: float = 1e-4
+
+    def _solve(self, views, mean, basis):
+        for name in ("view_noise", "max_iter"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} must be positive. Received {getattr(self, name)}.")
+        noise = self.view_noise * np.ptp(views, axis=1).max(1)[:, None]
+        gram = gram_matrices(basis)
+        coefficients = np.zeros((len(views), len(basis)))
+        moving = np.arange(len(views))
+        for _ in range(self.max_iter):
+            seen, before = views[moving], coefficients[moving]
+            cameras = affine_cameras(seen, _shapes(before, mean, basis))
+            after = solve_shape(cameras, seen, mean, basis, 1 / noise[moving] ** 2, 1.0, gram)
+            coefficients[moving] = after
+            moving = moving[np.abs(after - before).max(1) > self.tol]
+            if not len(moving):
+                break
+        return coefficients
+
+
+@dataclass(eq=False, repr=False)
+class AldrianAuthors(_ModelFit):
+    """The fit of Aldrian and Smith as the paper's authors ran it, whose coefficients are off.
+
+    Camera and shape in turns, as in `Aldrian`, by the steps of the paper's released code. These
+    differ from Aldrian and Smith's: the coefficients are solved for in the unit of the basis, with
+    next to no prior; they are then shifted and scaled to mean 0 and standard deviation 1 over the
+    components of every face, and used as standard normal ones. So every face differs from the mean
+    by about as much. The variances that weigh landmarks come from scans that were not released:
+    here all weigh alike.
+
+    Args:
+        mean, basis_times_sd: As `Aldrian` takes them.
+        sd: `(K,)` standard deviation of each component, in the unit of the whole mesh.
+    """
+
+    sd: np.ndarray
+
+    def _solve(self, views, mean, basis):
+        raw_basis = basis / self.sd[:, None, None]
+        gram = gram_matrices(raw_basis)
+        c = np.zeros((len(views), len(basis)))
+        for _ in range(_AUTHORS_ROUNDS):
+            cameras = affine_cameras(views, _shapes(c, mean, basis))
+            c = solve_shape(cameras, views, mean, raw_basis, 1.0, _AUTHORS_REGULARISATION, gram)
+            c = (c - c.mean(1, keepdims=True)) / c.std(1, ddof=1, keepdims=True)
+        return c
+
+
+def gram_matrices(basis_times_sd: np.ndarray) -> np.ndarray:
+    """`(3, 3, K, K)` inner products of the components, one block for each pair of axes.
+
+    The normal matrix of any camera is a weighted sum of these nine, so that the basis need not be
+    projected and squared for each face.
+    """
+    axes = np.moveaxis(basis_times_sd, 2, 0)
+    return axes[:, None] @ np.swapaxes(axes, 1, 2)[None]
+
+
+def solve_shape(
+    camera: np.ndarray,
+    views: np.ndarray,
+    mean: np.ndarray,
+    basis_times_sd: np.ndarray,
+    inverse_variance: np.ndarray | float,
+    regularisation: float,
+    gram: np.ndarray | None = None,
+) -> np.ndarray:
+    """Coefficients c that minimise |Omega^(1/2) (A c + b)|^2 + lambda |c|^2, in closed form.
+
+    A is the basis and b the mean seen through the camera, b less the view.
+
+    Args:
+        camera: `(n, 2, 4)` affine cameras.
+        views: `(n, L, 2)`.
+        mean: `(L, 3)`.
+        basis_times_sd: `(K, L, 3)`.
+        inverse_variance: Diagonal of Omega: a number, or `(n, 1)` of each face.
+        regularisation: lambda.
+        gram: `gram_matrices(basis_times_sd)` where the caller has it already.
+
+    Returns:
+        `(n, K)` standard-normal coefficients.
+    """
+    n, k = len(views), len(basis_times_sd)
+    linear, shift = camera[..., :3], camera[..., 3]
+    gram = gram_matrices(basis_times_sd) if gram is None else gram
+    weighted = np.broadcast_to(inverse_variance, (n, 2))[..., None] * linear
+    axis_weights = np.swapaxes(linear, 1, 2) @ weighted
+    normal = (axis_weights.reshape(n, 9) @ gram.reshape(9, k * k)).reshape(n, k, k)
+    normal[:, range(k), range(k)] += regularisation
+    residual = views - shift[:, None] - mean @ np.swapaxes(linear, 1, 2)
+    back_projected = (residual @ weighted).reshape(n, -1)
+    right = back_projected @ basis_times_sd.reshape(k, -1).T
+    return np.linalg.solve(normal, right[..., None])[..., 0]
+
+
+def _shapes(coefficients, mean, basis):
+    return mean + (coefficients @ basis.reshape(len(basis), -1)).reshape(-1, *mean.shape)

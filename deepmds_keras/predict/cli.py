@@ -1,0 +1,131 @@
+"""The command line of `deepmds`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from deepmds_keras import __version__
+from deepmds_keras.detection import DETECTORS, default_detector
+from deepmds_keras.landmarks import said_sizes
+from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES
+from deepmds_keras.predict.outputs import FORMATS
+
+_DESCRIPTION = """\
+Finds the faces in photos and videos, and the 3D shape of their landmarks; or takes
+landmarks that are given. Shapes face the front: +x to the subject's left, +y up, +z out of the
+face. One view does not show the true size: --interocular sets it."""
+_EPILOG = """\
+examples:
+  deepmds predict photo.jpg --view
+  deepmds predict photos/ --out faces --jobs 4
+  deepmds predict clip.mp4 --smooth 2
+  deepmds predict landmarks.csv --interocular 90 --format csv,ply
+
+Sources whose results are there are skipped, so that a run that was stopped goes on by the same
+command. Exit status: 0, or 1 if a source could not be used (the others are done), 2 for wrong
+arguments, 130 if Ctrl-C stopped it."""
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read the command line; wrong arguments end the process, with the usage and status 2.
+
+    Returns:
+        `command`, `"predict"` or `"export"`, and the keyword arguments of `run` or `export`.
+    """
+    parser = argparse.ArgumentParser(
+        prog="deepmds", description="3D face landmarks from a single image."
+    )
+    parser.add_argument("--version", action="version", version=f"deepmds-keras {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    predict = commands.add_parser(
+        "predict",
+        help="3D landmarks of the faces in photos, or of given landmarks",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = predict.add_argument
+    add("sources", nargs="+", metavar="SOURCE",
+        help="photo, folder of photos, video, or landmarks (csv, npy, pts, json) of "
+        f"{said_sizes()} points")  # fmt: skip
+    add("--recursive", action="store_true", help="take the photos in subfolders too")
+    add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
+        help="folder of the results (default: deepmds-out)")  # fmt: skip
+    add("--format", dest="formats", type=_formats, default=("csv",), metavar="LIST",
+        help=f"some of {', '.join(FORMATS)}, beside the picture (default: csv)")  # fmt: skip
+    add("--overwrite", action="store_true",
+        help="redo sources that are done, and replace files that are in the way")  # fmt: skip
+    add("--force", dest="overwrite", action="store_true", help=argparse.SUPPRESS)
+    add("--view", action="store_true",
+        help="write HTML pages too, on which faces can be turned")  # fmt: skip
+    add("--mesh", action="store_true",
+        help="write the head through the landmarks too: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
+    add("--detector", choices=DETECTORS,
+        help="; or ".join(f"{name} ({row.licence})" for name, row in DETECTORS.items())
+        + " (default: the first that is installed)")  # fmt: skip
+    add("--landmarker", metavar="FILE",
+        help="file of a face landmarker (.task), for a MediaPipe of 0.10.30 or later that you "
+        "installed yourself; the extra mediapipe brings 0.10.21")  # fmt: skip
+    add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
+        help="x and y in files of landmarks are fractions of an image of this size, as MediaPipe "
+        "has them")  # fmt: skip
+    add("--smooth", type=_number(-1e-300, "a number, not negative"), default=0.0, metavar="FRAMES",
+        help="smooth each face of a video over time by a Gaussian of this standard deviation, but "
+        "not over gaps; the rows of a file of landmarks are frames of one face")  # fmt: skip
+    add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
+        help="look at every N-th frame of a video (default: 1)")  # fmt: skip
+    add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
+        help="millimetres between the outer corners of the eyes: results are in mm")  # fmt: skip
+    add("--model", metavar="NAME|FILE",
+        help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file of "
+        f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
+    add("--jobs", type=_number(0, "1 or more, or -1", int), default=-1, metavar="N",
+        help="number of processes (default: one for each core)")  # fmt: skip
+    export = commands.add_parser(
+        "export",
+        help="a lifter as an ONNX model",
+        description="Writes a lifter as an ONNX model, with its inputs, outputs, landmarks and "
+        "axes in its metadata. It needs pip install '.[onnx]', from the repository.",
+    )
+    export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
+    export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
+        help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
+        "%(default)s)")  # fmt: skip
+    options = parser.parse_args(arguments)
+    if options.command == "predict" and options.detector is None:
+        options.detector = "mediapipe" if options.landmarker else default_detector()
+    return options
+
+
+def printable(text: str) -> str:
+    """On one line, whatever is in a file's name."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    formats = tuple(dict.fromkeys(part.strip() for part in text.lower().split(",")))
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"must be some of {', '.join(FORMATS)}, with commas between. Received {unknown[0]!r}."
+        )
+    return formats
+
+
+def _number(least: float, wanted: str, kind: type = float) -> Callable[[str], float]:
+    """A type of argument: a finite number above what is the least, or -1 where that is wanted."""
+
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not (least < value < math.inf or (value == -1 and wanted.endswith("-1"))):
+            raise argparse.ArgumentTypeError(f"must be {wanted}. Received {text!r}.")
+        return value
+
+    return parsed

@@ -1,0 +1,300 @@
+"""Photos, videos and landmarks to 3D faces, from Python."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from deepmds_keras.checks import find_faults
+from deepmds_keras.detection import DETECTORS, default_detector, describe_detector
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks.y_axis import find_flipped
+from deepmds_keras.photos import check_photo, in_colour, open_photo, photo_step
+from deepmds_keras.predict.detection import find_in_video, find_upright, open_detector
+from deepmds_keras.predict.estimation import check_interocular, estimate
+from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.models import target_scheme
+from deepmds_keras.predict.sources import name_faces
+from deepmds_keras.predict.videos import Frame, Video
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+_LEAST = 6  # landmarks of a face
+
+
+class FaceLifter:
+    """Photos, videos and landmarks to 3D faces; detector and weights are loaded once.
+
+    It may be called from several threads: they take turns at the detector and at the model.
+
+    Args:
+        detector: `"mediapipe"` or `"dlib"`; None takes the first that is installed.
+        landmarker: File of a face landmarker (`.task`) for a MediaPipe later than 0.10.21.
+        model: `"lifting"` (None takes it), `"deepmds"`, the paper's method, or a file of
+            `LandmarkLifter.save` or `DeepMDS.save`.
+        interocular: Millimetres between the outer corners of the eyes, which sets the scale.
+
+    Raises:
+        InputError: There is no such detector, or `interocular` is not positive and finite.
+
+    Examples:
+        >>> lifter = FaceLifter(interocular=90)
+        >>> for face in lifter.predict("family.jpg"):  # doctest: +SKIP
+        ...     print(face.xyz, face.landmarks_3d, face.pose.yaw, face.std)
+    """
+
+    def __init__(
+        self,
+        detector: str | None = None,
+        landmarker: str | Path | None = None,
+        model: str | Path | None = None,
+        interocular: float | None = None,
+    ):
+        if detector not in (None, *DETECTORS):
+            raise InputError(
+                f"detector must be one of {', '.join(DETECTORS)}. Received {detector!r}."
+            )
+        check_interocular(interocular)
+        self.landmarker = None if landmarker is None else str(landmarker)
+        self.model = None if model is None else str(model)
+        self.interocular, self._lock = interocular, Lock()
+        self._detector = "mediapipe" if landmarker and not detector else detector
+
+    @property
+    def detector(self) -> str:
+        """Name of the detector."""
+        return self._detector or default_detector()
+
+    def predict(
+        self, image: str | Path | bytes | BinaryIO | Image.Image | np.ndarray
+    ) -> list[Face]:
+        """3D landmarks of the faces in a photo.
+
+        Args:
+            image: A file, its content, an open binary file, an image of Pillow, or an array
+                `(H, W, 3)` uint8 in the order RGB (OpenCV's is BGR: `image[..., ::-1]`).
+
+        Returns:
+            The faces from left to right, as `Face` describes them; none if none is found.
+
+        Raises:
+            InputError: The photo cannot be read, the detector is not installed, or there is no
+                such model.
+        """
+        image, step = image.read() if hasattr(image, "read") else image, 1
+        path = Path(image) if isinstance(image, (str, os.PathLike)) else None
+        if path is not None or isinstance(image, bytes):
+            pixels, step = open_photo(image), photo_step(image)
+        else:
+            pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
+        detector = self.detector
+        scheme = DETECTORS[detector].scheme
+        target = target_scheme(scheme, self.model)
+        with self._lock:
+            find = open_detector(detector, self.landmarker)
+            landmarks, scores = find_upright(pixels, find)
+        return self._estimate(
+            Detections(
+                source=path,
+                names=name_faces("face" if path is None else path.stem, len(landmarks)),
+                scheme=target,
+                landmarks=convert(landmarks, scheme, target) * step,
+                is_photo=path is not None,
+                detector=describe_detector(detector, self.landmarker),
+                scores=scores,
+            )
+        )
+
+    def predict_landmarks(
+        self,
+        points: np.ndarray,
+        scheme: str | None = None,
+        visible: np.ndarray | None = None,
+        landmark_sd: float | np.ndarray | None = None,
+    ) -> list[Face]:
+        """3D landmarks of faces whose 2D landmarks are known.
+
+        Args:
+            points: `(n, L, 2)` or `(L, 2)`, x to the right and y down, as in an image; 51 or 68 of
+                iBUG, the paper's 72, or 468 or 478 of MediaPipe. A landmark that is NaN or masked
+                is missing; a face of which all are comes out as a gap.
+            scheme: Name of the landmark scheme; None tells it by L.
+            visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
+            landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
+                points: one number, `(n,)` or `(n, L)`; None takes it to be as in training.
+
+        Returns:
+            A face for each row. One that seems to be upside down or mirrored among others that
+            are not has a note.
+
+        Raises:
+            InputError: Not such landmarks; most faces are upside down or mirrored; a face has
+                fewer than six landmarks, or all on one line; or no such model.
+        """
+        points = _check_points(points)
+        n, size = points.shape[:2]
+        scheme = scheme_of(size) if scheme is None else load_scheme(scheme).name
+        target = target_scheme(scheme, self.model)
+        if visible is not None:
+            seen = _broadcast(visible, "visible", bool, (n, size))
+            points = np.where(seen[..., None], points, np.nan)
+        if landmark_sd is not None:
+            sd = np.asarray(landmark_sd)
+            sd = _broadcast(sd[:, None] if sd.ndim == 1 else sd, "landmark_sd", float, (n, size))
+            if not (np.isfinite(sd) & (sd >= 0)).all():
+                raise InputError("landmark_sd must be finite and not negative.")
+            landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
+        notes, landmarks = _flipped(points, scheme), convert(points, scheme, target)
+        _check_faces(landmarks)
+        return self._estimate(
+            Detections(
+                source=None,
+                names=name_faces("face", n),
+                scheme=target,
+                landmarks=landmarks,
+                is_photo=False,
+                notes=notes,
+                landmark_sd=landmark_sd,
+            )
+        )
+
+    def predict_video(
+        self, path: str | Path, every: int = 1, smooth: float = 0
+    ) -> Iterator[tuple[Frame, list[Face]]]:
+        """3D landmarks of the faces in a video, which is looked at as a whole first.
+
+        Args:
+            path: Any kind of file that FFmpeg reads.
+            every: 1 looks at every frame, 2 at every other, and so on.
+            smooth: Standard deviation, in these frames, of the smoothing of the landmarks over
+                time; 0 is none.
+
+        Yields:
+            Each frame, with its index, time and image `(H, W, 3)` uint8 RGB; and its faces, each
+            with `frame_ref.track`, the number that a person keeps.
+
+        Raises:
+            InputError: PyAV is missing, the video cannot be read, no frame has a face, or
+                `every` or `smooth` is out of range.
+        """
+        if not (isinstance(every, int) and every >= 1 and 0 <= smooth < np.inf):
+            raise InputError(
+                "every must be a whole number, 1 or more, and smooth a number, 0 or more. "
+                f"Received {every} and {smooth}."
+            )
+        options = {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
+        with self._lock:
+            detections = find_in_video(path, Path(path).stem, every=every, smooth=smooth, **options)
+        by_frame = groupby(self._estimate(detections), key=lambda face: face.frame_ref.frame)
+        faces = {frame: [*some] for frame, some in by_frame}
+        for frame in Video(path, every):
+            yield frame, faces.get(frame.index, [])
+
+    def _estimate(self, detections: Detections) -> list[Face]:
+        with self._lock:
+            options = {"model": self.model, "interocular": self.interocular}
+            return estimate(detections, **options) if len(detections.names) else []
+
+
+def predict_photo(
+    photo: str | Path | bytes | BinaryIO | Image.Image | np.ndarray,
+    *,
+    detector: str | None = None,
+    model: str | Path | None = None,
+    interocular: float | None = None,
+) -> list[Face]:
+    """3D landmarks of the faces in a photo: `FaceLifter.predict`, whose options are the same.
+
+    Args:
+        photo: A file, its content, an image of Pillow, or an array `(H, W, 3)` uint8, RGB.
+        detector, model, interocular: As for `FaceLifter`.
+    """
+    return FaceLifter(detector, model=model, interocular=interocular).predict(photo)
+
+
+def predict_landmarks(
+    landmarks: np.ndarray,
+    *,
+    scheme: str | None = None,
+    visible: np.ndarray | None = None,
+    landmark_sd: float | np.ndarray | None = None,
+    model: str | Path | None = None,
+    interocular: float | None = None,
+) -> list[Face]:
+    """3D landmarks of faces whose 2D landmarks are known: `FaceLifter.predict_landmarks`.
+
+    Args:
+        landmarks: `(n, L, 2)` or `(L, 2)`, x right and y down.
+        scheme, visible, landmark_sd: As there.
+        model, interocular: As for `FaceLifter`.
+    """
+    lifter = FaceLifter(model=model, interocular=interocular)
+    return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
+
+
+def _check_points(points) -> np.ndarray:
+    """`(n, L, 2)` floats, NaN where they are masked."""
+    try:
+        masked = isinstance(points, np.ma.MaskedArray)
+        points = points.astype(float).filled(np.nan) if masked else np.asarray(points)
+    except ValueError:  # lists of unequal lengths
+        points = np.empty(0, object)
+    if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.shape[-1] != 2:
+        raise InputError(
+            "landmarks must be numbers of shape (n, L, 2) or (L, 2). "
+            f"Received {points.dtype} of shape {points.shape}."
+        )
+    if np.isinf(points).any():
+        raise InputError("landmarks must be finite, or NaN where they are missing.")
+    return np.asarray(points if points.ndim == 3 else points[None], float)
+
+
+def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:
+    """What is given for all landmarks, or for those of each face."""
+    value = np.asarray(value)
+    try:
+        return np.broadcast_to(value.astype(dtype, casting="safe"), shape)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name} must be {dtype.__name__} of shape {shape}. "
+            f"Received {value.dtype} of shape {value.shape}."
+        ) from None
+
+
+def _flipped(points: np.ndarray, scheme: str) -> dict[int, str]:
+    """Notes on faces that are upside down or mirrored, which the most of them must not be."""
+    faults = find_flipped(points, scheme)
+    for face, fault in faults.items():
+        # It is written for readers of files.
+        fault = fault.replace("pass --y-up if it grows", "negate it where it grows")
+        if 2 * len(faults) > len(points):
+            which = f", face {face + 1} of {len(points)}" * (len(points) > 1)
+            raise InputError(f"landmarks{which}: {fault}")
+        faults[face] = f"seems to stand otherwise than the other faces: {fault}"
+    return faults
+
+
+def _check_faces(landmarks: np.ndarray) -> None:
+    """Refuse faces from which no shape can be told; those without any landmark are gaps."""
+    missing = np.isnan(landmarks).any(2, keepdims=True)
+    counts = (~missing).sum((1, 2))
+    if len(landmarks) and not counts.any():
+        raise InputError("landmarks must not all be missing. Received nothing but NaN.")
+    for face in np.flatnonzero((counts > 0) & (counts < _LEAST)):
+        raise InputError(
+            f"landmarks must be at least {_LEAST} a face. Received {counts[face]} in face {face}."
+        )
+    seen = np.flatnonzero(counts)
+    # A line stays a line with its middle in the place of what is missing.
+    middles = np.where(missing, 0, landmarks).sum(1) / np.maximum(counts, 1)[:, None]
+    filled = np.where(missing, middles[:, None], landmarks)[seen]
+    for face, fault in find_faults(filled).items():
+        raise InputError(f"landmarks {fault} in face {seen[face]}.")

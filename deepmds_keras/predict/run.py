@@ -1,0 +1,359 @@
+"""`deepmds predict`: from sources to files, one source after the other or in several processes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from joblib import Parallel, cpu_count, delayed
+from tqdm import tqdm
+
+from deepmds_keras.detection import DETECTORS, describe_detector
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.landmarks.y_axis import find_flipped
+from deepmds_keras.photos import open_photo, photo_step
+from deepmds_keras.predict.cli import printable
+from deepmds_keras.predict.detection import (
+    find_in_video,
+    find_upright,
+    no_face,
+    open_detector,
+    smooth_over_time,
+)
+from deepmds_keras.predict.estimation import estimate
+from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.landmark_files import read_faces
+from deepmds_keras.predict.models import (
+    DEFAULT,
+    FAMILIES,
+    describe_model,
+    hash_weights,
+    load_model,
+    target_scheme,
+)
+from deepmds_keras.predict.outputs import MESH_FORMATS, output_files, write_output
+from deepmds_keras.predict.overlay import write_overlay
+from deepmds_keras.predict.page import write_page
+from deepmds_keras.predict.sources import (
+    Record,
+    find_sources,
+    is_landmark_file,
+    is_video,
+    list_skipped,
+    name_faces,
+    name_sources,
+)
+from deepmds_keras.predict.videos import portraits, read_stills, tell_tracks, write_landmark_video
+
+_DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
+_LISTED_FAULTS = 10  # of one source
+_HIDDEN = ".deepmds-"  # begins the names of what is not for users
+
+
+def run(
+    sources: list[str],
+    *,
+    out: Path,
+    recursive: bool,
+    overwrite: bool,
+    jobs: int,
+    stopped: Callable[[], bool] = lambda: False,
+    **settings,
+) -> int:
+    """Write the results of all sources; what cannot be used gets a line on stderr.
+
+    Args:
+        sources: Names of photos, folders, videos and files of landmarks.
+        out: Folder of the results.
+        recursive: Whether to take the photos in subfolders.
+        overwrite: Whether to redo what is done, and to replace files that no run wrote.
+        jobs: Processes; -1 is one for each core.
+        stopped: Asked after every source whether to stop.
+        settings: The other options of `cli`, by name; results depend on them.
+
+    Returns:
+        How many sources could not be used.
+
+    Raises:
+        InputError: Nothing can be done at all: no detector, no model, no folder, another run.
+        OSError: The folder or the terminal cannot be written to.
+        KeyboardInterrupt: It was stopped.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} must be a folder for the results. Received a file.")
+    record = Record(out, settings | {"weights": hash_weights(settings["model"])})
+    paths, errors, skipped = find_sources(sources, recursive=recursive, results=record)
+    for error in errors:
+        _complain(error)
+    if skipped:
+        print(f"skipped: {printable(list_skipped(skipped))}")
+    _note_without_effect(paths, settings)
+    named = [*zip(paths, name_sources(paths), strict=True)]
+    todo = [pair for pair in named if not record.is_done(*pair) or overwrite]
+    if len(todo) < len(named):
+        print(f"{len(named) - len(todo)} of {len(named)} sources are done already, by what "
+              f"{printable(str(record.path))} says; --overwrite does them again.")  # fmt: skip
+    if not todo:
+        return len(errors)
+    usable = _usable(todo, settings)
+    failed = len(errors) + len(todo) - len(usable)
+    protected = {path.resolve() for path in paths}
+    hidden = len(usable) == 1 or None  # None: where there is no terminal
+    with _locked(out) as folder, tqdm(total=len(usable), unit="source", disable=hidden) as bar:
+        record.begin()
+        for source, name, files, lines, fault in _results(usable, folder, jobs, settings):
+            blocked = [record.why_not(out / file, overwrite, protected) for file in files]
+            if any(blocked):
+                fault = next(filter(None, blocked))
+            elif files:
+                record.add(source, name, files)
+                for file in files:
+                    os.replace(folder / file, out / file)
+                listed = [str(out / files[0]), *files[1:4], *["…"] * (len(files) > 4)]
+                lines[0] += f" → {', '.join(listed)}"
+                tqdm.write("\n".join(map(printable, lines)))
+            if fault:
+                _complain(fault)
+                failed += 1
+            bar.update()
+            if stopped():
+                raise KeyboardInterrupt
+    return failed
+
+
+def _complain(error: object, kind: str = "error") -> None:
+    tqdm.write(f"{kind}: {printable(str(error))}", file=sys.stderr)
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[Path]:
+    """A folder for incomplete files within that of the results, which is locked meanwhile."""
+    out.mkdir(parents=True, exist_ok=True)
+    with open(out / f"{_HIDDEN}lock", "wb") as file:
+        try:
+            _lock(file)
+        except OSError:
+            raise InputError(
+                f"{out} must not be in use by another run. Wait until that has ended, or name "
+                "another folder (--out)."
+            ) from None
+        for left in out.glob(f"{_HIDDEN}*.partial"):  # of a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        with tempfile.TemporaryDirectory(
+            ".partial", _HIDDEN, out, ignore_cleanup_errors=True
+        ) as folder:
+            yield Path(folder)
+
+
+def _lock(file: BinaryIO) -> None:
+    """Lock a file until it is closed or the process ends; OSError if another process has."""
+    if os.name == "nt":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, str]]:
+    """What can be done with what is installed; what is missing is said before the work begins."""
+    if settings["model"] not in (None, *FAMILIES):
+        load_model(settings["model"])
+    given = [pair for pair in todo if is_landmark_file(pair[0])]
+    if len(given) == len(todo):
+        return todo
+    detector = DETECTORS[settings["detector"]]
+    try:
+        open_detector(settings["detector"], settings["landmarker"])
+    except InputError as error:
+        if not given:
+            raise
+        _complain(f"{len(todo) - len(given)} photos or videos cannot be used. {error}")
+        return given
+    if not detector.commercial:
+        tqdm.write(f"note: landmarks by {settings['detector']} ({detector.licence})", sys.stderr)
+    return todo
+
+
+def _note_without_effect(paths: list[Path], settings: dict) -> None:
+    """Say which options have no effect on any of the sources."""
+    videos, files = any(map(is_video, paths)), any(map(is_landmark_file, paths))
+    effects = {
+        "--smooth": not settings["smooth"] or videos or files,
+        "--every": settings["every"] == 1 or videos,
+        "--y-up": not settings["y_up"] or files,
+        "--image-size": settings["image_size"] is None or files,
+    }
+    options = [option for option, effect in effects.items() if not effect]
+    if options and paths:
+        verb = "has" if len(options) == 1 else "have"
+        _complain(f"{', '.join(options)} {verb} no effect on these sources.", "note")
+
+
+def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: dict) -> Iterator:
+    """What `_process` returns of each source, as soon as it is there."""
+    # Videos one by one, after the others; they, and the paper's networks, use all processes.
+    videos = [pair for pair in todo if is_video(pair[0])]
+    others = [pair for pair in todo if not is_video(pair[0])]
+    model = settings["model"] or DEFAULT
+    family = model if model in FAMILIES else load_model(model).family
+    jobs = cpu_count() if jobs == -1 else jobs
+    workers = min(jobs, len(others)) if family == DEFAULT else 1
+    process = partial(_process, folder=folder, jobs=1 if workers > 1 else jobs, **settings)
+    if others:
+        tasks = (delayed(process)(*pair) for pair in others)
+        yield from Parallel(workers, return_as="generator")(tasks)
+    yield from (process(*pair, jobs=jobs) for pair in videos)
+
+
+def _process(
+    source: Path, name: str, *, folder: Path, formats: tuple[str, ...], view: bool, mesh: bool,
+    **settings,
+) -> tuple[Path, str, list[str], list[str], object]:  # fmt: skip
+    """Write the files of a source into a folder.
+
+    Returns:
+        The source, its name, names of the files, lines about it for the terminal, and what cannot
+        be used, or None.
+    """
+    try:
+        photo, detections = _detect(source, name, **settings)
+        n = len(detections.names)
+        with tqdm(total=n, unit="face", leave=False, disable=n <= _DRAWN_FACES or None) as bar:
+            options = {key: settings[key] for key in ("model", "interocular", "jobs")}
+            faces = estimate(detections, progress=bar.update, **options)
+        model = describe_model(detections.scheme, settings["model"])
+        kinds = [*formats, *(MESH_FORMATS if mesh else ())]
+        files: dict[Path, Callable[[Path], None]] = {
+            path: partial(write_output, faces=held, model=model)
+            for path, held in output_files(folder, name, faces, kinds).items()
+        }
+        files |= _pictures(folder, name, faces, photo, view, mesh, settings["every"])
+        for path, write in files.items():
+            write(path)
+    except InputError as error:
+        return source, name, [], [], error
+    except OSError as error:
+        place = folder.parent / Path(error.filename or name).name
+        return source, name, [], [], f"{place} cannot be written: {error.strerror}."
+    written, lines = [path.name for path in files], [*_lines(source, faces)]
+    return source, name, written, lines, _fault(source, faces)
+
+
+def _detect(
+    source: Path, name: str, *, detector: str, landmarker: str | None, model: str | None,
+    smooth: float, every: int, y_up: bool, image_size: tuple[float, float] | None, jobs: int,
+    **_,
+) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
+    """The photo, or None of other sources, and the landmarks of its faces."""
+    if is_video(source):
+        options = {"detector": detector, "landmarker": landmarker, "model": model}
+        options |= {"every": every, "smooth": smooth, "jobs": jobs}
+        return None, find_in_video(source, name, **options)
+    if not is_landmark_file(source):
+        photo, scheme = open_photo(source), DETECTORS[detector].scheme
+        landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
+        if not len(landmarks):
+            raise no_face(source, detector, "whichever side is up")
+        target = target_scheme(scheme, model)
+        return photo, Detections(
+            source=source,
+            names=name_faces(name, len(landmarks)),
+            scheme=target,
+            landmarks=convert(landmarks, scheme, target) * photo_step(source),
+            is_photo=True,
+            detector=describe_detector(detector, landmarker),
+            scores=scores,
+        )
+    landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size)
+    n, scheme = len(landmarks), scheme_of(landmarks.shape[1])
+    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+    flipped = find_flipped(landmarks, scheme)
+    if 2 * len(flipped) > len(rows):
+        face, fault = min(flipped.items())
+        raise InputError(f"{source}{f', face {face + 1} of {n}' * (n > 1)}: {fault}")
+    landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
+    target = target_scheme(scheme, model)
+    return None, Detections(
+        source=source,
+        names=name_faces(name, n),
+        scheme=target,
+        landmarks=convert(landmarks, scheme, target),
+        is_photo=False,
+        faults=faults,
+        notes={i: f"stands unlike the other faces: {fault}" for i, fault in flipped.items()},
+    )
+
+
+def _pictures(
+    folder: Path,
+    name: str,
+    faces: list[Face],
+    photo: np.ndarray | None,
+    view: bool,
+    mesh: bool,
+    every: int,
+) -> dict[Path, Callable[[Path], None]]:
+    """The picture of a source, for a video that is a video, and the page, each with its writer."""
+    picture, page = folder / f"{name}.png", folder / f"{name}.html"
+    shown = [face for face in faces if not face.is_gap]
+    if video := faces[0].frame_ref is not None:
+        shown = portraits(shown, _DRAWN_FACES)
+    elif photo is not None:
+        step = photo_step(faces[0].photo)
+        shown = [face.reduced(step) for face in shown]
+    some = shown[:_DRAWN_FACES]
+
+    def write_view(path: Path) -> None:
+        write_page(
+            path, some, read_stills(some, every) if video else [photo] * len(some), mesh=mesh
+        )
+
+    writers = {page: write_view} if view else {}
+    if video:
+        preview = partial(write_landmark_video, faces=faces, every=every)
+        return {picture.with_suffix(".mp4"): preview} | writers
+    drawn = some if photo is None else shown
+    return {picture: partial(write_overlay, faces=drawn, photo=photo)} | writers
+
+
+def _lines(source: Path, faces: list[Face]) -> Iterator[str]:
+    """What to say of a source that is done."""
+    if faces[0].frame_ref is not None:
+        yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
+        yield from tell_tracks(faces, _DRAWN_FACES)
+        return
+    seen = [face for face in faces if not face.is_gap]
+    gaps = len(faces) - len(seen)
+    yield f"{source}: {len(seen)} face{'s' * (len(seen) > 1)}" + (
+        f", {gaps} gap{'s' * (gaps > 1)}" if gaps else ""
+    )
+    for face in seen[:_DRAWN_FACES]:
+        yield f"  {face.name}: {face.angles}"
+        yield from (f"    {note}" for note in face.notes)
+    if rest := seen[_DRAWN_FACES:]:
+        yield f"  and {len(rest)} more, {sum(bool(face.notes) for face in rest)} of them with notes"
+
+
+def _fault(source: Path, faces: list[Face]) -> str | None:
+    """The faces that are gaps because they cannot be used."""
+    faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
+    if not faults:
+        return None
+    listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
+    return (
+        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
+        f"{', '.join(listed)}{', …' * (len(faults) > len(listed))}. "
+        f"The first {min(faults.items())[1]}"
+    )

@@ -1,0 +1,142 @@
+"""Fitting the face model to 2D landmarks: known faces and poses come back from their views."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from data_gen import landmark_fitting
+from data_gen.landmark_fitting import LandmarkFitter
+from data_gen.models.openhead import load_openhead
+from data_gen.views import Cameras, rotations
+from deepmds_keras.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_openhead()
+
+
+@pytest.fixture(scope="module")
+def fitter(model):
+    return LandmarkFitter(model)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def rotation_of(*angles):
+    return rotations(Cameras(np.zeros(1, int), *np.reshape(angles, (3, 1)), np.zeros(1)))[0]
+
+
+def landmarks_of(model, identity, expression=None):
+    return model.shape(identity, expression)[model.landmarks["ibug51"]]
+
+
+def seen(points, rotation, noise=0.0, rng=None):
+    pixels = SCALE * points @ rotation[:2].T + SHIFT
+    return pixels if rng is None else pixels + rng.normal(0, noise * SCALE, pixels.shape)
+
+
+def angle(a, b):
+    return np.rad2deg(Rotation.from_matrix(a.T @ b).magnitude())
+
+
+def expression_of(model, **weights):
+    return np.array([weights.get(name, 0.0) for name in model.expression_names])
+
+
+@pytest.mark.parametrize("yaw", [-45, -20, 0, 20, 45])
+def test_face_and_pose_come_back_from_an_exact_view_where_the_prior_is_weak(model, rng, yaw):
+    identity = rng.standard_normal(20)
+    truth, pose = landmarks_of(model, identity), rotation_of(yaw, 10, -15)
+    fit = LandmarkFitter(model, n_identity=20, n_expression=0, landmark_sd=0.001).fit(
+        seen(truth, pose)
+    )
+    assert fit.converged and fit.n_iterations < 15
+    assert fit.rms / SCALE < 0.005
+    assert angle(fit.camera.rotation, pose) < 0.1
+    assert fit.camera.scale == pytest.approx(SCALE, rel=1e-3)
+    np.testing.assert_allclose(fit.identity, identity, atol=0.05)
+    assert fit.expression is None
+    projected = fit.camera.project(landmarks_of(model, fit.identity))
+    off = np.linalg.norm(projected - seen(truth, pose), axis=1)
+    assert np.sqrt((off**2).mean()) == pytest.approx(fit.rms)
+
+
+def test_an_expression_is_explained_by_expression_and_not_by_identity(model, fitter):
+    pixels = seen(
+        landmarks_of(model, np.zeros(1), expression_of(model, jawOpen=0.7)), rotation_of(0, 0, 0)
+    )
+    fit, neutral = fitter.fit(pixels), LandmarkFitter(model, n_expression=0).fit(pixels)
+    assert np.linalg.norm(fit.identity) < 1 < 3 < np.linalg.norm(neutral.identity)
+    assert fit.rms < neutral.rms / 5
+    assert model.expression_names[fit.expression.argmax()] == "jawOpen"
+    # The prior of the expressions is the model's.
+    wide = LandmarkFitter(replace(model, expression_sd=1.0)).fit(pixels)
+    narrow = LandmarkFitter(replace(model, expression_sd=0.05)).fit(pixels)
+    weights = [np.linalg.norm(some.expression) for some in (narrow, fit, wide)]
+    assert weights == sorted(weights) and weights[2] > 1.1 * weights[1]
+
+
+def test_at_the_fit_every_coefficient_balances_prior_against_residuals(model, rng, monkeypatch):
+    monkeypatch.setattr(landmark_fitting, "_TOLERANCE", 1e-12)
+    pixels = seen(landmarks_of(model, rng.standard_normal(100)), rotation_of(-30, 10, 0), 1.5, rng)
+    fit = LandmarkFitter(model).fit(pixels)
+    assert fit.converged and fit.n_iterations < 25
+    landmarks = model.landmarks["ibug51"]
+    shape = landmarks_of(model, fit.identity, fit.expression)
+    residuals = (pixels - fit.camera.project(shape)) / fit.camera.scale
+    basis = np.concatenate(
+        [model.identity_basis_times_sd[:100, landmarks], model.expression_basis[:, landmarks]]
+    )
+    pull = np.einsum("kld,ld->k", basis @ fit.camera.rotation[:2].T, residuals)
+    held = np.concatenate([fit.identity, fit.expression / 0.3**2])
+    # The unit of the noise is the scale that the fit started from, up to a tenth from its last.
+    variance = (pull @ held) / (held @ held)
+    assert 1.3 < np.sqrt(variance) < 1.7
+    np.testing.assert_allclose(pull, variance * held, atol=1e-3)
+    x, y, z = fit.camera.rotation @ (shape - shape.mean(0)).T
+    u, v = residuals.T
+    for derivative in (-z @ v, z @ u, x @ v - y @ u, x @ u + y @ v, u.sum(), v.sum()):
+        assert abs(derivative) < 0.01  # turns, scale, shifts: nothing holds them back
+
+
+def test_more_steps_never_make_a_worse_fit_however_far_the_model_is(model, monkeypatch):
+    rng = np.random.default_rng(2)
+    pixels = seen(landmarks_of(model, rng.standard_normal(100)), rotation_of(50, 0, 0), 3, rng)
+    fitter = LandmarkFitter(model, n_identity=30, n_expression=0, landmark_sd=0.001)
+    fits = []
+    for n in range(1, 40):
+        monkeypatch.setattr(landmark_fitting, "_MAX_ITERATIONS", n)
+        fits.append(fitter.fit(pixels))
+    rms = np.array([fit.rms for fit in fits])
+    assert (np.diff(rms) <= 0).all()
+    assert rms[-1] < 0.8 * rms[0]
+    assert not fits[0].converged and fits[-1].converged
+
+
+def test_points_that_cannot_be_a_face_are_refused(model, fitter):
+    pixels = seen(landmarks_of(model, np.zeros(1)), rotation_of(0, 0, 0))
+    missing = pixels.copy()
+    missing[3, 1] = np.nan
+    for points, message in (
+        (missing, r"\(51, 2\) finite numbers. Received \(51, 2\), 101 of them finite"),
+        (pixels[:-1], r"must be \(51, 2\) finite numbers. Received \(50, 2\)"),
+        (np.ones((51, 2)), "spread in two directions. Received 0 by 0"),
+        (pixels * (1, -1), "seen from in front, x to the right and y up"),
+        (pixels * (-1, 1), "seen from behind or mirrored"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fitter.fit(points)
+    for option in ({"n_identity": 0}, {"n_expression": -1}, {"landmark_sd": 0.0}):
+        with pytest.raises(InputError, match="n_identity must be at least 1, n_expression not"):
+            LandmarkFitter(model, **option)
+    with pytest.raises(InputError, match="scheme must be one of bfm72, ibug68, ibug51 .* 'x'"):
+        LandmarkFitter(model, "x")

@@ -1,0 +1,144 @@
+"""Mean, ridge regression and the two fits of Aldrian and Smith: exact cases, eos, bad input."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+
+from deepmds_keras.baselines import closed_form
+from deepmds_keras.baselines.closed_form import Aldrian, AldrianAuthors, Linear, MeanShape
+from deepmds_keras.camera import affine_cameras
+from deepmds_keras.errors import InputError
+
+L, K = 20, 4
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def model(rng):
+    """Mean and basis of a small morphable model, in millimetres."""
+    return rng.normal(0, 40, (L, 3)), rng.normal(0, 4, (K, L, 3))
+
+
+@pytest.fixture
+def shapes(model, rng):
+    return model[0] + np.einsum("nk,kld->nld", rng.standard_normal((6, K)), model[1])
+
+
+def turned(shapes, yaw, pitch=0.0):
+    """Shapes in the frame of a camera, where the face is turned by these degrees."""
+    return shapes @ Rotation.from_euler("yx", [yaw, pitch], degrees=True).as_matrix().T
+
+
+def test_linear_recovers_an_exactly_linear_map(rng):
+    truth, views = rng.normal(size=(10, 15)), rng.random((200, 5, 2))
+    shapes = (views.reshape(200, 10) @ truth + 0.3).reshape(200, 5, 3)
+    linear = Linear().fit(views[:150], shapes[:150])
+    np.testing.assert_allclose(linear.predict(views[150:]), shapes[150:], atol=1e-3)
+    assert linear.n_parameters == 10 * 15 + 15 and linear.ridge_.alpha_ < 1e-4
+
+
+@pytest.mark.parametrize("yaw", [-45, 0, 45])
+def test_aldrian_recovers_the_shapes_of_exact_views(model, shapes, yaw):
+    views = turned(shapes, yaw, pitch=10)[..., :2]
+    predicted = Aldrian(*model, view_noise=1e-5, max_iter=2000, tol=1e-9).predict(views)
+    np.testing.assert_allclose(predicted, shapes, atol=0.02)
+
+
+def test_aldrian_shrinks_to_the_mean_as_noise_grows(model, shapes):
+    offsets = [
+        Aldrian(*model, view_noise=noise).predict(shapes[..., :2]) - model[0]
+        for noise in (1e-2, 1e-1, 1.0, 1e3)
+    ]
+    assert (np.diff(list(map(np.linalg.norm, offsets))) < 0).all()
+    np.testing.assert_allclose(offsets[-1], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize("method", [Aldrian, lambda *model: AldrianAuthors(*model, np.ones(K))])
+def test_fits_ignore_scale_place_and_the_other_faces(model, shapes, method, monkeypatch):
+    views = turned(shapes, 30)[..., :2]
+    fit = clone(method(*model))
+    batch = fit.predict(views)
+    np.testing.assert_allclose(fit.predict(0.1 * views + [5, -3]), batch, atol=1e-3)
+    alone = np.concatenate([fit.predict(view) for view in views])
+    np.testing.assert_allclose(alone, batch, atol=1e-8)
+    monkeypatch.setattr(closed_form, "CHUNK", 4)
+    np.testing.assert_allclose(fit.predict(views), batch, atol=1e-8)
+    assert fit.n_parameters == 0
+
+
+def test_authors_fit_gives_every_face_coefficients_of_one_size(model, shapes):
+    sd = np.array([3.0, 2.0, 1.0, 0.5])
+    basis = model[1] * sd[:, None, None]
+    predicted = AldrianAuthors(model[0], basis, sd).predict(turned(shapes, 30)[..., :2])
+    offsets = (predicted - model[0]).reshape(len(shapes), -1)
+    coefficients = np.linalg.lstsq(basis.reshape(K, -1).T, offsets.T)[0].T
+    np.testing.assert_allclose(coefficients @ basis.reshape(K, -1), offsets, atol=1e-6)
+    np.testing.assert_allclose(coefficients.mean(1), 0, atol=1e-9)
+    np.testing.assert_allclose(coefficients.std(1, ddof=1), 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("regularisation", "noise"), [(0.5, 1.0), (0.5, 5.0), (30.0, 5.0)])
+def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
+    """Eos is an independent implementation in C++."""
+    eos = pytest.importorskip("eos", reason="needs eos-py", exc_type=ImportError)
+    mean, variances = rng.normal(0, 40, (L, 3)), np.linspace(30, 5, K) ** 2
+    basis = np.linalg.qr(rng.normal(size=(3 * L, K)))[0]
+    times_sd = (basis * np.sqrt(variances)).T.reshape(K, L, 3)
+    shapes = mean + np.tensordot(rng.standard_normal((4, K)), times_sd, 1)
+    camera = np.array([[2.0, 0.1, -0.4, 250], [0.2, 1.9, 0.3, 240]])
+    views = shapes @ camera[:, :3].T + camera[:, 3] + rng.normal(0, 2, (4, L, 2))
+    cameras = affine_cameras(views, np.stack([mean] * 4))
+    ours = closed_form.solve_shape(cameras, views, mean, times_sd, 1 / noise**2, regularisation)
+    pca = eos.morphablemodel.PcaModel(
+        np.float32(mean.ravel()), np.float32(basis), np.float32(variances), [[0, 1, 2]]
+    )
+    for view, camera, coefficients in zip(views, cameras, ours, strict=True):
+        # Positional arguments, since the weight is called `lambda`; an empty base face is the mean.
+        matrix, points = np.vstack([camera, [0, 0, 0, 1]]), [np.float32(point) for point in view]
+        theirs = eos.fitting.fit_shape_to_landmarks_linear(
+            pca, np.float32(matrix), points, list(range(L)), np.float32([]), regularisation, None,
+            noise, 0.0,
+        )  # fmt: skip
+        np.testing.assert_allclose(coefficients, theirs, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", [MeanShape(), Linear(alphas=(1e6,))])
+def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method, rng):
+    views, shapes = rng.random((5, L, 2)), rng.random((5, L, 3))
+    with pytest.raises(NotFittedError, match=f"This {type(method).__name__} is not trained"):
+        clone(method).predict(views)
+    with pytest.raises(InputError, match="views and shapes must have the same faces"):
+        method.fit(views, shapes[:3])
+    method.fit(views, shapes)
+    np.testing.assert_allclose(method.predict(views), np.stack([shapes.mean(0)] * 5), atol=1e-4)
+    with pytest.raises(InputError, match=r"views must have 20 landmarks a face. Received 19"):
+        method.predict(views[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"view_noise": 0.0}, "view_noise must be positive"),
+        ({"max_iter": 0}, "max_iter must be positive"),
+        ({"basis_times_sd": np.ones((4, 7, 3))}, r"basis_times_sd must be finite, of shape"),
+        ({"mean": np.arange(60.0).reshape(20, 3)}, "mean must not be collinear"),
+        ({"mean": np.random.default_rng(1).random((20, 3)) * [1, 1, 0]}, "must not be flat"),
+    ],
+)
+def test_the_unusable_option_is_named(model, options, message, rng):
+    with pytest.raises(InputError, match=message):
+        Aldrian(*model).set_params(**options).predict(rng.random((2, L, 2)))
+
+
+def test_closed_form_does_without_tensorflow():
+    code = "import sys, deepmds_keras.baselines.closed_form; sys.exit('tensorflow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

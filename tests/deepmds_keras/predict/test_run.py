@@ -1,0 +1,601 @@
+"""`deepmds predict` as people run it: photos and landmarks in, files out, a line for what fails."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from places import MEDIAPIPE, ROOT, SHARED
+from writers.heads import drawn_heads
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views import sample_photo_views
+from deepmds_keras import DeepMDS
+from deepmds_keras.__main__ import main
+from deepmds_keras.camera import HeadPose
+from deepmds_keras.detection import DETECTORS, Detector, default_detector
+from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.predict import detection, run
+from deepmds_keras.predict.cli import parse
+from deepmds_keras.predict.landmark_files import read_landmarks
+
+ALL = "csv,json,npz,ply,obj"
+
+
+@pytest.fixture(scope="module")
+def heads(apart):
+    """Images of five open heads, and their 51 landmarks in pixels."""
+    return apart(drawn_heads)
+
+
+@pytest.fixture(scope="module")
+def landmarks(heads):
+    """`(51, 2)` of one face, frontal but for its errors."""
+    return heads[1][2] + np.random.default_rng(0).normal(0, 0.5, (51, 2))
+
+
+@pytest.fixture
+def predict(capsys, tmp_path):
+    """Runs the command in this process: `predict(*arguments)` → status, stdout, errors and notes.
+
+    Results lie in `tmp_path / "out"`, unless the arguments say otherwise.
+    """
+
+    def predict(*arguments, jobs=1):
+        out = [] if "--out" in arguments else ["--out", tmp_path / "out"]
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
+        code, (said, errors) = ended.value.code, capsys.readouterr()
+        # Python prints a text that it is ended with, and the status is 1.
+        lines = [*errors.splitlines(), *([code] if isinstance(code, str) else [])]
+        listed = [line for line in lines if line.startswith(("error: ", "note: --"))]
+        return 1 if isinstance(code, str) else code, said, listed
+
+    return predict
+
+
+@pytest.fixture
+def faces24(monkeypatch, landmarks):
+    """A detector that finds 24 faces in every photo, and counts how often it is opened."""
+    opened = []
+
+    def open_model(landmarker):
+        opened.append(landmarker)
+        points = convert(landmarks, "ibug51", "ibug68", missing="nan")
+        points[:17] = points[17:34] + (0, 60)
+        faces = points / 4 + 20 * np.arange(24)[:, None, None]
+        return lambda photo: (faces, np.ones(24))
+
+    monkeypatch.setitem(DETECTORS, "dlib", Detector("ibug68", open_model, lambda: True, "none"))
+    detection._opened.cache_clear()
+    return opened
+
+
+def written(folder):
+    """Names of the files in a folder, but for the lock."""
+    return sorted(path.name for path in folder.iterdir() if path.name != ".deepmds-lock")
+
+
+def arrays_of(path):
+    with np.load(path) as file:
+        return dict(file)
+
+
+def save(path, landmarks):
+    np.save(path, landmarks)
+    return path
+
+
+def command_line(*arguments):
+    return [sys.executable, "-m", "deepmds_keras", *map(str, arguments)]
+
+
+def test_help_is_answered_without_what_takes_long_to_load():
+    code = "import sys\nfrom deepmds_keras.__main__ import main\ntry: main(['predict', '--help'])\n"
+    code += "finally: print({'tensorflow', 'keras', 'sklearn', 'matplotlib'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.endswith("set()\n")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
+    """As a user has it: another process, another folder, several processes."""
+    Image.fromarray(heads[0][1]).save(tmp_path / "turned.png")
+    for name, image in (("two.png", np.hstack(heads[0][[2, 4]])), ("one.jpg", heads[0][3])):
+        Image.fromarray(image).save(tmp_path / name)
+    arguments = ("turned.png", "two.png", "one.jpg", "--jobs", 2)
+    done = subprocess.run(
+        command_line("predict", *arguments), cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) == (default_detector() == "dlib"), done.stderr
+    assert "two.png: 2 faces → deepmds-out/two.csv, two.png" in done.stdout
+    out = tmp_path / "deepmds-out"
+    names = [f"{name}.{kind}" for name in ("turned", "two", "one") for kind in ("csv", "png")]
+    assert written(out) == sorted([*names, "deepmds.json"])
+    table = pd.read_csv(out / "turned.csv", comment="#")
+    assert tuple(table.name) == load_scheme("ibug51").names
+    assert np.abs(table[["image_x", "image_y"]] - heads[1][1]).mean().max() < 4
+    with Image.open(out / "two.png") as picture:
+        assert picture.width > picture.height  # of both faces
+
+
+def test_a_photo_that_lies_on_its_side_gives_the_same_shape(tmp_path, predict, heads):
+    n = len(heads[0][1])
+    for quarters in range(4):
+        Image.fromarray(np.rot90(heads[0][1], quarters)).save(tmp_path / f"{quarters}.png")
+    status, _, errors = predict(*(tmp_path / f"{i}.png" for i in range(4)), "--format", "json")
+    assert (status, errors) == (0, [])
+    faces = [json.loads((tmp_path / "out" / f"{i}.json").read_bytes())["faces"] for i in range(4)]
+    x, y = heads[1][1].T
+    for quarters, (face,) in enumerate(faces):
+        seen = np.stack([(x, y), (y, n - x), (n - x, n - y), (n - y, x)][quarters], 1)
+        assert np.abs(np.subtract(face["landmarks"], seen)).mean() < 4
+        np.testing.assert_allclose(face["shape"], faces[0][0]["shape"], atol=0.03)
+        keys = ("rotation", "scale", "translation", "perspective")
+        pose = HeadPose(**{key: np.array(face["pose"][key]) for key in keys})
+        projected = pose.project(np.array(face["shape"])) * (1, -1)
+        assert np.linalg.norm(projected - seen, axis=1).mean() < 12
+        assert any("does not stand upright" in note for note in face["notes"]) == (quarters > 0)
+
+
+def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict, landmarks):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "text.jpg").write_text("hello")
+    (folder / "empty.jpg").touch()
+    (folder / "huge.png").write_bytes(b"P5 16000 16001 255\n")
+    Image.new("RGB", (200, 200)).save(folder / "nobody.png")
+    (folder / "broken.json").write_text("{")
+    os.mkfifo(folder / "pipe.jpg")
+    arrays = {
+        "upside_down": landmarks * (1, -1),
+        "mirrored": landmarks * (-1, 1),
+        "count": landmarks[:50],
+        "nan": np.where(landmarks == landmarks[3], np.nan, landmarks),
+        "good": landmarks,
+    }
+    for name, array in arrays.items():
+        save(folder / f"{name}.npy", array)
+    odd = save(folder / "new\nline 'and' \"more\"\udcff.npy", landmarks)
+    bad = [folder / "missing.jpg", folder / "notes.txt", folder / "..", ""]
+    status, said, errors = predict(*sorted(folder.iterdir()), *bad)
+    assert status == 1
+    expected = {
+        "text.jpg": "no image",
+        "empty.jpg": "0 bytes",
+        "huge.png": "at most 256,000,000 pixels. Received 16000 x 16001",
+        "nobody.png": "no face found by",
+        "broken.json": "must be JSON",
+        "pipe.jpg": "Received a pipe or device",
+        "upside_down.npy": "--y-up",
+        "mirrored.npy": "a mirrored face",
+        "count.npy": "Received 50",
+        "nan.npy": "finite",
+        "missing.jpg": "does not exist",
+        "notes.txt": "does not exist",
+        "..": "must hold photos",
+    }
+    for name, text in expected.items():
+        (line,) = [line for line in errors if f"{folder / name}" in line.split(" must ")[0]]
+        assert text in line, name
+    assert "a source must be the name" in "".join(errors)
+    assert len(errors) == len(expected) + 1
+    assert said.count("1 face →") == 2 and "new\\nline" in said
+    results = {f"{name}.{kind}" for name in ("good", odd.stem) for kind in ("csv", "png")}
+    assert {*written(tmp_path / "out")} == results | {"deepmds.json"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "the following arguments are required: SOURCE"),
+        (["a.jpg", "--jobs", "0"], "must be 1 or more, or -1. Received '0'"),
+        (["a.jpg", "--interocular", "0"], "must be a number above 0"),
+        (["a.jpg", "--interocular", "nan"], "must be a number"),
+        (["a.jpg", "--smooth", "-1"], "not negative. Received '-1'"),
+        (["a.jpg", "--format", "csv,stl"], "Received 'stl'"),
+        (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
+    ],
+)
+def test_wrong_arguments_are_named(capsys, arguments, said):
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", *arguments])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("n", [51, 68, 72, 478])
+def test_landmarks_of_every_order_are_taken(tmp_path, predict, landmarks, n):
+    scheme = {51: "ibug51", 68: "ibug68", 72: "bfm72"}.get(n, "mediapipe")
+    points = convert(landmarks, "ibug51", scheme, missing="nan")
+    if n == 72:
+        points = sample_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))[0]
+        points = points * (1, -1)
+    points = np.where(np.isnan(points), 0, points)  # what is not among the 51 is not looked at
+    points = np.concatenate([points, np.zeros((n - len(points), 2))]) if n == 478 else points
+    status, _, errors = predict(save(tmp_path / "points.npy", points), "--format", "json")
+    assert (status, errors) == (0, [])
+    content = json.loads((tmp_path / "out" / "points.json").read_bytes())
+    target = "ibug51" if n == 478 else scheme
+    assert (content["scheme"], content["model"]["name"]) == (target, f"lifting-{target}")
+
+
+def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predict, landmarks):
+    frames = landmarks + np.random.default_rng(1).normal(0, 1, (8, 51, 2))
+    alone = save(tmp_path / "alone.npy", frames[[0, 3, 4, 7]])
+    frames[1] = np.nan
+    frames[2] *= (1, -1)  # upside down, which the others are not: estimated, with a note
+    frames[5, 3] = np.nan
+    frames[6] = 7
+    points = save(tmp_path / "f.npy", frames)
+    status, said, (line,) = predict(points, alone, "--format", "csv,json,npz,ply")
+    assert status == 1
+    assert f"{points}: 2 of 8 faces cannot be used and are gaps: 6, 7. The first must" in line
+    assert "f.npy: 5 faces, 3 gaps →" in said
+    out, seen = tmp_path / "out", [0, 3, 4, 7]
+    found, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
+    for key in ("shape", "landmarks", "yaw", "rotation"):
+        np.testing.assert_allclose(found[key][seen], expected[key], atol=1e-6)
+        assert np.isnan(found[key][[1, 5, 6]]).all(), key
+    records = json.loads((out / "f.json").read_bytes())["faces"]
+    assert [face["shape"] is None for face in records] == [i in (1, 5, 6) for i in range(8)]
+    assert records[1]["notes"] == []
+    assert any("stands unlike the other faces" in note for note in records[2]["notes"])
+    assert len([*out.glob("f-*.ply")]) == 5
+    for kind in ("csv", "json"):  # what was written is read with its gaps
+        again = read_landmarks(out / f"f.{kind}")
+        np.testing.assert_allclose(again, found["landmarks"], rtol=1e-5)
+
+
+def test_options_reach_the_results(tmp_path, predict, landmarks):
+    frames = landmarks + np.random.default_rng(1).normal(0, 2, (8, 51, 2))
+    frames[4] = np.nan  # smoothing does not cross it
+    frames[5:] += 50
+    points = save(tmp_path / "frames.npy", frames * (1, -1))
+    arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
+    for folder, options in (("rough", ()), ("smooth", ("--smooth", 2))):
+        assert predict(*arguments, *options, "--out", tmp_path / folder)[0] == 0
+    rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
+    assert np.allclose(rough["landmarks"], frames, equal_nan=True)
+    assert json.loads(str(rough["description"]))["unit"] == "mm"
+    seen = ~np.isnan(rough["yaw"])
+    apart = np.linalg.norm(rough["shape"][seen, 28] - rough["shape"][seen, 19], axis=1)
+    assert np.allclose(apart, 90)
+    jitter = [np.nanstd(np.diff(arrays["shape"], axis=0)) for arrays in (rough, smooth)]
+    assert jitter[1] < 0.5 * jitter[0]
+    steps = [np.nanmean(a["landmarks"][5] - a["landmarks"][3]) for a in (rough, smooth)]
+    assert steps[1] == pytest.approx(steps[0], abs=2)
+
+
+def test_of_many_faces_the_first_are_drawn(tmp_path, predict, landmarks, monkeypatch):
+    monkeypatch.setattr(run, "_DRAWN_FACES", 2)
+    points = save(tmp_path / "many.npy", landmarks + np.zeros((5, 1, 1)))
+    status, said, _ = predict(points, "--view")
+    assert status == 0
+    assert written(tmp_path / "out") == ["deepmds.json", "many.csv", "many.html", "many.png"]
+    assert "5 faces" in said and "and 3 more" in said
+    assert pd.read_csv(tmp_path / "out" / "many.csv", comment="#").face.nunique() == 5
+
+
+def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, faces24, monkeypatch):
+    for i in range(20):
+        Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")
+    read = []
+    monkeypatch.setattr(
+        run, "open_photo", lambda path, real=run.open_photo: read.append(path) or real(path)
+    )
+    options = ("--detector", "dlib", "--view", "--format", "ply")
+    assert predict(*sorted(tmp_path.glob("*.png")), *options)[0] == 0
+    assert len(read) == 20 and len(faces24) == 1
+    assert len([*(tmp_path / "out").glob("00-*.ply")]) == 24
+    assert (tmp_path / "out" / "00.png").is_file()
+
+
+def test_what_is_done_is_skipped_unless_something_changed(tmp_path, predict, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    weights, out = tmp_path / "mine.npz", tmp_path / "out"
+    DeepMDS.pretrained("deepmds-ibug51").save(weights)
+
+    def redone(*options):
+        """What a run writes, by the times of the files."""
+        before = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        status, said, _ = predict(first, second, *options)
+        assert status == 0
+        after = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        assert ("sources are done already" in said) == (len(after.items() - before.items()) < 2)
+        return sorted(path.stem for path, _ in after.items() - before.items())
+
+    assert redone() == ["a", "b"]
+    assert redone() == []
+    save(second, landmarks + 1)
+    assert redone() == ["b"]
+    (out / "a.csv").unlink()
+    assert redone() == ["a"]
+    assert redone("--interocular", "90") == ["a", "b"]
+    assert redone("--interocular", "90") == []
+    assert redone("--interocular", "90", "--overwrite") == ["a", "b"]
+    assert redone("--interocular", "90", "--force") == ["a", "b"]  # its former name
+    assert redone("--model", weights) == ["a", "b"]
+    DeepMDS.pretrained("deepmds-ibug51").set_params(seed=5).save(weights)
+    assert redone("--model", weights) == ["a", "b"]
+
+
+def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.png").write_text("mine")
+    status, said, (line,) = predict(first, second)
+    assert (status, "b.npy: 1 face" in said) == (1, True)
+    assert f"{out / 'a.png'} must not be there yet" in line and "--overwrite" in line
+    assert (out / "a.png").read_text() == "mine"
+    assert written(out) == ["a.png", "b.csv", "b.png", "deepmds.json"]
+    assert predict(first, second, "--overwrite")[0] == 0
+    assert (out / "a.png").read_bytes().startswith(b"\x89PNG")
+    (out / "deepmds.json").write_text("hello")
+    status, said, (line,) = predict(first, "--overwrite")
+    assert (status, said, "must be the record of earlier results" in line) == (1, "", True)
+    assert (out / "deepmds.json").read_text() == "hello"
+
+
+def test_the_folder_of_the_sources_works_every_time_and_no_source_is_replaced(
+    tmp_path, predict, heads, landmarks
+):
+    Image.fromarray(heads[0][1]).save(tmp_path / "a.jpg")
+    for _ in range(2):
+        assert predict(tmp_path, "--out", tmp_path)[0] == 0
+        assert written(tmp_path) == ["a.csv", "a.jpg", "a.png", "deepmds.json"]
+    content = (tmp_path / "a.csv").read_bytes()
+    for options in ((), ("--overwrite",)):
+        status, _, (line,) = predict(tmp_path / "a.csv", "--out", tmp_path, *options)
+        assert (status, "a.csv is a source" in line) == (1, True)
+        assert (tmp_path / "a.csv").read_bytes() == content
+
+
+def test_files_that_a_source_gives_no_longer_are_known(tmp_path, predict, landmarks):
+    """One face, then two, then one: a.ply of the first run is replaced by the third."""
+    for n in (1, 2, 1, 2):
+        points = save(tmp_path / "a.npy", np.repeat(landmarks[None], n, 0))
+        assert predict(points, "--format", "ply")[0] == 0
+    assert written(tmp_path / "out") == ["a-1.ply", "a-2.ply", "a.ply", "a.png", "deepmds.json"]
+
+
+def test_results_that_another_source_replaced_are_redone(tmp_path, predict, landmarks):
+    for folder, shift in (("x", 0), ("y", 9)):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / "a.npy", landmarks + shift)
+    for folder, shift in (("x", 0), ("y", 9), ("x", 0)):
+        assert predict(tmp_path / folder / "a.npy", "--format", "npz")[0] == 0
+        assert np.allclose(arrays_of(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
+
+
+def test_a_record_that_was_cut_short_loses_its_last_line_only(tmp_path, predict, landmarks):
+    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "abc"]
+    assert predict(*files)[0] == 0
+    record = tmp_path / "out" / "deepmds.json"
+    assert len(json.loads(record.read_bytes())) == 3
+    record.write_bytes(record.read_bytes()[:-20])
+    status, said, errors = predict(*files, "--overwrite")
+    assert (status, len(errors)) == (0, 0)
+    assert {entry["name"] for entry in json.loads(record.read_bytes())} == {*"abc"}
+    assert predict(*files)[1].startswith("3 of 3 sources are done")
+
+
+def test_the_record_grows_by_a_line_for_each_source(tmp_path, landmarks, monkeypatch):
+    """Nothing is written whose size is that of the record, which would be quadratic."""
+    files = [save(tmp_path / f"{i}.npy", landmarks) for i in range(40)]
+    sizes = []
+    monkeypatch.setattr(
+        "deepmds_keras.predict.sources.write_bytes",
+        lambda path, content: sizes.append(len(content)) or path.write_bytes(content),
+    )
+    options = parse(["predict", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    options = {key: value for key, value in vars(options).items() if key != "command"}
+    assert run.run(**options) == 0
+    assert len(sizes) == 1 and sizes[0] < 10
+    assert len((tmp_path / "out" / "deepmds.json").read_text().splitlines()) == 42
+    with pytest.raises(KeyboardInterrupt):  # an exception that was lost counts after the source
+        run.run(**options | {"out": tmp_path / "other"}, stopped=lambda: True)
+    assert len(json.loads((tmp_path / "other" / "deepmds.json").read_bytes())) == 1
+
+
+def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    code = "import sys; from pathlib import Path; from deepmds_keras.predict.run import _locked\n"
+    code += "with _locked(Path(sys.argv[1])): print('locked', flush=True); input()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path / "out"],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert other.stdout.readline() == "locked\n"
+    status, said, (line,) = predict(points)
+    assert (status, said, "in use by another run" in line) == (1, "", True)
+    other.kill()
+    other.communicate()
+    assert predict(points)[0] == 0
+    assert written(tmp_path / "out") == ["a.csv", "a.png", "deepmds.json"]
+
+
+@pytest.mark.parametrize("place", ["write_output", "write_overlay"])
+def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
+    tmp_path, predict, landmarks, monkeypatch, place
+):
+    points = save(tmp_path / "a.npy", landmarks)
+
+    def stop(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run, place, stop)
+        assert predict(points)[0] == 130
+    assert written(tmp_path / "out") == ["deepmds.json"]
+    assert predict(points)[0] == 0
+
+
+@pytest.mark.slow
+def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
+    files = [save(tmp_path / f"{i:03d}.npy", landmarks) for i in range(300)]
+    out = tmp_path / "out"
+    arguments = command_line("predict", *files, "--out", out, "--jobs", 1)
+    started = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    while not (out / "003.png").exists() and started.poll() is None:
+        time.sleep(0.01)
+    started.send_signal(signal.SIGINT)
+    errors = started.communicate()[1].decode()
+    assert started.returncode == 130, errors
+    assert errors.endswith("Stopped. The same command goes on from here.\n")
+    done = json.loads((out / "deepmds.json").read_bytes())
+    assert 3 <= len(done) < 300
+    missing = [file for entry in done for file in entry["files"] if not (out / file).exists()]
+    assert len(missing) <= 2  # of the source that it was just at
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_a_full_output_gets_one_line(tmp_path, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    with open("/dev/full", "w") as full:
+        arguments = command_line("predict", points, "--out", tmp_path / "out")
+        done = subprocess.run(arguments, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "error: the output cannot be written: No space left on device.\n"
+    assert written(tmp_path / "out") == ["a.csv", "a.png", "deepmds.json"]
+
+
+def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "within"):
+        status, said, (line,) = predict(points, "--out", out)
+        assert (status, said, str(tmp_path / "file") in line) == (1, "", True)
+    (tmp_path / "out" / "a.csv").mkdir(parents=True)
+    good = save(tmp_path / "b.npy", landmarks)
+    status, said, (line,) = predict(points, good)
+    assert (status, "a.csv must not be there yet" in line) == (1, True)
+    assert (tmp_path / "out" / "b.csv").is_file()
+
+
+def test_a_full_disk_gets_a_line_for_each_source(tmp_path, predict, landmarks, monkeypatch):
+    def full(path, *arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "ab"]
+    monkeypatch.setattr(run, "write_overlay", full)
+    status, _, errors = predict(*files)
+    assert status == 1
+    assert [f"out/{name}.png cannot be written: No space" in line
+            for name, line in zip("ab", errors, strict=True)] == [True, True]  # fmt: skip
+
+
+def test_without_a_detector_photos_are_refused_and_landmarks_done(
+    tmp_path, predict, landmarks, monkeypatch
+):
+    for name in ("dlib", "mediapipe"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for row in DETECTORS.values():
+        module = sys.modules[row.is_installed.__module__]
+        getattr(getattr(module, "shared_detector", None), "cache_clear", lambda: None)()
+    detection._opened.cache_clear()
+    from deepmds_keras.detection import dlib_landmarks, mediapipe_landmarks
+
+    for module in (dlib_landmarks, mediapipe_landmarks):
+        module.shared_detector.cache_clear()
+    Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
+    points = save(tmp_path / "a.npy", landmarks)
+    for detector in ("dlib", "mediapipe"):
+        status, said, (line,) = predict(tmp_path / "photo.png", "--detector", detector)
+        assert (status, said) == (1, "")
+        assert f"pip install '.[{detector}]'" in line
+    assert not (tmp_path / "out").exists()
+    status, _, (line,) = predict(tmp_path / "photo.png", points)
+    assert status == 1 and "1 photos or videos cannot be used. " in line
+    assert (tmp_path / "out" / "a.csv").is_file()
+
+
+def test_models_that_do_not_fit_are_named(tmp_path, predict, landmarks, capsys):
+    points = save(tmp_path / "a.npy", landmarks)
+    for model, said in (
+        ("openhead", "its name must be one of deepmds-bfm72, deepmds-ibug51"),
+        (tmp_path / "none.npz", "none.npz"),
+        (points, "a.npy must be an npz written by save()"),
+        ("deepmds-bfm72", "a.npy must have 72 landmarks a face for the model deepmds-bfm72"),
+    ):
+        status, _, (line,) = predict(points, "--model", model)
+        assert status == 1
+        assert said in line
+
+
+def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):
+    Image.fromarray(heads[0][1]).save(tmp_path / "a.png")
+    options = ("--smooth", 2, "--every", 3, "--y-up", "--image-size", 640, 480)
+    status, _, (line,) = predict(tmp_path / "a.png", *options)
+    names = "--smooth, --every, --y-up, --image-size"
+    assert (status, line) == (0, f"note: {names} have no effect on these sources.")
+    points = save(tmp_path / "b.npy", landmarks)
+    assert predict(points, "--smooth", 2)[2] == []
+    assert predict(points, "--every", 2)[2] == ["note: --every has no effect on these sources."]
+
+
+@pytest.mark.parametrize("detector", ["dlib", "mediapipe"])
+def test_either_detector_finds_the_faces_and_its_licence_is_named(
+    tmp_path, predict, heads, capsys, detector
+):
+    if detector == "mediapipe" and not MEDIAPIPE:
+        pytest.skip("MediaPipe is not installed")
+    Image.fromarray(heads[0][1]).save(tmp_path / "head.png")
+    status, _, errors = predict(
+        tmp_path / "head.png", "--detector", detector, "--format", "npz,json"
+    )
+    assert (status, errors) == (0, [])
+    found = arrays_of(tmp_path / "out" / "head.npz")
+    assert np.abs(found["landmarks"][0, -51:] - heads[1][1]).mean() < 4
+    assert found["yaw"][0] == pytest.approx(-10, abs=8)
+    described = json.loads((tmp_path / "out" / "head.json").read_bytes())["detector"]
+    assert described["name"] == detector
+    assert ("non-commercial" in described["licence"]) == (detector == "dlib")
+
+
+def test_a_landmarker_is_mediapipes(tmp_path, predict):
+    Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
+    landmarker = ("--landmarker", tmp_path / "none.task")
+    assert parse(["predict", "a.jpg", *map(str, landmarker)]).detector == "mediapipe"
+    status, _, (line,) = predict(tmp_path / "photo.png", *landmarker)
+    assert status == 1 and "none.task must be a face landmarker" in line
+
+
+def test_the_photos_that_users_have_give_plausible_faces(tmp_path, predict):
+    photos = sorted((SHARED / "photos").glob("photo[12345]*"))
+    if not photos:
+        pytest.skip("../shared is absent")
+    status, _, errors = predict(*photos, "--format", "npz")
+    assert (status, errors) == (0, [])
+    scheme = load_scheme("ibug51")
+    groups = np.array(scheme.groups)
+    eyes, mouth = np.isin(groups, ["right_eye", "left_eye"]), groups == "outer_mouth"
+    tip = scheme.names.index("nose_tip")
+    for photo in photos:
+        for shape in arrays_of(tmp_path / "out" / f"{photo.stem}.npz")["shape"]:
+            assert shape[eyes, 1].mean() > shape[tip, 1] > shape[mouth, 1].mean()
+            assert shape[tip, 2] == shape[:, 2].max()
+
+
+def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):
+    points = save(tmp_path / "two.npy", np.stack([landmarks, 2 * landmarks]))
+    status, _, errors = predict(points, "--view", "--mesh", "--interocular", 90, "--format", ALL)
+    assert (status, errors) == (0, [])
+    kinds = ("ply", "obj", "mesh.ply", "mesh.obj")
+    faces = {f"two-{n}.{kind}" for n in (1, 2) for kind in kinds}
+    tables = {f"two.{kind}" for kind in ("csv", "json", "npz", "png", "html")}
+    assert {*written(tmp_path / "out")} == faces | tables | {"deepmds.json"}
+    for n in (1, 2):
+        lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
+        vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
+        assert 180 < np.ptp(vertices[:, 1]) < 400  # millimetres of a head
