@@ -184,4 +184,7 @@ def peak_memory_mb() -> int:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    finally:  # all is written: what Python does at its end need not be cleaned up
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)

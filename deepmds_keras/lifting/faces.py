@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,50 +84,49 @@ def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator
     return Faces(np.float32(views), np.float32(visible), np.float32(sd), faces.shapes)
 
 
-class GivenFaces:
-    """Faces in memory, some of them held out.
+class Source(NamedTuple):
+    """Where the faces of a training come from.
 
     Attributes:
-        number: Of the faces.
         shapes: `(n, 3, L)` of which the network begins with the principal components.
         held_out: Faces to check the network on, disturbed as those in training.
+        block: From the number of a block and of faces to that many training faces.
+        number: Of the faces in memory, None where they are sampled.
     """
 
-    def __init__(self, faces: Faces, missing: float, noise: float, seed: int):
-        self.number = len(faces)
-        self._disturb = lambda part, rng: disturb(part, missing, noise, rng)
-        self._seed = seed
-        order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
-        n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
-        # Of fewer than ten faces none can be spared.
-        self._training = faces[order[n_held_out:]]
-        checked = faces[order[:n_held_out]] if n_held_out else faces
-        self.held_out = self._disturb(checked, np.random.default_rng([seed, Stream.LIFTING_CHECK]))
-        self.shapes = self._training.shapes
+    shapes: np.ndarray
+    held_out: Faces
+    block: Callable[[int, int], Faces]
+    number: int | None
 
-    def block(self, index: int, n: int) -> Faces:
-        """`n` faces in random order, every one as often as any other."""
+
+def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source:
+    """Faces in memory, a tenth of them held out; a block has every one as often as any other."""
+    order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
+    n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
+    # Of fewer than ten faces none can be spared.
+    training = faces[order[n_held_out:]]
+    checked = faces[order[:n_held_out]] if n_held_out else faces
+    check_rng = np.random.default_rng([seed, Stream.LIFTING_CHECK])
+
+    def block(index: int, n: int) -> Faces:
         from deepmds_keras.training import face_order  # which imports TensorFlow
 
-        faces = face_order(len(self._training), n, self._seed, index)
-        rng = np.random.default_rng([self._seed, Stream.LIFTING_TRAINING, index])
-        return self._disturb(self._training[faces], rng)
+        rng = np.random.default_rng([seed, Stream.LIFTING_TRAINING, index])
+        return disturb(training[face_order(len(training), n, seed, index)], missing, noise, rng)
+
+    return Source(training.shapes, disturb(checked, missing, noise, check_rng), block, len(faces))
 
 
-class SampledFaces:
-    """Faces that a function samples, none of them twice; attributes as of `GivenFaces`."""
+def sampled_faces(
+    sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int
+) -> Source:
+    """Faces that a function samples, none of them twice."""
 
-    number = None
+    def draw(n, *stream):
+        rng = np.random.default_rng([seed, *stream])
+        return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
 
-    def __init__(self, sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int):
-        def draw(n, *stream):
-            rng = np.random.default_rng([seed, *stream])
-            return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
-
-        self._draw = draw
-        self.held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
-        self.shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes
-
-    def block(self, index: int, n: int) -> Faces:
-        """`n` new faces."""
-        return self._draw(n, Stream.LIFTING_TRAINING, index)
+    held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
+    shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes
+    return Source(shapes, held_out, lambda index, n: draw(n, Stream.LIFTING_TRAINING, index), None)

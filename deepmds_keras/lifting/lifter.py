@@ -20,8 +20,8 @@ from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
-from deepmds_keras.lifting.faces import GivenFaces, SampledFaces, read_faces
-from deepmds_keras.lifting.network import SIZES, UNIT, Lift, check_weights, initial_weights, lift
+from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces
+from deepmds_keras.lifting.network import SIZES, UNIT, check_weights, initial_weights, lift
 from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
 
 _CHUNK = 250  # faces at a time, whose arrays stay in the cache
@@ -146,10 +146,10 @@ class LandmarkLifter:
                     "shapes and landmark_sd must be left out where views is a function, which "
                     "returns them. Received one of them."
                 )
-            faces = SampledFaces(views, self.n_landmarks, self.missing, self.noise, self.seed)
+            faces = sampled_faces(views, self.n_landmarks, self.missing, self.noise, self.seed)
         else:
             given = read_faces(views, shapes, landmark_sd, self.n_landmarks)
-            faces = GivenFaces(given, self.missing, self.noise, self.seed)
+            faces = given_faces(given, self.missing, self.noise, self.seed)
         size = SIZES[self.size]
         self.weights_, self.history_ = train_lifting_net(
             initial_weights(faces.shapes, size, self.seed),
@@ -211,9 +211,8 @@ class LandmarkLifter:
         seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         if check_orientation:
             check_views(seen.points)
-        lifted = self._lift(seen)
-        shapes = _joined([part.shapes for part in lifted])
-        return (shapes, _std(lifted)) if return_std else shapes
+        estimate = self._estimate(seen)
+        return (estimate.shapes, estimate.std) if return_std else estimate.shapes
 
     def pose(
         self,
@@ -247,16 +246,7 @@ class LandmarkLifter:
         Raises:
             InputError: As for `predict`.
         """
-        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
-        lifted = self._lift(seen)
-        camera = Camera(*map(np.concatenate, zip(*(part.camera for part in lifted), strict=True)))
-        pose = HeadPose(
-            rotation=camera.rotation,
-            scale=(camera.scale * seen.radius)[:, 0],
-            translation=camera.shift * seen.radius + seen.centre,
-            perspective=camera.perspective[:, 0],
-        )
-        return Estimate(_joined([part.shapes for part in lifted]), _std(lifted), pose)
+        return self._estimate(prepare_views(views, self.n_landmarks, visible, landmark_sd))
 
     @property
     def n_parameters(self) -> int:
@@ -342,13 +332,23 @@ class LandmarkLifter:
 
         return Tags(estimator_type=None, target_tags=TargetTags(required=False))
 
-    def _lift(self, seen: Views) -> list[Lift]:
+    def _estimate(self, seen: Views) -> Estimate:
         arrays = check_fitted(self, "weights_", _SETTERS)
         sd = np.full_like(seen.visible, self.training_sd_) if seen.sd is None else seen.sd
         inputs = (seen.views, seen.visible, sd)
         iterations = SIZES[self.size].iterations
         chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]
-        return [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks]
+        lifted = [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks]
+        shapes, log_sd, cameras = zip(*lifted, strict=True)
+        camera = Camera(*map(np.concatenate, zip(*cameras, strict=True)))
+        shapes, log_sd = (np.concatenate(parts).swapaxes(1, 2) for parts in (shapes, log_sd))
+        pose = HeadPose(
+            rotation=camera.rotation,
+            scale=(camera.scale * seen.radius)[:, 0],
+            translation=camera.shift * seen.radius + seen.centre,
+            perspective=camera.perspective[:, 0],
+        )
+        return Estimate(shapes, UNIT * np.exp(log_sd), pose)
 
     def _check_parameters(self):
         if self.size not in SIZES:
@@ -364,12 +364,3 @@ class LandmarkLifter:
             raise InputError(f"missing must be in [0, 1). Received {self.missing}.")
         if not 0 <= self.noise < np.inf:
             raise InputError(f"noise must be finite and not negative. Received {self.noise}.")
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    """Parts `(n, 3, L)` of a batch as `(n, L, 3)`."""
-    return np.concatenate(parts).swapaxes(1, 2)
-
-
-def _std(lifted: list[Lift]) -> np.ndarray:
-    return UNIT * np.exp(_joined([part.log_sd for part in lifted]))

@@ -1,22 +1,25 @@
-"""The command line of `deepmds`."""
+"""The command line of `deepmds`: its arguments, and what it prints about a source."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from deepmds_keras import __version__
 from deepmds_keras.detection import DETECTORS, default_detector
 from deepmds_keras.landmarks import said_sizes
+from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES
 from deepmds_keras.predict.outputs import FORMATS
+from deepmds_keras.predict.videos import tell_tracks
 
 _DESCRIPTION = """\
 Finds the faces in photos and videos, and the 3D shape of their landmarks; or takes
 landmarks that are given. Shapes face the front: +x to the subject's left, +y up, +z out of the
 face. One view does not show the true size: --interocular sets it."""
+_LISTED_FAULTS = 10  # of one source
 _EPILOG = """\
 examples:
   deepmds predict photo.jpg --view
@@ -99,6 +102,37 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     if options.command == "predict" and options.detector is None:
         options.detector = "mediapipe" if options.landmarker else default_detector()
     return options
+
+
+def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
+    """What to print about a source that is done: its first faces, at most so many."""
+    if faces[0].frame_ref is not None:
+        yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
+        yield from tell_tracks(faces, most)
+        return
+    seen = [face for face in faces if not face.is_gap]
+    gaps = len(faces) - len(seen)
+    yield f"{source}: {len(seen)} face{'s' * (len(seen) > 1)}" + (
+        f", {gaps} gap{'s' * (gaps > 1)}" if gaps else ""
+    )
+    for face in seen[:most]:
+        yield f"  {face.name}: {face.angles}"
+        yield from (f"    {note}" for note in face.notes)
+    if rest := seen[most:]:
+        yield f"  and {len(rest)} more, {sum(bool(face.notes) for face in rest)} of them with notes"
+
+
+def fault_of(source: Path, faces: list[Face]) -> str | None:
+    """The faces that are gaps because they cannot be used."""
+    faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
+    if not faults:
+        return None
+    listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
+    return (
+        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
+        f"{', '.join(listed)}{', …' * (len(faults) > len(listed))}. "
+        f"The first {min(faults.items())[1]}"
+    )
 
 
 def printable(text: str) -> str:

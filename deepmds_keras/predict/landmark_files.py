@@ -36,7 +36,7 @@ def read_landmarks(
     x and y must be in the same unit, or be fractions of the width and of the height, as MediaPipe's
     are. A third coordinate is ignored.
 
-    - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)`, `(n, L, 3)`, or x1, y1, x2, … of a face in each row.
+    - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)` or `(n, L, 3)`.
     - `.csv`, with commas and a header; lines of comments (`#`) may come first. One landmark a row:
       columns `image_x` and `image_y`, as `deepmds predict` writes them, or `x` and `y`; of several
       faces a column `face`; a column `number` must count up. Other columns are ignored.
@@ -88,7 +88,7 @@ def read_faces(
     try:
         _check_size(path, _MAX_BYTES[suffix])
         points = _READERS[suffix](path)
-    except (OSError, MemoryError) as error:
+    except (OSError, MemoryError, RecursionError) as error:
         raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
     faults = _find_faults(points)
     points[[*faults]] = np.nan
@@ -142,12 +142,14 @@ def _in_pixels(
 def _check_size(path: Path, max_bytes: int) -> None:
     if not path.is_file():
         received = "a folder or device" if path.exists() else "a path that does not exist"
-        raise InputError(f"{path} must be a file of landmarks. Received {received}.")
-    size = path.stat().st_size
-    if not 0 < size <= max_bytes:
-        received = f"{size:,} bytes" if size else "an empty file"
-        most = f"at most {max_bytes >> 20} MiB"
-        raise InputError(f"{path} must hold landmarks, in {most}. Received {received}.")
+    elif not (size := path.stat().st_size):
+        received = "an empty file"
+    elif size > max_bytes:
+        received = f"{size:,} bytes"
+    else:
+        return
+    most = f"at most {max_bytes >> 20} MiB"
+    raise InputError(f"{path} must be a file of landmarks, of {most}. Received {received}.")
 
 
 def _read_npy(path: Path) -> np.ndarray:
@@ -186,57 +188,47 @@ def _points(item):
     if isinstance(item, dict):
         named = "x" in item or "y" in item
         return [item.get("x"), item.get("y")] if named else _points(item.get("landmarks"))
-    return [*map(_points, item)] if isinstance(item, list) else item
+    nested = isinstance(item, list) and not isinstance(item[:1] and item[0], (int, float))
+    return [*map(_points, item)] if nested else item
 
 
 def _as_faces(path: Path, points: np.ndarray) -> np.ndarray:
-    """`(n, L, 2)` float64, of any of the layouts of an points."""
+    """`(n, L, 2)` float64, of one face or of several, with or without depth."""
     if points.dtype.kind not in "iuf":
-        kind = "text, null or objects" if points.dtype.kind in "OUS" else f"dtype {points.dtype}"
+        kind = "text, null or objects" if points.dtype.kind in "OUS" else f"{points.dtype}"
         raise InputError(f"{path} must hold numbers only for its landmarks. Received {kind}.")
-    shape = points.shape
-    if shape[-1:] in ((2,), (3,)) and len(shape) in (2, 3):
-        _check_count(path, shape[-2])
-        faces = points.reshape(-1, *shape[-2:])[..., :2]
-    elif len(shape) in (1, 2) and shape[-1] in [2 * n for n in face_sizes()]:
-        faces = points.reshape(-1, shape[-1] // 2, 2)
-    else:
+    if points.ndim not in (2, 3) or points.shape[-1] not in (2, 3) or not len(points):
         raise InputError(
-            f"{path} must have shape (landmarks, 2), (faces, landmarks, 2) or (faces, 2 x "
-            f"landmarks), with {said_sizes()} landmarks. Received {shape}."
+            f"{path} must have shape (landmarks, 2) or (faces, landmarks, 2), and at least one "
+            f"face. Received {points.shape}."
         )
-    if not len(faces):
-        raise InputError(f"{path} must hold at least one face. Received none.")
-    return np.array(faces, float)
+    _check_count(path, points.shape[-2])
+    return np.array(points.reshape(-1, *points.shape[-2:])[..., :2], float)
 
 
 def _read_pts(path: Path) -> np.ndarray:
     text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line.strip() for line in text.splitlines()]
-    if "{" not in lines or "}" not in lines:
+    match = re.fullmatch(r"(.*?)^\s*\{\s*$(.*?)^\s*\}\s*$.*", text, re.DOTALL | re.MULTILINE)
+    if not match:
         raise InputError(
             f"{path} must have its landmarks between lines of {{ and }}. "
             "Received no such lines: it is cut short, or no 300-W file."
         )
-    first, last = lines.index("{") + 1, lines.index("}")
     points = []
-    for i, line in enumerate(lines[first:last], first + 1):
+    for line in filter(str.strip, match[2].splitlines()):
         try:
-            if line:
-                x, y = map(float, line.split())
-                points.append((x, y))
+            x, y = map(float, line.split())
         except ValueError:
             raise InputError(
-                f"{path} must have two numbers per landmark. Received {brief(line)!r} in line {i}."
+                f"{path} must have two numbers per landmark. Received {brief(line)!r}."
             ) from None
+        points.append((x, y))
+    stated = re.search(r"n_points\s*:\s*(\d+)", match[1])
+    if stated and int(stated[1]) != len(points):
+        raise InputError(
+            f"{path} must have as many landmarks as it states, {stated[1]}. Received {len(points)}."
+        )
     _check_count(path, len(points))
-    for line in lines[: first - 1]:
-        stated = re.fullmatch(r"n_points\s*:\s*(\d+)", line)
-        if stated and int(stated[1]) != len(points):
-            raise InputError(
-                f"{path} must have as many landmarks as it states, {stated[1]}. "
-                f"Received {len(points)}."
-            )
     return np.array([points]) - _MATLAB_ORIGIN
 
 

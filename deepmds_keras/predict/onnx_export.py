@@ -14,7 +14,7 @@ from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
-from deepmds_keras.predict.models import weights_path
+from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
 from deepmds_keras.predict.outputs import AXES, SCALE
 from deepmds_keras.weights import PRETRAINED
 
@@ -47,6 +47,13 @@ def export(path: str | Path, model: str) -> None:
     """
     if Path(path).exists():
         raise InputError(f"{path} must be the name of a new file. Received one that exists.")
+    lifters = FAMILIES[DEFAULT].shipped
+    model = lifters[FALLBACK] if model == DEFAULT else model
+    if model not in lifters.values() and not Path(model).is_file():
+        raise InputError(
+            f"model must be {', '.join(lifters.values())} or a file of LandmarkLifter.save(): the "
+            f"networks of deepmds are not exported. Received {str(model)!r}."
+        )
     weights = weights_path(model)
     lifter = LandmarkLifter.load(weights)
     scheme = load_scheme(scheme_of(lifter.n_landmarks))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -171,36 +172,39 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
     )
 
 
-def ply_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """The wireframe of one face: vertices, and edges along the lines of its scheme."""
-    edges = wireframe_edges(load_scheme(faces[0].scheme))
-    properties = ["property int vertex1", "property int vertex2"]
-    edges = [f"element edge {len(edges)}", *properties], _rows("%d %d", edges)
-    yield _ply(description(faces, model), faces[0].xyz, *edges)
-
-
-def obj_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """The wireframe of one face: vertices and the lines of its scheme."""
-    yield _commented(description(faces, model)) + _rows("v %.7g %.7g %.7g", faces[0].xyz)
-    for line in load_scheme(faces[0].scheme).polylines:
-        yield f"l {' '.join(str(i + 1) for i in line)}\n"
-
-
-def mesh_ply_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """The head through the landmarks of one face, as triangles in the frame and unit of `xyz`."""
-    triangles = surface_triangles()
-    element = [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
-    vertices = fit_surfaces(faces[0].xyz[None], faces[0].scheme)[0]
-    comments = [_MESH, *description(faces, model)]
-    yield _ply(comments, vertices, element, _rows("3 %d %d %d", triangles))
-
-
-def mesh_obj_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """As `mesh_ply_text`."""
-    vertices = fit_surfaces(faces[0].xyz[None], faces[0].scheme)[0]
-    text = _commented([_MESH, *description(faces, model)]) + _rows("v %.7g %.7g %.7g", vertices)
-    text += _rows("f %d %d %d", surface_triangles() + 1)
+def ply_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> Iterator[str]:
+    """One face: vertices, and edges along the lines of its scheme, or triangles of the head."""
+    vertices, comments = _vertices(faces, model, mesh)
+    if mesh:
+        cells = surface_triangles()
+        element = [f"element face {len(cells)}", "property list uchar int vertex_indices"]
+    else:
+        cells = wireframe_edges(load_scheme(faces[0].scheme))
+        element = [f"element edge {len(cells)}", "property int vertex1", "property int vertex2"]
+    header = [
+        "ply",
+        "format ascii 1.0",
+        *(f"comment {line}" for line in comments),
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *element,
+        "end_header\n",
+    ]
+    text = "\n".join(header) + _rows("%.7g %.7g %.7g", vertices)
+    text += _rows("3 %d %d %d" if mesh else "%d %d", cells)
     yield text.encode("ascii", "replace").decode()  # some readers take ASCII only
+
+
+def obj_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> Iterator[str]:
+    """One face: vertices, and the lines of its scheme, or triangles of the head."""
+    vertices, comments = _vertices(faces, model, mesh)
+    text = "".join(f"# {line}\n" for line in comments) + _rows("v %.7g %.7g %.7g", vertices)
+    if mesh:
+        text += _rows("f %d %d %d", surface_triangles() + 1)
+        yield text.encode("ascii", "replace").decode()
+        return
+    lines = load_scheme(faces[0].scheme).polylines
+    yield text + "".join(f"l {' '.join(str(i + 1) for i in line)}\n" for line in lines)
 
 
 def wireframe_edges(scheme: LandmarkScheme) -> np.ndarray:
@@ -227,51 +231,35 @@ def _common(faces: Sequence[Face], model: Mapping) -> dict:
 
 def description(faces: Sequence[Face], model: Mapping) -> list[str]:
     """Lines of text: names are quoted as JSON has them, and so cannot begin another line."""
-    scheme = load_scheme(faces[0].scheme)
-    unit = faces[0].unit
+    scheme, unit, detector = load_scheme(faces[0].scheme), faces[0].unit, faces[0].detector
+    terms = [f"licence of the weights: {model['licence']}"] if "licence" in model else []
+    if detector is not None:
+        terms.append(f"landmarks found by {detector['name']}, licence: {detector['licence']}")
     return [
         f"3D face landmarks by deepmds-keras {__version__}, model {json.dumps(model['name'])}",
         f"scheme: {scheme.name}, numbers {scheme.numbers[0]} to {scheme.numbers[-1]} in this "
         "order; right and left are the subject's",
         f"unit of x, y, z: {unit} ({SCALE[unit]})",
-        *_terms(faces, model),
+        *terms,
         f"axes: {AXES['shape']}",
         *(f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes),
     ]
 
 
-def _terms(faces: Sequence[Face], model: Mapping) -> list[str]:
-    """Licences, as far as they are known."""
-    terms = [f"licence of the weights: {model['licence']}"] if "licence" in model else []
-    if (detector := faces[0].detector) is not None:
-        terms.append(f"landmarks found by {detector['name']}, licence: {detector['licence']}")
-    return terms
-
-
 def _frame(face: Face) -> dict[str, float]:
     """Further columns of a face of a video."""
-    ref = face.frame_ref
-    return (
-        {} if ref is None else {"frame": ref.frame, "time": round(ref.time, 6), "track": ref.track}
-    )
+    if face.frame_ref is None:
+        return {}
+    columns = vars(face.frame_ref)
+    return columns | {"time": round(columns["time"], 6)}
 
 
-def _ply(comments: list[str], vertices: np.ndarray, element: list[str], rows: str) -> str:
-    header = [
-        "ply",
-        "format ascii 1.0",
-        *(f"comment {line}" for line in comments),
-        f"element vertex {len(vertices)}",
-        *(f"property float {axis}" for axis in "xyz"),
-        *element,
-        "end_header\n",
-    ]
-    text = "\n".join(header) + _rows("%.7g %.7g %.7g", vertices) + rows
-    return text.encode("ascii", "replace").decode()  # some readers take ASCII only
-
-
-def _commented(lines: list[str]) -> str:
-    return "".join(f"# {line}\n" for line in lines)
+def _vertices(faces: Sequence[Face], model: Mapping, mesh: bool) -> tuple[np.ndarray, list[str]]:
+    """Landmarks, or the head through them in their frame and unit; and lines that describe them."""
+    face, described = faces[0], description(faces, model)
+    if not mesh:
+        return face.xyz, described
+    return fit_surfaces(face.xyz[None], face.scheme)[0], [_MESH, *described]
 
 
 def _rows(row: str, numbers: np.ndarray) -> str:
@@ -309,4 +297,7 @@ FORMATS = {
     "ply": _as_text(ply_text),
     "obj": _as_text(obj_text),
 }
-MESH_FORMATS = {"mesh.ply": _as_text(mesh_ply_text), "mesh.obj": _as_text(mesh_obj_text)}
+MESH_FORMATS = {
+    "mesh.ply": _as_text(partial(ply_text, mesh=True)),
+    "mesh.obj": _as_text(partial(obj_text, mesh=True)),
+}

@@ -50,7 +50,10 @@ def write_page(
         InputError, OSError: As for `atomic_write`.
     """
     described = [_described(face, photo) for face, photo in zip(faces, photos, strict=True)]
-    schemes = {name: _scheme(name) for name in {face.scheme for face in faces}}
+    schemes = {
+        name: {"lines": scheme.polylines, "names": scheme.names, "numbers": scheme.numbers}
+        for name, scheme in ((face.scheme, load_scheme(face.scheme)) for face in faces)
+    }
     shown = {"faces": described, "schemes": schemes, "axes": AXES["shape"]}
     if mesh:
         shown["triangles"] = _base64(surface_triangles().astype("<u2").tobytes())
@@ -128,11 +131,6 @@ def _mesh(face: Face) -> dict:
 
 def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode()
-
-
-def _scheme(name: str) -> dict:
-    scheme = load_scheme(name)
-    return {"lines": scheme.polylines, "names": scheme.names, "numbers": scheme.numbers}
 
 
 def _policy(page: str) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from joblib import Parallel, cpu_count, delayed
@@ -21,7 +20,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import find_flipped
 from deepmds_keras.photos import open_photo, photo_step
-from deepmds_keras.predict.cli import printable
+from deepmds_keras.predict.cli import fault_of, lines_about, printable
 from deepmds_keras.predict.detection import (
     find_in_video,
     find_upright,
@@ -52,10 +51,9 @@ from deepmds_keras.predict.sources import (
     name_faces,
     name_sources,
 )
-from deepmds_keras.predict.videos import portraits, read_stills, tell_tracks, write_landmark_video
+from deepmds_keras.predict.videos import portraits, read_stills, write_landmark_video
 
 _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
-_LISTED_FAULTS = 10  # of one source
 _HIDDEN = ".deepmds-"  # begins the names of what is not for users
 
 
@@ -140,7 +138,14 @@ def _locked(out: Path) -> Iterator[Path]:
     out.mkdir(parents=True, exist_ok=True)
     with open(out / f"{_HIDDEN}lock", "wb") as file:
         try:
-            _lock(file)
+            if os.name == "nt":
+                import msvcrt
+
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
                 f"{out} must not be in use by another run. Wait until that has ended, or name "
@@ -152,18 +157,6 @@ def _locked(out: Path) -> Iterator[Path]:
             ".partial", _HIDDEN, out, ignore_cleanup_errors=True
         ) as folder:
             yield Path(folder)
-
-
-def _lock(file: BinaryIO) -> None:
-    """Lock a file until it is closed or the process ends; OSError if another process has."""
-    if os.name == "nt":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, str]]:
@@ -189,16 +182,15 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
 def _note_without_effect(paths: list[Path], settings: dict) -> None:
     """Say which options have no effect on any of the sources."""
     videos, files = any(map(is_video, paths)), any(map(is_landmark_file, paths))
-    effects = {
-        "--smooth": not settings["smooth"] or videos or files,
-        "--every": settings["every"] == 1 or videos,
-        "--y-up": not settings["y_up"] or files,
-        "--image-size": settings["image_size"] is None or files,
+    without = {
+        "--smooth": settings["smooth"] and not (videos or files),
+        "--every": settings["every"] > 1 and not videos,
+        "--y-up": settings["y_up"] and not files,
+        "--image-size": settings["image_size"] and not files,
     }
-    options = [option for option, effect in effects.items() if not effect]
-    if options and paths:
-        verb = "has" if len(options) == 1 else "have"
-        _complain(f"{', '.join(options)} {verb} no effect on these sources.", "note")
+    if paths and any(without.values()):
+        options = ", ".join(option for option, idle in without.items() if idle)
+        _complain(f"no effect on these sources: {options}.", "note")
 
 
 def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: dict) -> Iterator:
@@ -247,8 +239,8 @@ def _process(
     except OSError as error:
         place = folder.parent / Path(error.filename or name).name
         return source, name, [], [], f"{place} cannot be written: {error.strerror}."
-    written, lines = [path.name for path in files], [*_lines(source, faces)]
-    return source, name, written, lines, _fault(source, faces)
+    written, lines = [path.name for path in files], [*lines_about(source, faces, _DRAWN_FACES)]
+    return source, name, written, lines, fault_of(source, faces)
 
 
 def _detect(
@@ -326,34 +318,3 @@ def _pictures(
         return {picture.with_suffix(".mp4"): preview} | writers
     drawn = some if photo is None else shown
     return {picture: partial(write_overlay, faces=drawn, photo=photo)} | writers
-
-
-def _lines(source: Path, faces: list[Face]) -> Iterator[str]:
-    """What to say of a source that is done."""
-    if faces[0].frame_ref is not None:
-        yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
-        yield from tell_tracks(faces, _DRAWN_FACES)
-        return
-    seen = [face for face in faces if not face.is_gap]
-    gaps = len(faces) - len(seen)
-    yield f"{source}: {len(seen)} face{'s' * (len(seen) > 1)}" + (
-        f", {gaps} gap{'s' * (gaps > 1)}" if gaps else ""
-    )
-    for face in seen[:_DRAWN_FACES]:
-        yield f"  {face.name}: {face.angles}"
-        yield from (f"    {note}" for note in face.notes)
-    if rest := seen[_DRAWN_FACES:]:
-        yield f"  and {len(rest)} more, {sum(bool(face.notes) for face in rest)} of them with notes"
-
-
-def _fault(source: Path, faces: list[Face]) -> str | None:
-    """The faces that are gaps because they cannot be used."""
-    faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
-    if not faults:
-        return None
-    listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
-    return (
-        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
-        f"{', '.join(listed)}{', …' * (len(faults) > len(listed))}. "
-        f"The first {min(faults.items())[1]}"
-    )

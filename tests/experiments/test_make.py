@@ -157,7 +157,7 @@ def test_the_table_of_the_landmark_methods_comes_before_mobileface(whole_bfm):
         ("reproduce-bfm", ["MODEL=foo"], "invalid choice: 'foo'"),
         ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
         ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
-        ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file or folder of bfm2009"),
+        ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file of bfm2009"),
         ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),
         ("reproduce-flame", ["EVALUATOR=released"], "EVALUATOR must be paper"),
         *(

@@ -53,7 +53,6 @@ LAYOUTS = {
     ),
     "array": ("f.npy", FACES, FACES),
     "array of one": ("f.npy", ONE[0], ONE),
-    "array, flat": ("f.npy", FACES.reshape(3, -1), FACES),
     "array with depth": ("f.npy", np.dstack([FACES, DEPTH]), FACES),
     "array of other bytes": ("f.npy", np.asfortranarray(FACES.astype(">f8")), FACES),
     "points of 300-W": ("f.pts", pts(ONE[0] + 0.5), ONE),

@@ -1,12 +1,13 @@
 """The lifter: what it recovers, what must not change it, files, stops and errors."""
 
+import functools
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT, SHARED
 from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
@@ -14,7 +15,7 @@ from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import FunctionTransformer
 
-from data_gen.models.openhead import load_openhead
+from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.alignment import centre
 from deepmds_keras.baselines.closed_form import Linear
@@ -25,7 +26,6 @@ from deepmds_keras.lifting.training import build_lifting_net
 from deepmds_keras.weights import read_arrays
 
 L = 20
-ROOT = Path(__file__).parents[3]
 
 
 def sample_faces(n, rng):
@@ -124,31 +124,6 @@ def test_posterior_steps_find_coefficients_and_camera_of_exact_views():
     assert np.abs(camera.perspective - 0.05).max() < 1e-3
 
 
-def test_derivatives_are_those_of_the_image():
-    rng = np.random.default_rng(0)
-    shapes = rng.normal(size=(1, 3, 9))
-    camera = equations.Camera(Rotation.random(1, random_state=0).as_matrix(), np.full((1, 1), 2.0),
-                              np.full((1, 1), 0.1), rng.normal(size=(1, 2)))  # fmt: skip
-    views, visible = rng.normal(size=(1, 2, 9)), np.ones((1, 9))
-    variance = rng.random((1, 9)) + 0.5
-
-    def residual(camera, shapes=shapes):
-        return equations.look(np, camera, shapes, views, visible, variance).residual
-
-    sight = equations.look(np, camera, shapes, views, visible, variance)
-    jacobian = equations._camera_rows(np, sight)[0, :-1]
-    for i, row in enumerate(jacobian):
-        change = 1e-6 * np.eye(7)[None, i]
-        moved = residual(equations._move(np, camera, change))
-        assert np.allclose((residual(camera) - moved) / 1e-6, row, atol=1e-4), i
-    offsets = rng.normal(size=(1, 27))
-    moved = residual(camera, shapes + 1e-6 * offsets.reshape(1, 3, 9))
-    seen = equations.project(np, camera, sight, offsets)
-    assert np.allclose((residual(camera) - moved) / 1e-6, seen, atol=1e-4)
-    back = equations.back_project(np, camera, sight, views.reshape(1, -1))
-    assert np.isclose((back * offsets).sum(), (views.reshape(1, -1) * seen).sum())
-
-
 def test_scale_place_and_a_turn_in_the_plane_change_nothing(lifter, faces):
     views = faces[0][:20]
     shapes, sd = lifter.predict(views, landmark_sd=0.01, return_std=True)
@@ -210,7 +185,7 @@ def test_sizes_at_72_landmarks(size, most):
     lifter.weights_ = initial_weights(shapes, SIZES[size], 0)
     assert lifter.n_parameters <= most
     network = build_lifting_net(lifter.weights_, SIZES[size].iterations)
-    assert network.count_params() == lifter.n_parameters
+    assert sum(weight.numpy().size for weight in network.trainable_weights) == lifter.n_parameters
 
 
 def test_saved_and_loaded_predict_the_same(lifter, faces, tmp_path):
@@ -254,11 +229,11 @@ def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypa
     views, shapes, sd = sample_faces(60, np.random.default_rng(4))
     errors, now, path = iter([2.0, 1.0, 3.0]), [], tmp_path / "checkpoint.npz"
     monkeypatch.setattr(training, "STEPS_PER_BLOCK", 10)
-    monkeypatch.setattr(training, "_error", lambda *_: next(errors))
+    monkeypatch.setattr(training, "error_of", lambda *_: next(errors))
     lifter = LandmarkLifter(L, "tiny", steps=25, batch_size=8)
     lifter.fit(views, shapes, landmark_sd=sd, checkpoint=path,
-               progress=lambda _: now.append(read_arrays(path)[0]["now/basis"]))  # fmt: skip
-    assert lifter.history_["held_out"] == [2, 1, 3]
+               progress=lambda _: now.append(read_arrays(path)[0]["lifting/basis"]))  # fmt: skip
+    assert lifter.history_["inference"] == [2, 1, 3]
     assert np.array_equal(lifter.weights_["basis"], now[1])
     assert not np.array_equal(now[1], now[2])
 
@@ -345,15 +320,14 @@ def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
 SCHEMES = ("ibug51", "ibug68", "bfm72")
 
 
-@pytest.fixture(scope="module")
-def model_faces():
-    """Neutral faces of the open head by scheme, `(200, L, 3)`."""
-    head, rng = load_openhead(), np.random.default_rng(0)
+@functools.cache
+def model_faces(name, scheme):
+    """Neutral faces of an open model, `(200, L, 3)`."""
+    if name == "ict" and not (SHARED / "ict-facekit").exists():
+        pytest.skip("../shared/ict-facekit is absent")
+    head, rng = load_model(name, SHARED, scheme), np.random.default_rng(0)
     identity = rng.standard_normal((200, head.n_identity))
-    return {
-        scheme: centre(normalise(head.restrict(head.landmarks[scheme]).shape(identity)))
-        for scheme in SCHEMES
-    }
+    return centre(normalise(head.restrict(head.landmarks[scheme]).shape(identity)))
 
 
 def exact_views(shapes, rng):
@@ -362,34 +336,41 @@ def exact_views(shapes, rng):
 
 
 @pytest.mark.parametrize("landmark_sd", [None, 0.0])
-@pytest.mark.parametrize("kind", ["faces", "mean", "trained mean", "other means", "flat"])
+@pytest.mark.parametrize(
+    "kind",
+    ["openhead", "openhead mean", "ict", "ict mean", "trained mean", "other means", "flat"],
+)
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_views_without_noise_do_not_lead_astray(model_faces, scheme, kind, landmark_sd):
+def test_views_without_noise_do_not_lead_astray(scheme, kind, landmark_sd):
     lifter, rng = LandmarkLifter.pretrained(scheme), np.random.default_rng(1)
-    mean = lifter.weights_["mean"].T * np.ones((200, 1, 1))
-    shapes = {
-        "faces": model_faces[scheme],
-        "mean": 0 * mean + model_faces[scheme].mean(0),
-        "trained mean": mean,
-        "other means": mean * rng.uniform(0.8, 1.25, (200, 1, 3)),
-        "flat": mean * rng.uniform(0.8, 1.25, (200, 1, 3)) * (1, 1, 0),
-    }[kind]
+    name, *mean = kind.split()
+    if name in ("openhead", "ict"):
+        faces = model_faces(name, scheme)
+        shapes = np.broadcast_to(faces.mean(0), faces.shape) if mean else faces
+    else:
+        shapes = np.tile(lifter.weights_["mean"].T, (200, 1, 1))
+        if kind != "trained mean":
+            shapes = shapes * rng.uniform(0.8, 1.25, (200, 1, 3))
+        if kind == "flat":
+            shapes = shapes * (1, 1, 0)
     shapes = centre(normalise(shapes))
     lifted, sd, _ = lifter.estimate(exact_views(shapes, rng), landmark_sd=landmark_sd)
-    off = align(lifted, shapes, reflection=False) - shapes
-    errors = np.sqrt((off**2).mean((1, 2)))
+    errors = np.sqrt(((align(lifted, shapes, reflection=False) - shapes) ** 2).mean((1, 2)))
     assert errors.max() < 10 * np.median(errors)
     # Half of what separates two people at most, but of a flat face, which nobody has.
     assert errors.max() < (0.12 if kind == "flat" else 0.05)
-    # The weights of 0.2 never saw such views: "bfm72" gives flat faces too small an s.d.
-    assert (sd.mean((1, 2)) > (0.04 if kind in ("flat", "other means") else 0.1) * errors).all()
+    # Seen from the front a flat face is like any other, and "bfm72" is the surest of itself.
+    least = 0.08 if (scheme, kind) == ("bfm72", "flat") else 0.1
+    assert (sd.mean((1, 2)) > least * errors).all()
     # None is upside down, mirrored or inside out.
     along = (lifted * shapes).sum(1)
     assert (along[:, : 2 if kind == "flat" else 3] > 0).all()
 
 
-def test_five_odd_rows_of_2000_are_estimated_with_the_others(model_faces):
-    views = np.tile(exact_views(model_faces["ibug51"], np.random.default_rng(1)), (10, 1, 1))
+def test_five_odd_rows_of_2000_are_estimated_with_the_others():
+    views = np.tile(
+        exact_views(model_faces("openhead", "ibug51"), np.random.default_rng(1)), (10, 1, 1)
+    )
     views[[3, 500, 501, 1200]] *= (-1, 1)
     views[7] *= -1
     lifter = LandmarkLifter.pretrained("ibug51")
@@ -398,9 +379,10 @@ def test_five_odd_rows_of_2000_are_estimated_with_the_others(model_faces):
         lifter.predict(views * (1, -1))
 
 
-def test_scikit_learn_takes_it_as_its_estimator(tiny):
+def test_scikit_learn_takes_it_as_its_estimator(monkeypatch):
+    monkeypatch.setattr(training, "train_lifting_net", lambda initial, *_, **__: (initial, {}))
     views, shapes, _ = sample_faces(40, np.random.default_rng(0))
-    lifter = LandmarkLifter(L, "tiny", steps=2, batch_size=8)
+    lifter = LandmarkLifter(L, steps=2)
     steps = Pipeline([("nothing", FunctionTransformer()), ("lift", lifter)])
     assert np.isfinite(cross_val_score(steps, views, shapes, cv=2)).all()
     search = GridSearchCV(steps, {"lift__noise": [0.0, 0.1]}, cv=2).fit(views, shapes)

@@ -1,10 +1,8 @@
 """The page of 3D faces in a real browser: it is drawn, turns, and loads and runs nothing else."""
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -86,37 +84,6 @@ def test_the_photo_is_loaded_and_the_shape_drawn(page_of, face, photo):
     assert page.locator("svg circle").count() == 72
 
 
-def test_landmarks_lie_where_the_photo_has_them(page_of, face):
-    marked = np.zeros((480, 640, 3), np.uint8)
-    x, y = face.landmarks[28].astype(int)
-    marked[y - 2 : y + 3, x - 2 : x + 3] = 255
-    page = page_of([face], [marked])
-    dot = page.locator("svg circle").nth(28)
-    # Of the picture as loaded, the middle of what is bright; of the dot, where the page has it.
-    bright = page.locator("img").evaluate(
-        """(img) => {
-          const canvas = document.createElement("canvas");
-          [canvas.width, canvas.height] = [img.naturalWidth, img.naturalHeight];
-          const pen = canvas.getContext("2d");
-          pen.drawImage(img, 0, 0);
-          const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
-          let [sum, sx, sy] = [0, 0, 0];
-          for (let i = 0; i < data.length; i += 4) {
-            if (data[i] < 128) continue;
-            [sum, sx, sy] = [sum + 1, sx + (i / 4) % canvas.width + 0.5,
-                             sy + Math.floor(i / 4 / canvas.width) + 0.5];
-          }
-          const box = img.getBoundingClientRect();
-          const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
-          return [box.x + box.width / 2 + scale * (sx / sum - canvas.width / 2),
-                  box.y + box.height / 2 + scale * (sy / sum - canvas.height / 2)];
-        }"""
-    )
-    box = dot.bounding_box()
-    centre = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-    assert np.abs(np.subtract(centre, bright)).max() < 2
-
-
 @pytest.mark.parametrize(
     ("button", "pose"), [("Front", FRONT), ("Side", SIDE), ("As in the photo", {})]
 )
@@ -169,22 +136,6 @@ def test_dragging_keys_and_wheel_turn_and_zoom_and_reset_goes_back(page_of, face
     page.get_by_role("button", name="Reset").click()
     page.mouse.move(5, 5)
     assert np.array_equal(drawn(page), first)
-
-
-def test_the_table_can_be_taken_away_as_csv(page_of, face, photo):
-    page = page_of([face], [photo])
-    page.get_by_text("Coordinates").click()
-    link = page.get_by_role("link", name="CSV")
-    assert link.get_attribute("download") == "photo.csv"
-    kind, text = link.get_attribute("href").split(",", 1)
-    assert kind == "data:text/csv;charset=utf-8"
-    lines = unquote(text).splitlines()
-    assert "normalised" in lines[0]
-    assert "+z out of the face" in lines[1]
-    rows = list(csv.DictReader(lines[2:]))
-    values = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
-    assert np.allclose(values, face.xyz, atol=1e-5)
-    assert rows[28]["name"] == "nose_tip"
 
 
 def test_a_finger_that_moves_sideways_turns_the_shape(page_of, face, photo):

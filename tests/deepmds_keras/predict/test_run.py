@@ -1,6 +1,5 @@
 """`deepmds predict` as people run it: photos and landmarks in, files out, a line for what fails."""
 
-import errno
 import json
 import os
 import signal
@@ -12,15 +11,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from places import MEDIAPIPE, ROOT, SHARED
+from places import ROOT
 from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras import DeepMDS
 from deepmds_keras.__main__ import main
-from deepmds_keras.camera import HeadPose
-from deepmds_keras.detection import DETECTORS, Detector, default_detector
+from deepmds_keras.detection import (
+    DETECTORS,
+    Detector,
+    default_detector,
+    dlib_landmarks,
+    mediapipe_landmarks,
+)
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.predict import detection, run
 from deepmds_keras.predict.cli import parse
@@ -56,7 +60,7 @@ def predict(capsys, tmp_path):
         code, (said, errors) = ended.value.code, capsys.readouterr()
         # Python prints a text that it is ended with, and the status is 1.
         lines = [*errors.splitlines(), *([code] if isinstance(code, str) else [])]
-        listed = [line for line in lines if line.startswith(("error: ", "note: --"))]
+        listed = [line for line in lines if line.startswith(("error: ", "note: no effect"))]
         return 1 if isinstance(code, str) else code, said, listed
 
     return predict
@@ -98,14 +102,6 @@ def command_line(*arguments):
     return [sys.executable, "-m", "deepmds_keras", *map(str, arguments)]
 
 
-def test_help_is_answered_without_what_takes_long_to_load():
-    code = "import sys\nfrom deepmds_keras.__main__ import main\ntry: main(['predict', '--help'])\n"
-    code += "finally: print({'tensorflow', 'keras', 'sklearn', 'matplotlib'} & {*sys.modules})"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.stdout.endswith("set()\n")
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
     """As a user has it: another process, another folder, several processes."""
     Image.fromarray(heads[0][1]).save(tmp_path / "turned.png")
@@ -126,25 +122,6 @@ def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
     assert np.abs(table[["image_x", "image_y"]] - heads[1][1]).mean().max() < 4
     with Image.open(out / "two.png") as picture:
         assert picture.width > picture.height  # of both faces
-
-
-def test_a_photo_that_lies_on_its_side_gives_the_same_shape(tmp_path, predict, heads):
-    n = len(heads[0][1])
-    for quarters in range(4):
-        Image.fromarray(np.rot90(heads[0][1], quarters)).save(tmp_path / f"{quarters}.png")
-    status, _, errors = predict(*(tmp_path / f"{i}.png" for i in range(4)), "--format", "json")
-    assert (status, errors) == (0, [])
-    faces = [json.loads((tmp_path / "out" / f"{i}.json").read_bytes())["faces"] for i in range(4)]
-    x, y = heads[1][1].T
-    for quarters, (face,) in enumerate(faces):
-        seen = np.stack([(x, y), (y, n - x), (n - x, n - y), (n - y, x)][quarters], 1)
-        assert np.abs(np.subtract(face["landmarks"], seen)).mean() < 4
-        np.testing.assert_allclose(face["shape"], faces[0][0]["shape"], atol=0.03)
-        keys = ("rotation", "scale", "translation", "perspective")
-        pose = HeadPose(**{key: np.array(face["pose"][key]) for key in keys})
-        projected = pose.project(np.array(face["shape"])) * (1, -1)
-        assert np.linalg.norm(projected - seen, axis=1).mean() < 12
-        assert any("does not stand upright" in note for note in face["notes"]) == (quarters > 0)
 
 
 def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict, landmarks):
@@ -276,16 +253,6 @@ def test_options_reach_the_results(tmp_path, predict, landmarks):
     assert steps[1] == pytest.approx(steps[0], abs=2)
 
 
-def test_of_many_faces_the_first_are_drawn(tmp_path, predict, landmarks, monkeypatch):
-    monkeypatch.setattr(run, "_DRAWN_FACES", 2)
-    points = save(tmp_path / "many.npy", landmarks + np.zeros((5, 1, 1)))
-    status, said, _ = predict(points, "--view")
-    assert status == 0
-    assert written(tmp_path / "out") == ["deepmds.json", "many.csv", "many.html", "many.png"]
-    assert "5 faces" in said and "and 3 more" in said
-    assert pd.read_csv(tmp_path / "out" / "many.csv", comment="#").face.nunique() == 5
-
-
 def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, faces24, monkeypatch):
     for i in range(20):
         Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")
@@ -359,14 +326,6 @@ def test_the_folder_of_the_sources_works_every_time_and_no_source_is_replaced(
         status, _, (line,) = predict(tmp_path / "a.csv", "--out", tmp_path, *options)
         assert (status, "a.csv is a source" in line) == (1, True)
         assert (tmp_path / "a.csv").read_bytes() == content
-
-
-def test_files_that_a_source_gives_no_longer_are_known(tmp_path, predict, landmarks):
-    """One face, then two, then one: a.ply of the first run is replaced by the third."""
-    for n in (1, 2, 1, 2):
-        points = save(tmp_path / "a.npy", np.repeat(landmarks[None], n, 0))
-        assert predict(points, "--format", "ply")[0] == 0
-    assert written(tmp_path / "out") == ["a-1.ply", "a-2.ply", "a.ply", "a.png", "deepmds.json"]
 
 
 def test_results_that_another_source_replaced_are_redone(tmp_path, predict, landmarks):
@@ -483,29 +442,12 @@ def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predi
     assert (tmp_path / "out" / "b.csv").is_file()
 
 
-def test_a_full_disk_gets_a_line_for_each_source(tmp_path, predict, landmarks, monkeypatch):
-    def full(path, *arguments, **options):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "ab"]
-    monkeypatch.setattr(run, "write_overlay", full)
-    status, _, errors = predict(*files)
-    assert status == 1
-    assert [f"out/{name}.png cannot be written: No space" in line
-            for name, line in zip("ab", errors, strict=True)] == [True, True]  # fmt: skip
-
-
 def test_without_a_detector_photos_are_refused_and_landmarks_done(
     tmp_path, predict, landmarks, monkeypatch
 ):
     for name in ("dlib", "mediapipe"):
         monkeypatch.setitem(sys.modules, name, None)
-    for row in DETECTORS.values():
-        module = sys.modules[row.is_installed.__module__]
-        getattr(getattr(module, "shared_detector", None), "cache_clear", lambda: None)()
     detection._opened.cache_clear()
-    from deepmds_keras.detection import dlib_landmarks, mediapipe_landmarks
-
     for module in (dlib_landmarks, mediapipe_landmarks):
         module.shared_detector.cache_clear()
     Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
@@ -533,58 +475,23 @@ def test_models_that_do_not_fit_are_named(tmp_path, predict, landmarks, capsys):
         assert said in line
 
 
+def test_the_export_offers_only_what_it_takes(tmp_path):
+    for model in ("deepmds", "deepmds-ibug51", "none"):
+        with pytest.raises(SystemExit) as ended:
+            main(["export", str(tmp_path / "m.onnx"), "--model", model])
+        assert "lifting-ibug51" in ended.value.code and "or deepmds" not in ended.value.code
+    assert not any(tmp_path.iterdir())
+
+
 def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):
     Image.fromarray(heads[0][1]).save(tmp_path / "a.png")
     options = ("--smooth", 2, "--every", 3, "--y-up", "--image-size", 640, 480)
     status, _, (line,) = predict(tmp_path / "a.png", *options)
     names = "--smooth, --every, --y-up, --image-size"
-    assert (status, line) == (0, f"note: {names} have no effect on these sources.")
+    assert (status, line) == (0, f"note: no effect on these sources: {names}.")
     points = save(tmp_path / "b.npy", landmarks)
     assert predict(points, "--smooth", 2)[2] == []
-    assert predict(points, "--every", 2)[2] == ["note: --every has no effect on these sources."]
-
-
-@pytest.mark.parametrize("detector", ["dlib", "mediapipe"])
-def test_either_detector_finds_the_faces_and_its_licence_is_named(
-    tmp_path, predict, heads, capsys, detector
-):
-    if detector == "mediapipe" and not MEDIAPIPE:
-        pytest.skip("MediaPipe is not installed")
-    Image.fromarray(heads[0][1]).save(tmp_path / "head.png")
-    status, _, errors = predict(
-        tmp_path / "head.png", "--detector", detector, "--format", "npz,json"
-    )
-    assert (status, errors) == (0, [])
-    found = arrays_of(tmp_path / "out" / "head.npz")
-    assert np.abs(found["landmarks"][0, -51:] - heads[1][1]).mean() < 4
-    assert found["yaw"][0] == pytest.approx(-10, abs=8)
-    described = json.loads((tmp_path / "out" / "head.json").read_bytes())["detector"]
-    assert described["name"] == detector
-    assert ("non-commercial" in described["licence"]) == (detector == "dlib")
-
-
-def test_a_landmarker_is_mediapipes(tmp_path, predict):
-    Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
-    landmarker = ("--landmarker", tmp_path / "none.task")
-    assert parse(["predict", "a.jpg", *map(str, landmarker)]).detector == "mediapipe"
-    status, _, (line,) = predict(tmp_path / "photo.png", *landmarker)
-    assert status == 1 and "none.task must be a face landmarker" in line
-
-
-def test_the_photos_that_users_have_give_plausible_faces(tmp_path, predict):
-    photos = sorted((SHARED / "photos").glob("photo[12345]*"))
-    if not photos:
-        pytest.skip("../shared is absent")
-    status, _, errors = predict(*photos, "--format", "npz")
-    assert (status, errors) == (0, [])
-    scheme = load_scheme("ibug51")
-    groups = np.array(scheme.groups)
-    eyes, mouth = np.isin(groups, ["right_eye", "left_eye"]), groups == "outer_mouth"
-    tip = scheme.names.index("nose_tip")
-    for photo in photos:
-        for shape in arrays_of(tmp_path / "out" / f"{photo.stem}.npz")["shape"]:
-            assert shape[eyes, 1].mean() > shape[tip, 1] > shape[mouth, 1].mean()
-            assert shape[tip, 2] == shape[:, 2].max()
+    assert predict(points, "--every", 2)[2] == ["note: no effect on these sources: --every."]
 
 
 def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):

@@ -310,7 +310,7 @@ def test_celeba_as_distributed_takes_the_place_of_the_stand_in(copy, apart):
     ("name", "options", "message"),
     [
         ("tracks.photos", {"data": "."}, "img_align_celeba"),
-        ("tracks.scans", {"model": "bfm2009"}, "DATA= must be the file or folder of bfm2009"),
+        ("tracks.scans", {"model": "bfm2009"}, "DATA= must be the file of bfm2009"),
         ("tracks.celeba_flame", {"tf_flame": "."}, "_lmks.npy"),
         ("tracks.faces", {"model": "bfm2017", "data": __file__}, "test_tracks.py"),
     ],
