@@ -22,7 +22,8 @@ _ROTATED = (
     "eyes lie below the mouth, the right eye to the right."
 )
 _EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
-_Y_UP = f"y must grow downwards; pass --y-up if it grows upwards. {_EYES_BELOW}"
+_Y_UP = "y must grow downwards; {}. " + _EYES_BELOW
+_PASS_Y_UP = "pass --y-up if it grows upwards"
 _Y_DOWN = f"y must grow upwards; negate it where it grows downwards, as in images. {_EYES_BELOW}"
 _MIRRORED = (
     "x must grow to the right, and right and left be the subject's; mirror x, or swap right and "
@@ -30,7 +31,9 @@ _MIRRORED = (
 )
 
 
-def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
+def check_y_axis(
+    landmarks: np.ndarray, scheme: str, name: str, *, advice: str = _PASS_Y_UP
+) -> dict[int, str]:
     """Refuse landmarks most of whose faces stand on their heads or are mirrored.
 
     Then y grows upwards, or right and left are swapped. A batch is judged as a whole: single faces
@@ -42,18 +45,32 @@ def check_y_axis(landmarks: np.ndarray, scheme: str, name: str) -> None:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
         scheme: Name of their scheme.
         name: Of the file or argument, for the message.
+        advice: What to do where y grows upwards, for the message.
+
+    Returns:
+        The single faces that stand oddly, 0-based and ascending, each with what is wrong.
 
     Raises:
         InputError: The landmarks are not of the scheme's shape, or most faces are not upright: the
             message says in which of the three ways and what to do; of several it names the first.
     """
-    landmarks = np.asarray(landmarks)
-    landmarks = landmarks[None] if landmarks.ndim == 2 else landmarks
-    faults = find_flipped(landmarks, scheme)
-    if 2 * len(faults) > np.isfinite(landmarks[..., :2]).all((1, 2)).sum():
+    faces, across, down = _eyes_and_mouth(landmarks, scheme)
+    # The area that the two span is negative for a mirrored face, however it leans.
+    area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
+    faults = {}
+    for face in np.flatnonzero((down[:, 1] < 0) | (area < 0)).tolist():  # few, if any
+        size = rms_radius(faces[face])
+        least = _SWAPPED * size * np.linalg.norm(down[face])
+        upside_down = down[face, 1] < -_BELOW * size
+        if upside_down and area[face] > least:
+            faults[face] = _ROTATED
+        elif upside_down or area[face] < -least:
+            faults[face] = _Y_UP.format(advice) if upside_down else _MIRRORED
+    if 2 * len(faults) > np.isfinite(area).sum():
         face, fault = next(iter(faults.items()))
-        n = len(landmarks)
+        n = len(faces)
         raise InputError(f"{f'{name}, face {face + 1} of {n}' if n > 1 else name}: {fault}")
+    return faults
 
 
 def check_views(views: np.ndarray) -> None:
@@ -70,31 +87,10 @@ def check_views(views: np.ndarray) -> None:
     try:
         check_y_axis(views * (1, -1), scheme_of(views.shape[1]), "views")
     except InputError as error:
-        message = str(error).replace(_Y_UP, _Y_DOWN)
+        message = str(error).replace(_Y_UP.format(_PASS_Y_UP), _Y_DOWN)
         raise InputError(
             f"{message} With check_orientation=False they are taken as they are."
         ) from None
-
-
-def find_flipped(landmarks: np.ndarray, scheme: str) -> dict[int, str]:
-    """The faces that are upside down or mirrored, 0-based and ascending, each with what to do.
-
-    Raises:
-        InputError: The landmarks are not of the scheme's shape.
-    """
-    faces, across, down = _eyes_and_mouth(landmarks, scheme)
-    # The area that the two span is negative for a mirrored face, however it leans.
-    area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
-    faults = {}
-    for face in np.flatnonzero((down[:, 1] < 0) | (area < 0)).tolist():  # few, if any
-        size = rms_radius(faces[face])
-        least = _SWAPPED * size * np.linalg.norm(down[face])
-        upside_down = down[face, 1] < -_BELOW * size
-        if upside_down and area[face] > least:
-            faults[face] = _ROTATED
-        elif upside_down or area[face] < -least:
-            faults[face] = _Y_UP if upside_down else _MIRRORED
-    return faults
 
 
 def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from deepmds_keras.detection import DETECTORS, Find, describe_detector
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.landmarks import convert
 from deepmds_keras.predict.faces import Detections, FrameRef
 from deepmds_keras.predict.models import target_scheme
 from deepmds_keras.predict.sources import name_faces
@@ -30,28 +30,6 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 # as in the frames about it. A face that moves by less than this there is still the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # pixels a side that are compared; frames to either side
-
-
-def faces_in_image(
-    image: np.ndarray, detector: str, landmarker: str | None, model: str | None
-) -> np.ndarray:
-    """Landmarks of the faces in an image `(H, W, 3)` uint8 RGB as it stands.
-
-    Args:
-        image: Of a video.
-        detector: One of `DETECTORS`.
-        landmarker: What its `open` takes.
-        model: That will take the landmarks, as for `target_scheme`.
-
-    Returns:
-        `(n, L, 2)` pixels, x right and y down, the largest face first, in the scheme that the
-        model takes.
-
-    Raises:
-        InputError: The detector cannot be used.
-    """
-    scheme, find = DETECTORS[detector].scheme, open_detector(detector, landmarker)
-    return convert(find(image)[0], scheme, target_scheme(scheme, model))
 
 
 def open_detector(detector: str, landmarker: str | None) -> Find:
@@ -93,6 +71,44 @@ def find_upright(photo: np.ndarray, find: Find) -> tuple[np.ndarray, np.ndarray]
     return faces[order], scores[order]
 
 
+def find_in_photo(
+    photo: np.ndarray,
+    source: Path | None,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None = None,
+    model: str | None = None,
+    step: float = 1,
+) -> Detections:
+    """Landmarks of the faces in a photo, which may lie on its side; there may be none.
+
+    Args:
+        photo: `(H, W, 3)` uint8 RGB.
+        source: Its file; None of what is in memory.
+        name: Of its results.
+        detector: One of `DETECTORS`.
+        landmarker: What its `open` takes.
+        model: That will take the landmarks, as for `target_scheme`.
+        step: Pixels of the file for one of the photo.
+
+    Raises:
+        InputError: The detector cannot be used, or there is no such model.
+    """
+    scheme = DETECTORS[detector].scheme
+    target = target_scheme(scheme, model)
+    landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
+    return Detections(
+        source=source,
+        names=name_faces(name, len(landmarks)),
+        scheme=target,
+        landmarks=convert(landmarks, scheme, target) * step,
+        is_photo=source is not None,
+        detector=describe_detector(detector, landmarker),
+        scores=scores,
+    )
+
+
 def find_in_video(
     source: str | Path,
     name: str,
@@ -109,7 +125,7 @@ def find_in_video(
     Args:
         source: The video.
         name: Of its results.
-        detector, landmarker, model: As for `faces_in_image`.
+        detector, landmarker, model: As for `find_in_photo`.
         every: 1 looks at every frame, 2 at every other.
         smooth: Standard deviation in looked-at frames of the smoothing over time.
         jobs: Processes.
@@ -118,13 +134,15 @@ def find_in_video(
         InputError: It cannot be read, or no frame has a face.
     """
     video, frames, times, faces, pictures = Video(source, every), [], [], [], []
-    frames_left = iter(video)
+    frames_left, scheme = iter(video), DETECTORS[detector].scheme
+    target = target_scheme(scheme, model)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
-    find = delayed(faces_in_image)
+    find = delayed(_points_in)
     # Frames are sent to the processes, not left for them in files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
         while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
-            faces += parallel(find(each.image, detector, landmarker, model) for each in batch)
+            found = parallel(find(frame.image, detector, landmarker) for frame in batch)
+            faces += [convert(points, scheme, target) for points in found]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
             pictures += [_sampled(frame.image) for frame in batch]
@@ -140,7 +158,7 @@ def find_in_video(
     return Detections(
         source=Path(source),
         names=name_faces(name, len(landmarks)),
-        scheme=scheme_of(landmarks.shape[1]),
+        scheme=target,
         landmarks=smooth_over_time(landmarks[order], frames, smooth, tracks=tracks, step=every),
         is_photo=False,
         frame_refs=[*map(FrameRef, frames.tolist(), times.tolist(), tracks.tolist())],
@@ -233,6 +251,11 @@ def smooth_over_time(
     for run in np.split(order, np.flatnonzero(gaps) + 1):
         smooth[run] = gaussian_filter1d(smooth[run], deviation, axis=0, mode="nearest")
     return smooth
+
+
+def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
+    """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme, in any process."""
+    return open_detector(detector, landmarker)(image)[0]
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from deepmds_keras.checks import find_faults
-from deepmds_keras.detection import DETECTORS, default_detector, describe_detector
+from deepmds_keras.detection import DETECTORS, default_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
-from deepmds_keras.landmarks.y_axis import find_flipped
+from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.lifting.views import LEAST_VISIBLE
 from deepmds_keras.photos import check_photo, in_colour, open_photo, photo_step
-from deepmds_keras.predict.detection import find_in_video, find_upright, open_detector
+from deepmds_keras.predict.detection import find_in_photo, find_in_video
 from deepmds_keras.predict.estimation import check_interocular, estimate
 from deepmds_keras.predict.faces import Detections, Face
 from deepmds_keras.predict.models import target_scheme
@@ -26,8 +27,6 @@ from deepmds_keras.predict.videos import Frame, Video
 
 if TYPE_CHECKING:
     from PIL import Image
-
-_LEAST = 6  # landmarks of a face
 
 
 class FaceLifter:
@@ -95,23 +94,10 @@ class FaceLifter:
             pixels, step = open_photo(image), photo_step(image)
         else:
             pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
-        detector = self.detector
-        scheme = DETECTORS[detector].scheme
-        target = target_scheme(scheme, self.model)
+        name, options = "face" if path is None else path.stem, self._detection
         with self._lock:
-            find = open_detector(detector, self.landmarker)
-            landmarks, scores = find_upright(pixels, find)
-        return self._estimate(
-            Detections(
-                source=path,
-                names=name_faces("face" if path is None else path.stem, len(landmarks)),
-                scheme=target,
-                landmarks=convert(landmarks, scheme, target) * step,
-                is_photo=path is not None,
-                detector=describe_detector(detector, self.landmarker),
-                scores=scores,
-            )
-        )
+            detections = find_in_photo(pixels, path, name, step=step, **options)
+        return self._estimate(detections)
 
     def predict_landmarks(
         self,
@@ -152,7 +138,9 @@ class FaceLifter:
             if not (np.isfinite(sd) & (sd >= 0)).all():
                 raise InputError("landmark_sd must be finite and not negative.")
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
-        notes, landmarks = _flipped(points, scheme), convert(points, scheme, target)
+        advice = "negate it where it grows upwards"
+        odd = check_y_axis(points, scheme, "landmarks", advice=advice)
+        landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
         return self._estimate(
             Detections(
@@ -161,7 +149,10 @@ class FaceLifter:
                 scheme=target,
                 landmarks=landmarks,
                 is_photo=False,
-                notes=notes,
+                notes={
+                    i: f"seems to stand otherwise than the other faces: {fault}"
+                    for i, fault in odd.items()
+                },
                 landmark_sd=landmark_sd,
             )
         )
@@ -190,13 +181,17 @@ class FaceLifter:
                 "every must be a whole number, 1 or more, and smooth a number, 0 or more. "
                 f"Received {every} and {smooth}."
             )
-        options = {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
+        options = self._detection | {"every": every, "smooth": smooth}
         with self._lock:
-            detections = find_in_video(path, Path(path).stem, every=every, smooth=smooth, **options)
+            detections = find_in_video(path, Path(path).stem, **options)
         by_frame = groupby(self._estimate(detections), key=lambda face: face.frame_ref.frame)
         faces = {frame: [*some] for frame, some in by_frame}
         for frame in Video(path, every):
             yield frame, faces.get(frame.index, [])
+
+    @property
+    def _detection(self) -> dict[str, str | None]:
+        return {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
 
     def _estimate(self, detections: Detections) -> list[Face]:
         with self._lock:
@@ -269,28 +264,16 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
         ) from None
 
 
-def _flipped(points: np.ndarray, scheme: str) -> dict[int, str]:
-    """Notes on faces that are upside down or mirrored, which the most of them must not be."""
-    faults = find_flipped(points, scheme)
-    for face, fault in faults.items():
-        # It is written for readers of files.
-        fault = fault.replace("pass --y-up if it grows", "negate it where it grows")
-        if 2 * len(faults) > len(points):
-            which = f", face {face + 1} of {len(points)}" * (len(points) > 1)
-            raise InputError(f"landmarks{which}: {fault}")
-        faults[face] = f"seems to stand otherwise than the other faces: {fault}"
-    return faults
-
-
 def _check_faces(landmarks: np.ndarray) -> None:
     """Refuse faces from which no shape can be told; those without any landmark are gaps."""
     missing = np.isnan(landmarks).any(2, keepdims=True)
     counts = (~missing).sum((1, 2))
     if len(landmarks) and not counts.any():
         raise InputError("landmarks must not all be missing. Received nothing but NaN.")
-    for face in np.flatnonzero((counts > 0) & (counts < _LEAST)):
+    for face in np.flatnonzero((counts > 0) & (counts < LEAST_VISIBLE)):
         raise InputError(
-            f"landmarks must be at least {_LEAST} a face. Received {counts[face]} in face {face}."
+            f"landmarks must be at least {LEAST_VISIBLE} a face. "
+            f"Received {counts[face]} in face {face}."
         )
     seen = np.flatnonzero(counts)
     # A line stays a line with its middle in the place of what is missing.

@@ -15,15 +15,15 @@ import numpy as np
 from joblib import Parallel, cpu_count, delayed
 from tqdm import tqdm
 
-from deepmds_keras.detection import DETECTORS, describe_detector
+from deepmds_keras.detection import DETECTORS
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
-from deepmds_keras.landmarks.y_axis import find_flipped
+from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.photos import open_photo, photo_step
 from deepmds_keras.predict.cli import fault_of, lines_about, printable
 from deepmds_keras.predict.detection import (
+    find_in_photo,
     find_in_video,
-    find_upright,
     no_face,
     open_detector,
     smooth_over_time,
@@ -249,32 +249,20 @@ def _detect(
     **_,
 ) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
     """The photo, or None of other sources, and the landmarks of its faces."""
+    options = {"detector": detector, "landmarker": landmarker, "model": model}
     if is_video(source):
-        options = {"detector": detector, "landmarker": landmarker, "model": model}
         options |= {"every": every, "smooth": smooth, "jobs": jobs}
         return None, find_in_video(source, name, **options)
     if not is_landmark_file(source):
-        photo, scheme = open_photo(source), DETECTORS[detector].scheme
-        landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
-        if not len(landmarks):
+        photo = open_photo(source)
+        detections = find_in_photo(photo, source, name, step=photo_step(source), **options)
+        if not detections.names:
             raise no_face(source, detector, "whichever side is up")
-        target = target_scheme(scheme, model)
-        return photo, Detections(
-            source=source,
-            names=name_faces(name, len(landmarks)),
-            scheme=target,
-            landmarks=convert(landmarks, scheme, target) * photo_step(source),
-            is_photo=True,
-            detector=describe_detector(detector, landmarker),
-            scores=scores,
-        )
+        return photo, detections
     landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size)
     n, scheme = len(landmarks), scheme_of(landmarks.shape[1])
     rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
-    flipped = find_flipped(landmarks, scheme)
-    if 2 * len(flipped) > len(rows):
-        face, fault = min(flipped.items())
-        raise InputError(f"{source}{f', face {face + 1} of {n}' * (n > 1)}: {fault}")
+    odd = check_y_axis(landmarks, scheme, str(source))
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     target = target_scheme(scheme, model)
     return None, Detections(
@@ -284,7 +272,7 @@ def _detect(
         landmarks=convert(landmarks, scheme, target),
         is_photo=False,
         faults=faults,
-        notes={i: f"stands unlike the other faces: {fault}" for i, fault in flipped.items()},
+        notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},
     )
 
 
