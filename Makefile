@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting dag pictures openhead surface footprint test nightly lint clean
+.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting dag pictures openhead real-faces surface footprint test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -21,16 +21,18 @@ CASIA ?=
 CASIA_INDEX ?=
 CELEBA ?=
 TF_FLAME ?=
+SFM ?=
 RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
 FACES ?=
+REAL ?=
 DRY ?=
 TARGET ?= reproduce-bfm
 # Options of Snakemake, such as those of a cluster, see docs/large.md.
 SNAKEMAKE ?=
 VARIABLES := MODEL DATA PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
-             CASIA_INDEX CELEBA TF_FLAME RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
+             CASIA_INDEX CELEBA TF_FLAME SFM RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
 
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
@@ -44,6 +46,7 @@ help: ## what there is (this text)
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|paper|no]'
 	@echo '                    [SEEDS=10]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
+	@echo '     lifting, pretrained: [SFM=eos'\''s folder share, with the Surrey Face Model]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
 	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -85,6 +88,9 @@ pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
+
+real-faces: | $(READY) ## what photos of people tell of detectors: results/<model>/real/   [REAL=npz]
+	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)'
 
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies off   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments pretrained.surface --data '$(DATA)'

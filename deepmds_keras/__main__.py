@@ -24,7 +24,12 @@ def main(arguments: list[str] | None = None) -> None:
     stopped = _stopped_by_ctrl_c()
     failed = 0
     try:
-        if options.pop("command") == "export":
+        command = options.pop("command")
+        if command == "evaluate":
+            from deepmds_keras.predict.evaluation import evaluate
+
+            evaluate(**options)
+        elif command == "export":
             from deepmds_keras.predict.onnx_export import export
 
             export(options["out"], options["model"])

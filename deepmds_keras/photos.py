@@ -17,12 +17,11 @@ from deepmds_keras.errors import InputError, MissingPackageError, brief, needs
 
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 256_000_000
-_FULL_PIXELS = MAX_PIXELS // 4  # more are halved each way: no array is larger than 200 MB then
 _MAX_BYTES = 1 << 29
 
 
 def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
-    """A photo, in colour and upright; one of more than 64 million pixels at half its size.
+    """A photo, in colour and upright.
 
     A grey photo becomes one of three equal channels, transparency white, and the camera's note on
     which way is up is followed.
@@ -32,27 +31,14 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
             PostScript, and HEIC where pillow-heif is installed; of several frames the first.
 
     Returns:
-        `(H, W, 3)` uint8, RGB. `photo_step` tells how many pixels of the photo a pixel is.
+        `(H, W, 3)` uint8, RGB.
 
     Raises:
         InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
             more than 256 million pixels, or is larger than 512 MiB.
     """
     with _opened(source) as photo:
-        if _step(photo) > 1:  # a JPEG is then decoded at half its size
-            photo.draft(None, (photo.width // 2, photo.height // 2))
-        upright = in_colour(ImageOps.exif_transpose(photo))
-        return np.array(upright.reduce(2) if _step(upright) > 1 else upright)
-
-
-def photo_step(source: str | Path | bytes | BinaryIO) -> int:
-    """Pixels of a photo, along a side, for a pixel of `open_photo`: 1, or 2 of a large one.
-
-    Raises:
-        InputError: As `open_photo`, but that the photo is cut short.
-    """
-    with _opened(source) as photo:
-        return _step(photo)
+        return np.array(in_colour(ImageOps.exif_transpose(photo)))
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:
@@ -141,7 +127,3 @@ def _check_head(photo: Image.Image) -> None:
         )
     if width * height > MAX_PIXELS:
         raise InputError(f"must have at most {MAX_PIXELS:,} pixels. Received {width} x {height}.")
-
-
-def _step(photo: Image.Image) -> int:
-    return 2 if photo.width * photo.height > _FULL_PIXELS else 1

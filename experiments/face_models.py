@@ -7,4 +7,5 @@ TITLES = {
     "bfm2017": "Basel Face Model 2017",
     "bfm2019": "Basel Face Model 2019",
     "flame": "FLAME",
+    "surrey": "Surrey faces",
 }

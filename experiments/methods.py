@@ -99,6 +99,16 @@ _ROWS = (
         build=recipes.linear, data=recipes.faces,
         colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
+    Method(
+        id="linear_detections", title="Linear, trained on detections",
+        description="ridge regression trained on a detector's landmarks of other photos",
+        drawn=False,
+    ),
+    Method(
+        id="eos", title="eos (Surrey model)",
+        description="the Surrey Face Model with expressions, fitted by eos to 49 landmarks",
+        drawn=False, colour="#CC79A7", marker="x",
+    ),
     # The widths of Zhao's net grow with n.
     Method(
         id="zhao", title="Zhao et al.", paper="zhao", tracks=_ALL,

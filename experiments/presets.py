@@ -82,7 +82,7 @@ class Preset:
     bench_steps: int = 500
     bench_passes: int = 3
     test_portraits: int = 1_000
-    shipped_steps: int = 20_000
+    shipped_steps: int = 6_000
     fitted_faces: int = 500
     streamed_faces: int = 1_000_000
     faces_per_file: int = 5_000

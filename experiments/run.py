@@ -58,6 +58,7 @@ class Run:
     casia: str | None = _option("folder of the data set CASIA-3D, instead of its stand-in")
     celeba: str | None = _option("folder of the data set CelebA, instead of its stand-in")
     tf_flame: str | None = _option("folder of photos with 51 landmarks, for a figure")
+    sfm: str | None = _option("eos's folder share, with the Surrey Face Model, to test on")
     casia_index: str | None = _option("table of the scans of CASIA-3D that are used")
     authors: str | None = _option("folder of the authors' released weights (*.h5)")
     evaluator: str = _option("how predictions are scored", "paper", choices=EVALUATORS)
@@ -165,7 +166,9 @@ class Parser(argparse.ArgumentParser):
 OPTIONS = {own.name: own for own in fields(Run) if own.metadata}
 # Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
 _SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
-_PATHS = ("data", "coma", "casia", "celeba", "tf_flame", "casia_index", "authors", "ringnet")
+_PATHS = (
+    *("data", "coma", "casia", "celeba", "tf_flame", "sfm", "casia_index", "authors", "ringnet"),
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

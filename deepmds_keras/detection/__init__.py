@@ -9,10 +9,12 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from deepmds_keras.alignment import rms_radius
 from deepmds_keras.detection import dlib_landmarks, mediapipe_landmarks
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_table
-from deepmds_keras.landmarks import FOLDER
+from deepmds_keras.landmarks import FOLDER, convert, load_scheme
+from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 
 Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -51,19 +53,65 @@ def describe_detector(name: str, landmarker: str | None) -> dict[str, str]:
     return {"name": name, "licence": DETECTORS[name].licence}
 
 
-@cache
-def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
-    """Root mean square error of a coordinate of each landmark, measured on synthetic photos.
+def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
+    """Landmarks of a detector, moved to where iBUG 300-W has them.
+
+    By the mean offset, in `landmarks/detectors.csv`, in the axes of the upright face.
+
+    Args:
+        landmarks: `(n, L, 2)` pixels, x right and y down, or NaN.
+        detector: One of `DETECTORS`.
+        scheme: Of the landmarks; those of a scheme that is not in the table stay.
+    """
+    rows = _measured(detector, scheme)
+    return landmarks if rows is None else move(landmarks, scheme, rows[:, :2])
+
+
+def move(landmarks: np.ndarray, scheme: str, offsets: np.ndarray) -> np.ndarray:
+    """Landmarks `(n, L, 2)` moved by offsets `(L, 2)` in axes and sizes of `upright_axes`."""
+    axes, radius = upright_axes(landmarks, scheme)
+    return landmarks + radius[:, None, None] * (offsets @ axes)
+
+
+def upright_axes(landmarks: np.ndarray, scheme: str) -> tuple[np.ndarray, np.ndarray]:
+    """Where an upright face has x right and y down, and how large it is.
+
+    Args:
+        landmarks: `(n, L, 2)` as for `to_ibug`.
+        scheme: Of the landmarks.
 
     Returns:
-        `(L,)` in root mean square radii of the face's landmarks `ibug51`; None where it was not
-        measured.
+        `(n, 2, 2)` unit vectors, the first from the subject's right to the left, the second from
+        the eyes to the mouth; `(n,)` root mean square radii of the landmarks `ibug51`.
     """
-    rows = read_table(FOLDER / "detector_errors.csv")
-    sd = [
-        float(row["sd"]) for row in rows if (row["detector"], row["scheme"]) == (detector, scheme)
-    ]
-    return np.array(sd) if sd else None
+    down = eyes_to_mouth(landmarks, scheme)
+    down = down / np.linalg.norm(down, axis=1, keepdims=True)
+    right = np.stack([down[:, 1], -down[:, 0]], axis=1)
+    return np.stack([right, down], axis=1), rms_radius(convert(landmarks, scheme, "ibug51"))
+
+
+def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
+    """Standard deviation of a coordinate of each landmark that `to_ibug` returns.
+
+    Returns:
+        `(L,)` in root mean square radii of the face's landmarks `ibug51`; None where the table has
+        no such landmarks.
+    """
+    rows = _measured(detector, scheme)
+    return None if rows is None else rows[:, 2]
+
+
+@cache
+def _measured(detector: str, scheme: str) -> np.ndarray | None:
+    """`(L, 3)` of the table: offsets x and y, standard deviation."""
+    table = read_table(FOLDER / "detectors.csv")
+    rows = {
+        int(row["landmark"]): [float(row[name]) for name in ("dx", "dy", "sd")]
+        for row in table
+        if row["detector"] == detector
+    }
+    numbers = load_scheme(scheme).numbers if scheme.startswith("ibug") else ()
+    return np.array([rows[n] for n in numbers]) if rows.keys() >= {*numbers} != set() else None
 
 
 def _open_mediapipe(landmarker: str | None) -> Find:

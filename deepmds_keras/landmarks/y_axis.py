@@ -111,6 +111,11 @@ def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
     return np.rint(np.nan_to_num(lean) / (np.pi / 2)).astype(int)
 
 
+def eyes_to_mouth(landmarks: np.ndarray, scheme: str) -> np.ndarray:
+    """The ways from the middle of the eyes to that of the mouth, `(n, 2)`, of `(n, L, 2)`."""
+    return _eyes_and_mouth(landmarks, scheme)[2]
+
+
 def _eyes_and_mouth(
     landmarks: np.ndarray, scheme: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -36,7 +36,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; wrong arguments end the process, with the usage and status 2.
 
     Returns:
-        `command`, `"predict"` or `"export"`, and the keyword arguments of `run` or `export`.
+        `command`, `"predict"`, `"export"` or `"evaluate"`, and the keyword arguments of `run`,
+        `export` or `evaluate`.
     """
     parser = argparse.ArgumentParser(
         prog="deepmds", description="3D face landmarks from a single image."
@@ -98,6 +99,24 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
         help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
         "%(default)s)")  # fmt: skip
+    evaluate = commands.add_parser(
+        "evaluate",
+        help="the error of lifting on true 3D landmarks of yours",
+        description="Lifts the x and y of true 3D landmarks, and says how far the shapes lie from "
+        "these, by yaw, beside the mean shape and eos: a table and a figure.",
+    )
+    add = evaluate.add_argument
+    add("truth", metavar="TRUTH",
+        help="npy (n, 51 or 68, 3), or csv with columns x, y, z and face, a landmark a row; faces "
+        "as the camera sees them")  # fmt: skip
+    add("--landmarks", metavar="FILE",
+        help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
+    add("--y-up", action="store_true", help="y grows upwards in that file")
+    add("--eos", metavar="DIR",
+        help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
+    add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
+        help="folder of the results (default: deepmds-evaluation)")  # fmt: skip
+    add("--overwrite", action="store_true", help="replace results that are there")
     options = parser.parse_args(arguments)
     if options.command == "predict" and options.detector is None:
         options.detector = "mediapipe" if options.landmarker else default_detector()

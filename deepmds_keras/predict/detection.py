@@ -11,7 +11,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from deepmds_keras.detection import DETECTORS, Find, describe_detector
+from deepmds_keras.detection import DETECTORS, Find, describe_detector, to_ibug
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert
 from deepmds_keras.predict.faces import Detections, FrameRef
@@ -79,7 +79,6 @@ def find_in_photo(
     detector: str,
     landmarker: str | None = None,
     model: str | None = None,
-    step: float = 1,
 ) -> Detections:
     """Landmarks of the faces in a photo, which may lie on its side; there may be none.
 
@@ -90,7 +89,6 @@ def find_in_photo(
         detector: One of `DETECTORS`.
         landmarker: What its `open` takes.
         model: That will take the landmarks, as for `target_scheme`.
-        step: Pixels of the file for one of the photo.
 
     Raises:
         InputError: The detector cannot be used, or there is no such model.
@@ -102,7 +100,7 @@ def find_in_photo(
         source=source,
         names=name_faces(name, len(landmarks)),
         scheme=target,
-        landmarks=convert(landmarks, scheme, target) * step,
+        landmarks=to_ibug(convert(landmarks, scheme, target), detector, target),
         is_photo=source is not None,
         detector=describe_detector(detector, landmarker),
         scores=scores,
@@ -142,7 +140,7 @@ def find_in_video(
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
         while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
             found = parallel(find(frame.image, detector, landmarker) for frame in batch)
-            faces += [convert(points, scheme, target) for points in found]
+            faces += [to_ibug(convert(p, scheme, target), detector, target) for p in found]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
             pictures += [_sampled(frame.image) for frame in batch]

@@ -116,9 +116,8 @@ def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) ->
     if detections.landmark_sd is not None:
         sd = np.asarray(detections.landmark_sd, float)
         return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
-    detector = detections.detector or {"landmarker": ""}
-    known = "landmarker" not in detector
-    sd = detector_sd(detector["name"], detections.scheme) if known else None
+    detector = detections.detector
+    sd = detector_sd(detector["name"], detections.scheme) if detector else None
     if sd is None:
         return None
     return rms_radius(convert(views, detections.scheme, "ibug51"))[:, None] * sd

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from deepmds_keras.checks import find_faults
 from deepmds_keras.detection import DETECTORS, default_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.lifting.views import LEAST_VISIBLE
-from deepmds_keras.photos import check_photo, in_colour, open_photo, photo_step
+from deepmds_keras.photos import check_photo, in_colour, open_photo
 from deepmds_keras.predict.detection import find_in_photo, find_in_video
 from deepmds_keras.predict.estimation import check_interocular, estimate
 from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.landmark_files import find_unusable
 from deepmds_keras.predict.models import target_scheme
 from deepmds_keras.predict.sources import name_faces
 from deepmds_keras.predict.videos import Frame, Video
@@ -88,15 +87,15 @@ class FaceLifter:
             InputError: The photo cannot be read, the detector is not installed, or there is no
                 such model.
         """
-        image, step = image.read() if hasattr(image, "read") else image, 1
+        image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
         if path is not None or isinstance(image, bytes):
-            pixels, step = open_photo(image), photo_step(image)
+            pixels = open_photo(image)
         else:
             pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
         name, options = "face" if path is None else path.stem, self._detection
         with self._lock:
-            detections = find_in_photo(pixels, path, name, step=step, **options)
+            detections = find_in_photo(pixels, path, name, **options)
         return self._estimate(detections)
 
     def predict_landmarks(
@@ -115,7 +114,8 @@ class FaceLifter:
             scheme: Name of the landmark scheme; None tells it by L.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                points: one number, `(n,)` or `(n, L)`; None takes it to be as in training.
+                points: one number, `(n,)` or `(n, L)`; None takes 2.5 % of their
+                r.m.s. radius, about 1 % of the distance between the outer corners of the eyes.
 
         Returns:
             A face for each row. One that seems to be upside down or mirrored among others that
@@ -266,18 +266,7 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
 
 def _check_faces(landmarks: np.ndarray) -> None:
     """Refuse faces from which no shape can be told; those without any landmark are gaps."""
-    missing = np.isnan(landmarks).any(2, keepdims=True)
-    counts = (~missing).sum((1, 2))
-    if len(landmarks) and not counts.any():
+    if len(landmarks) and np.isnan(landmarks).all():
         raise InputError("landmarks must not all be missing. Received nothing but NaN.")
-    for face in np.flatnonzero((counts > 0) & (counts < LEAST_VISIBLE)):
-        raise InputError(
-            f"landmarks must be at least {LEAST_VISIBLE} a face. "
-            f"Received {counts[face]} in face {face}."
-        )
-    seen = np.flatnonzero(counts)
-    # A line stays a line with its middle in the place of what is missing.
-    middles = np.where(missing, 0, landmarks).sum(1) / np.maximum(counts, 1)[:, None]
-    filled = np.where(missing, middles[:, None], landmarks)[seen]
-    for face, fault in find_faults(filled).items():
-        raise InputError(f"landmarks {fault} in face {seen[face]}.")
+    for face, fault in find_unusable(landmarks).items():
+        raise InputError(f"landmarks {fault} in face {face}.")

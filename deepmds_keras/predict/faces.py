@@ -161,12 +161,6 @@ class Face:
         pose = replace(self.pose, **_nan(vars(self.pose)))
         return replace(self, **_nan(vars(self)), name=name, pose=pose, notes=notes)
 
-    def reduced(self, step: float) -> Face:
-        """The face as it is seen in its photo at a `step`-th of the photo's size."""
-        scale, translation = self.pose.scale / step, self.pose.translation / step
-        pose = replace(self.pose, scale=scale, translation=translation)
-        return replace(self, landmarks=self.landmarks / step, pose=pose)
-
 
 def _nan(values: Mapping) -> dict:
     """The numbers among them, all NaN."""

@@ -15,6 +15,7 @@ from deepmds_keras.checks import find_faults
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import map_npy
 from deepmds_keras.landmarks import face_sizes, load_scheme, said_sizes
+from deepmds_keras.lifting.views import LEAST_VISIBLE
 
 _FRACTION = 2  # at most, of the width or height of an image; a face may reach beyond it
 _TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow
@@ -45,8 +46,8 @@ def read_landmarks(
       faces; `{"landmarks": …}`, `{"faceLandmarks": …}` or `{"faces": [{"landmarks": …}, …]}`, as
       `deepmds predict` writes it.
 
-    A face whose landmarks are all NaN, empty cells or null is a gap. Nothing in the file is
-    executed.
+    NaN, empty cells and null are missing landmarks; a face of which all are is a gap. Nothing in
+    the file is executed.
 
     Args:
         path: The file; its suffix tells the format.
@@ -55,13 +56,13 @@ def read_landmarks(
 
     Returns:
         `(n, L, 2)` float64, x right, y down, in the unit of the file, or in pixels with
-        `image_size`; gaps are NaN.
+        `image_size`; what is missing is NaN.
 
     Raises:
         InputError: The file is missing, damaged, too large or of no such format; it has another
-            number of landmarks or nothing but gaps; a face has text, some NaN or infinity, or is
-            one point or one line; x and y are fractions as MediaPipe's are without `image_size`,
-            or are none with it.
+            number of landmarks or nothing but gaps; a face has text, infinity or fewer than six
+            landmarks, or is one point or one line; x and y are fractions as MediaPipe's are without
+            `image_size`, or are none with it.
     """
     points, faults = read_faces(path, y_up=y_up, image_size=image_size)
     for face, fault in faults.items():
@@ -104,20 +105,35 @@ def read_faces(
     return points, faults
 
 
+def find_unusable(points: np.ndarray) -> dict[int, str]:
+    """Why no shape can be told from faces of `(n, L, 2)`, of which landmarks may be missing (NaN).
+
+    Returns:
+        By face, 0-based and ascending; a face without any landmark is a gap, and none of them.
+    """
+    missing = np.isnan(points).any(2, keepdims=True)
+    counts = (~missing).sum((1, 2))
+    # A line stays a line with its middle in the place of what is missing.
+    middles = np.where(missing, 0, points).sum(1) / np.maximum(counts, 1)[:, None]
+    faults = find_faults(np.where(missing, middles[:, None], points))
+    for face in np.flatnonzero(counts < LEAST_VISIBLE).tolist():
+        faults[face] = f"must have at least {LEAST_VISIBLE} landmarks. Received {counts[face]}"
+    return {face: faults[face] for face in sorted(faults) if counts[face]}
+
+
 def _find_faults(points: np.ndarray) -> dict[int, str]:
-    """Why faces that are no gaps cannot be used."""
-    gaps = np.isnan(points).all((1, 2))
-    good = (np.abs(points) < _TOO_LARGE).all(2)
-    faults = find_faults(np.where(good.all(1)[:, None, None], points, np.nan))
-    for face in np.flatnonzero(~good.all(1)).tolist():
-        landmark = int(good[face].argmin())
+    """`find_unusable`, and faces with what is no coordinate of an image."""
+    bad = (np.abs(points) >= _TOO_LARGE).any(2)  # False where it is NaN
+    faults = find_unusable(np.where(bad[..., None], 0, points))
+    for face in np.flatnonzero(bad.any(1)).tolist():
+        landmark = int(bad[face].argmax())
         x, y = points[face, landmark]
         received = "text or infinity" if np.isinf([x, y]).any() else f"({x:g}, {y:g})"
         faults[face] = (
             f"must have finite numbers below {_TOO_LARGE:.0e} for each landmark. Received "
             f"{received} in landmark {landmark + 1} of {len(points[face])}"
         )
-    return {face: fault for face, fault in faults.items() if not gaps[face]}
+    return dict(sorted(faults.items()))
 
 
 def _in_pixels(

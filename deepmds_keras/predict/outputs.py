@@ -12,7 +12,7 @@ import numpy as np
 
 from deepmds_keras import __version__
 from deepmds_keras.files import atomic_write
-from deepmds_keras.landmarks import LandmarkScheme, load_scheme
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.mesh import fit_surfaces, surface_triangles
 
@@ -173,14 +173,10 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
 
 
 def ply_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> Iterator[str]:
-    """One face: vertices, and edges along the lines of its scheme, or triangles of the head."""
+    """One face: its landmarks as vertices, or the triangles of the head."""
     vertices, comments = _vertices(faces, model, mesh)
-    if mesh:
-        cells = surface_triangles()
-        element = [f"element face {len(cells)}", "property list uchar int vertex_indices"]
-    else:
-        cells = wireframe_edges(load_scheme(faces[0].scheme))
-        element = [f"element edge {len(cells)}", "property int vertex1", "property int vertex2"]
+    cells = surface_triangles() if mesh else np.empty((0, 3), int)
+    element = [f"element face {len(cells)}", "property list uchar int vertex_indices"] * mesh
     header = [
         "ply",
         "format ascii 1.0",
@@ -191,7 +187,7 @@ def ply_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> It
         "end_header\n",
     ]
     text = "\n".join(header) + _rows("%.7g %.7g %.7g", vertices)
-    text += _rows("3 %d %d %d" if mesh else "%d %d", cells)
+    text += _rows("3 %d %d %d", cells)
     yield text.encode("ascii", "replace").decode()  # some readers take ASCII only
 
 
@@ -205,14 +201,6 @@ def obj_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> It
         return
     lines = load_scheme(faces[0].scheme).polylines
     yield text + "".join(f"l {' '.join(str(i + 1) for i in line)}\n" for line in lines)
-
-
-def wireframe_edges(scheme: LandmarkScheme) -> np.ndarray:
-    """Pairs of landmarks that the lines of a scheme join: `(E, 2)` int, 0-based, each once."""
-    pairs = {(min(pair), max(pair))
-             for line in scheme.polylines
-             for pair in zip(line, line[1:], strict=False)}  # fmt: skip
-    return np.array(sorted(pairs))
 
 
 def _common(faces: Sequence[Face], model: Mapping) -> dict:
@@ -275,8 +263,9 @@ def _rounded(values) -> list | float | None:
     """With as many digits after the point as give the largest number its significant ones."""
     if np.isnan(values).all():
         return None
-    largest = max(np.abs(values).max(), 1e-9)
-    return np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))).tolist()
+    largest = max(np.nanmax(np.abs(values)), 1e-9)
+    rounded = np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest))))
+    return np.where(np.isnan(rounded), None, rounded).tolist()
 
 
 def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:

@@ -19,7 +19,7 @@ from deepmds_keras.detection import DETECTORS
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.photos import open_photo, photo_step
+from deepmds_keras.photos import open_photo
 from deepmds_keras.predict.cli import fault_of, lines_about, printable
 from deepmds_keras.predict.detection import (
     find_in_photo,
@@ -37,6 +37,7 @@ from deepmds_keras.predict.models import (
     describe_model,
     hash_weights,
     load_model,
+    name_for,
     target_scheme,
 )
 from deepmds_keras.predict.outputs import MESH_FORMATS, output_files, write_output
@@ -255,7 +256,7 @@ def _detect(
         return None, find_in_video(source, name, **options)
     if not is_landmark_file(source):
         photo = open_photo(source)
-        detections = find_in_photo(photo, source, name, step=photo_step(source), **options)
+        detections = find_in_photo(photo, source, name, **options)
         if not detections.names:
             raise no_face(source, detector, "whichever side is up")
         return photo, detections
@@ -265,6 +266,11 @@ def _detect(
     odd = check_y_axis(landmarks, scheme, str(source))
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     target = target_scheme(scheme, model)
+    incomplete = np.flatnonzero(np.isnan(landmarks).any((1, 2)) & ~np.isnan(landmarks).all((1, 2)))
+    if len(incomplete) and load_model(name_for(target, model)).family != DEFAULT:
+        landmarks[incomplete] = np.nan
+        fault = f"must have all landmarks for the model {model}. Received some without"
+        faults |= dict.fromkeys(incomplete.tolist(), fault)
     return None, Detections(
         source=source,
         names=name_faces(name, n),
@@ -290,9 +296,6 @@ def _pictures(
     shown = [face for face in faces if not face.is_gap]
     if video := faces[0].frame_ref is not None:
         shown = portraits(shown, _DRAWN_FACES)
-    elif photo is not None:
-        step = photo_step(faces[0].photo)
-        shown = [face.reduced(step) for face in shown]
     some = shown[:_DRAWN_FACES]
 
     def write_view(path: Path) -> None:

@@ -1,7 +1,8 @@
 """Step: time each part of the method on one core, ours and the way of the authors' released code.
 
 Ways are `released`, that of the authors' code, and `ours`, which for embeddings is scikit-learn's
-solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other method.
+solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other method, `eos`
+(`SFM=`) eos's fit of the Surrey Face Model.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ import tensorflow.experimental.numpy as tnp
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
+from data_gen.views import sample_photo_views
 from deepmds_keras.alignment import normalise
+from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.embedding import compiled_solver, embed
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import build_dissimilarity_net
@@ -126,6 +129,15 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
     for way, call in predictors.items():
         one_by_one = partial(lambda call: [call(view) for view in views], call)
         yield "one face", "one face at a time", way, fewer, one_by_one
+    inner = load_model(run.model, run.data, "ibug51")
+    rng = np.random.default_rng([run.seed, Stream.BENCH])
+    views = sample_photo_views(inner, "ibug51", fewer, rng, detector_sd=0)[0]
+    fits = {"lifting": LandmarkLifter.pretrained("ibug51")} | (
+        {"eos": EosFit(run.sfm)} if run.sfm else {}
+    )
+    for way, fit in fits.items():
+        one_by_one = partial(lambda call: [call(view[None]) for view in views], fit.predict)
+        yield "one face", "one face of 51 landmarks at a time", way, fewer, one_by_one
     n = run.preset.bench_steps
     for way in ("released", "ours"):
         _, epoch = training(way, shapes[..., :2], shapes, n)
@@ -168,6 +180,6 @@ def with_ratios(rows: list[tuple]) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=["comparison", "part", "way", "n_faces", "seconds"])
     table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]
     times = table.set_index(["part", "way"])["ms_per_face"].unstack()
-    for way in ("released", "sklearn", "batched"):
+    for way in [way for way in ("released", "sklearn", "batched", "eos") if way in times]:
         table[f"times_{way}"] = table["part"].map(times[way]) / table["ms_per_face"]
     return table

@@ -113,12 +113,15 @@ class Contenders:
         return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
 
 
-def fit_aldrian(mean: np.ndarray, basis: np.ndarray, views: np.ndarray, sd_mm: float) -> np.ndarray:
-    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of an s.d., in mm.
+def fit_aldrian(
+    mean: np.ndarray, basis: np.ndarray, views: np.ndarray, sd: float | np.ndarray
+) -> np.ndarray:
+    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of an s.d.
 
-    The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`.
+    The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`. The fit takes
+    one s.d. for all: the mean.
     """
-    noise = sd_mm / np.ptp(views, axis=1).max(1).mean()
+    noise = np.mean(sd) / np.ptp(views, axis=1).max(1).mean()
     # With less than its default the first, wrong cameras would be fitted too closely.
     return Aldrian(mean, basis, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
 

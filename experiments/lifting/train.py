@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.models.registry import load_model, model_files
+from data_gen.models.registry import OPEN, load_model, model_files, open_models
 from data_gen.views import sample_photo_views
 from experiments.inputs import load_faces
 from experiments.lifting.views import CONDITIONS, Condition, sample_training, training_views
@@ -22,20 +22,33 @@ from experiments.streams import Stream
 
 SEEDS, SEEDED = 3, "hard_1"  # lifting is trained from so many seeds for one condition
 DEEP_MDS, LIFTING = "ours_stable", "lifting"
+TRANSFERRED = (DEEP_MDS, LIFTING)
 PAIR_NETS = ("landmarks_known", "whole_view")
-TRANSFER_SCHEME = "ibug51"
+TRANSFER_SCHEME, BOTH = "ibug51", "both"
 _HARD_RATE = 3e-3
 _MOST_NOISE_MM = 6.0
 
 
 def lifting_networks(run: Run, study: str) -> list[str]:
     """Names of the networks of `"hard"`, `"anatomy"` or `"transfer"`, the slow ones first."""
-    if study != "hard":
-        methods = PAIR_NETS if study == "anatomy" else (DEEP_MDS, LIFTING)
-        return [f"{study}-{method}" for method in methods]
+    if study == "anatomy":
+        return [f"{study}-{method}" for method in PAIR_NETS]
+    if study == "transfer":
+        return [transfer_name(m, faces) for faces in transfer_models(run) for m in TRANSFERRED]
     files = [hard_file(run, DEEP_MDS, c, run.seed) for c in CONDITIONS if not c.missing]
     files += [hard_file(run, LIFTING, c, seed) for c in CONDITIONS for seed in hard_seeds(run, c)]
     return [*dict.fromkeys(file.stem for file in files)]
+
+
+def transfer_models(run: Run) -> list[str]:
+    """What methods of `"transfer"` are trained on: the run's model, and of the open head both."""
+    both = run.model == OPEN[0] and not open_models(run.data)[1]
+    return [run.model, BOTH] if both else [run.model]
+
+
+def transfer_name(method: str, faces: str) -> str:
+    """Name of a network of `"transfer"`."""
+    return f"transfer-{method}" + f"-{BOTH}" * (faces == BOTH)
 
 
 def hard_seeds(run: Run, condition: Condition) -> range:
@@ -66,7 +79,8 @@ def load_network(file: Path):
 
 
 def main(run: Run, name: str) -> None:
-    inputs = model_files(run.model, run.data)
+    models = OPEN if name.endswith(BOTH) else (run.model,)
+    inputs = [file for model in models for file in model_files(model, run.data)]
     if name.startswith("anatomy"):
         inputs = [run.work / "train.npz", run.network_file("autoencoder-cosine")]
     folder = resumable(run.work / "lifting" / "checkpoints" / name, inputs)
@@ -85,7 +99,7 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
         train = load_faces(run, "train")
         return net, (load(run, DEEP_MDS).frontalise(train.views), train.views, train.shapes), {}
     if study == "transfer":
-        views, shapes, sd = transfer_faces(run)
+        views, shapes, sd = transfer_faces(run, training or run.model)
         if method == DEEP_MDS:
             net = deep_mds(run.on("flame"), "paper", "cosine").set_params(centre_views=True)
             return net, (views, shapes), {}
@@ -104,14 +118,23 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
     return lifting(run).set_params(**options), (sample,), {}
 
 
-def transfer_faces(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's errors."""
+def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Faces of a model, or equal parts of `BOTH` open ones, to train on.
+
+    Returns:
+        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's errors.
+    """
     rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
     sd = training_noise(run.preset.train_faces, rng)
-    model = load_model(run.model, run.data, TRANSFER_SCHEME)
-    views, shapes, _ = sample_photo_views(
-        model, TRANSFER_SCHEME, len(sd), rng, detector_sd=sd[:, None, None]
-    )
+    names = OPEN if faces == BOTH else (faces,)
+    parts = [
+        sample_photo_views(
+            load_model(name, run.data, TRANSFER_SCHEME), TRANSFER_SCHEME, len(some), rng,
+            detector_sd=some[:, None, None],
+        )[:2]
+        for name, some in zip(names, np.array_split(sd, len(names)), strict=True)
+    ]  # fmt: skip
+    views, shapes = map(np.concatenate, zip(*parts, strict=True))
     return views, shapes, sd
 
 

@@ -10,16 +10,35 @@ import functools
 
 import numpy as np
 import pandas as pd
+from sklearn.linear_model import LinearRegression
 
 from data_gen.models.registry import load_model, open_models
-from data_gen.views import sample_photo_views
-from deepmds_keras.alignment import align, centre, normalise
+from data_gen.models.surrey import Surrey
+from data_gen.views import (
+    FIELD_OF_VIEW,
+    PITCH,
+    ROLL,
+    YAW,
+    project,
+    sample_perspective_cameras,
+    sample_photo_views,
+)
+from deepmds_keras.alignment import align, centre, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Linear, MeanShape
+from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.metrics import mse
 from experiments.face_models import TITLES
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian
-from experiments.lifting.train import TRANSFER_SCHEME, load_network, network_file, transfer_faces
+from experiments.lifting.train import (
+    BOTH,
+    TRANSFER_SCHEME,
+    load_network,
+    network_file,
+    transfer_faces,
+    transfer_models,
+    transfer_name,
+)
 from experiments.methods import title
 from experiments.progress import Bar
 from experiments.run import Run
@@ -29,6 +48,7 @@ from experiments.studies.study_results import grid, mean_error, write_results
 from experiments.tasks import single_threaded, unordered
 
 NOISES_MM = (0.0, 1.0, 3.0)
+SURREY = "surrey"
 # A component below it moves no landmark by what can be seen: the fit takes it for noise.
 _LEAST_SD_MM = 0.3
 _UNIT = 1e-5
@@ -45,28 +65,57 @@ class Trained:
 
     def __init__(self, views, shapes, lifter, deep_mds=None, components=None):
         faces = normalise(centre(views)), normalise(shapes)
+        self._views = views
         with single_threaded():  # the regression's last bits depend on the threads
             self._mean, self._linear = MeanShape().fit(*faces), Linear().fit(*faces)
-        self._lifter, self._deep_mds, self._components = lifter, deep_mds, components
+        self.lifter, self._deep_mds, self._components = lifter, deep_mds, components
 
     def predict(self, views: np.ndarray, sd: float | np.ndarray) -> dict[str, np.ndarray]:
-        """Method to shapes `(n, L, 3)` of views `(n, L, 2)`, y up, with errors of an s.d."""
+        """Method to shapes `(n, L, 3)`.
+
+        Args:
+            views: `(n, L, 2)`, y up; NaN where all faces lack a landmark. There, the methods that
+                cannot leave one out are given what a regression on the others expects.
+            sd: Of the errors, of all, or `(n, L)`.
+        """
+        given, views = views, self._filled(views)
         shapes = {"mean_shape": self._mean.predict(views)}
         shapes["linear"] = self._linear.predict(normalise(centre(views)))
         if self._components is not None:
             shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
         if self._deep_mds is not None:
             shapes["ours_stable"] = self._deep_mds.predict(views, check_orientation=False)
-        lifted = self._lifter.predict(views, landmark_sd=sd, check_orientation=False)
+        lifted = self.lifter.predict(given, landmark_sd=sd, check_orientation=False)
         return shapes | {"lifting": lifted}
+
+    def _filled(self, views: np.ndarray) -> np.ndarray:
+        known = np.isfinite(views).all((0, 2))
+        if known.all():
+            return views
+        train, _, _ = _relative(self._views, known)
+        test, middle, size = _relative(views, known)
+        flat = [faces[:, where].reshape(len(faces), -1)
+                for faces, where in ((train, known), (train, ~known), (test, known))]  # fmt: skip
+        expected = LinearRegression().fit(*flat[:2]).predict(flat[2])
+        filled = views.copy()
+        filled[:, ~known] = expected.reshape(len(views), -1, 2) * size + middle
+        return filled
+
+
+def _relative(faces: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Views in the frame and size of the known landmarks; `(n, 1, 2)` and `(n, 1, 1)` of these."""
+    middle = faces[:, known].mean(1, keepdims=True)
+    size = rms_radius(faces[:, known])[:, None, None]
+    return (faces - middle) / size, middle, size
 
 
 @functools.cache
-def trained(run: Run) -> Trained:
-    """Every method, trained on faces of the run's model."""
-    views, shapes, _ = transfer_faces(run)
-    files = (network_file(run, f"transfer-{method}") for method in ("lifting", "ours_stable"))
-    return Trained(views, shapes, *map(load_network, files), principal_components(shapes))
+def trained(run: Run, faces: str) -> Trained:
+    """Every method, trained on the same faces, see `transfer_faces`."""
+    views, shapes, _ = transfer_faces(run, faces)
+    names = (transfer_name(method, faces) for method in ("lifting", "ours_stable"))
+    networks = (load_network(network_file(run, name)) for name in names)
+    return Trained(views, shapes, *networks, principal_components(shapes))
 
 
 def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,35 +131,62 @@ def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, basis.reshape(-1, *mean.shape)
 
 
-def measure(run: Run, tested: str, noise_mm: float) -> pd.DataFrame:
-    """A row a method: its error on faces of a model, whose landmarks have errors of that s.d."""
-    model = load_model(tested, run.data, TRANSFER_SCHEME)
+def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Views with errors of an s.d. and shapes, `(n, 51, ·)`; NaN at what the model lacks."""
     # The same faces, and the same errors but for their size.
-    rng = np.random.default_rng([run.seed, Stream.TRANSFER_TESTS])
-    views, shapes, _ = sample_photo_views(
-        model, TRANSFER_SCHEME, run.preset.test_faces, rng, detector_sd=noise_mm
+    rng, n = np.random.default_rng([run.seed, Stream.TRANSFER_TESTS]), run.preset.test_faces
+    if tested != SURREY:
+        model = load_model(tested, run.data, TRANSFER_SCHEME)
+        return sample_photo_views(model, TRANSFER_SCHEME, n, rng, detector_sd=noise_mm)[:2]
+    shapes = Surrey(run.sfm).sample(n, rng)
+    known = np.isfinite(shapes[0, :, 0])
+    cameras = sample_perspective_cameras(
+        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
     )
-    truth = normalise(shapes)
-    test = {"trained": run.model, "tested": tested, "noise_mm": noise_mm}
+    views = np.full((*shapes.shape[:2], 2), np.nan)
+    views[:, known] = project(shapes[:, known], cameras)
+    return views + rng.normal(0, noise_mm, views.shape), shapes
+
+
+def measure(run: Run, faces: str, tested: str, noise_mm: float) -> pd.DataFrame:
+    """A row a method: its error on faces of a model, whose landmarks have errors of that s.d.
+
+    Of the Surrey model also that of eos, whose model it is.
+    """
+    views, shapes = tested_faces(run, tested, noise_mm)
+    predicted = trained(run, faces).predict(views, noise_mm)
+    if tested == SURREY:
+        predicted["eos"] = EosFit(run.sfm).predict(views)
+    known = np.isfinite(shapes[0, :, 0])
+    truth = normalise(shapes[:, known])
+    test = {"trained": faces, "tested": tested, "noise_mm": noise_mm}
     return pd.DataFrame(
-        test | {"method": method} | mean_error(mse(align(predicted, truth), truth))
-        for method, predicted in trained(run).predict(views, noise_mm).items()
+        test | {"method": method} | mean_error(mse(align(shape[:, known], truth), truth))
+        for method, shape in predicted.items()
     )
 
 
 def main(run: Run) -> dict:
-    models = dict.fromkeys([run.model, *open_models(run.data)[0]])
-    tasks = [(run, model, noise) for model in models for noise in NOISES_MM]
+    tests = [*dict.fromkeys([run.model, *open_models(run.data)[0]]), *([SURREY] if run.sfm else [])]
+    tasks = [
+        (run, faces, tested, noise)
+        for faces in transfer_models(run) for tested in tests for noise in NOISES_MM
+    ]  # fmt: skip
     parts = Bar(unordered(run.jobs, measure, tasks), total=len(tasks), desc="transfer")
-    measured = {tuple(part[["tested", "noise_mm"]].iloc[0]): part for part in parts}
+    keys = ["trained", "tested", "noise_mm"]
+    measured = {tuple(part[keys].iloc[0]): part for part in parts}
     table = pd.concat([measured[task[1:]] for task in tasks])
-    texts = grid(table, ["tested", "method"], "noise_mm", _UNIT)
+    texts = grid(table, ["trained", "tested", "method"], "noise_mm", _UNIT)
     texts = texts.rename(columns="{:g} mm".format)
-    texts = texts.rename(index=TITLES, level="tested").rename(index=title, level="method")
-    texts = texts.rename_axis(["Tested on", f"MSE ({power(_UNIT)})"])
+    names = TITLES | {BOTH: "both open models"}
+    texts = texts.rename(index=names, level="trained").rename(index=names, level="tested")
+    texts = texts.rename(index=title, level="method")
+    texts = texts.rename_axis(["Trained on", "Tested on", f"MSE ({power(_UNIT)})"])
     panels = [
         Panel(errors, "noise_mm", "Noise of each coordinate (mm)", f"Tested on {TITLES[tested]}")
-        for tested, errors in table.rename(columns={"mse": "mean"}).groupby("tested", sort=False)
+        for tested, errors in table[table["trained"] == run.model]
+        .rename(columns={"mse": "mean"})
+        .groupby("tested", sort=False)
     ]
     figures = {"transfer": error_lines(panels, unit=_UNIT)}
     return write_results(run, "lifting/transfer", {"table": table}, texts, (), figures)

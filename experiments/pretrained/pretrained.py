@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from data_gen.models.registry import open_models
-from deepmds_keras.alignment import align, normalise, rms_radius
-from deepmds_keras.detection import detector_sd
+from deepmds_keras.alignment import align, centre, normalise, rms_radius
+from deepmds_keras.baselines.closed_form import Linear
+from deepmds_keras.baselines.eos_fit import EosFit
+from deepmds_keras.detection import detector_sd, to_ibug
 from deepmds_keras.landmarks import convert
 from deepmds_keras.metrics import mse
 from deepmds_keras.weights import PRETRAINED
 from experiments.face_models import TITLES
 from experiments.lifting.train import load_network
-from experiments.lifting.transfer import Trained
+from experiments.lifting.transfer import Trained, principal_components
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
@@ -31,36 +35,91 @@ _YAWS = np.arange(-60.0, 61.0, 20.0)  # middles of bins, degrees
 # Root mean square error of a face, in radii, beyond which a detector has found something else.
 _GROSS = 0.3
 _UNIT = 1e-5
+_FEWEST = 4  # photos in which a face is found
+
+
+@functools.cache
+def trained(run: Run, scheme: str) -> Trained:
+    """Every method, trained on the faces that the lifter of a scheme is trained on."""
+    rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(scheme)])
+    views, shapes, _ = photo_faces(run, scheme)(run.preset.train_faces, rng)
+    names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
+    networks = [load_network(weights_file(run, name)) for name in names]
+    networks += [None] * (2 - len(networks))
+    return Trained(views, shapes, *networks, principal_components(shapes))
 
 
 def measure(run: Run) -> Iterator[dict]:
     """Rows of the table: each method, on each kind of landmarks of the photos of each model."""
+    photos = {model: read_portraits(run, model) for model in open_models(run.data)[0]}
     for scheme in LIFTERS:
-        rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(scheme)])
-        views, shapes, _ = photo_faces(run, scheme)(run.preset.train_faces, rng)
-        networks = [n for n in (f"lifting-{scheme}", f"deepmds-{scheme}") if n in NETWORKS]
-        trained = Trained(views, shapes, *(load_network(weights_file(run, n)) for n in networks))
-        for model in open_models(run.data)[0]:
-            photos = read_portraits(run, model)
-            source = "bfm72" if scheme == "bfm72" else "ibug68"
-            truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))
-            radius = rms_radius(convert(photos["pixels_ibug68"], "ibug68", "ibug51"))
-            pixels = convert(photos[f"pixels_{source}"], source, scheme)
-            kinds = {"exact": (pixels, np.ones(len(truth), bool), np.zeros(pixels.shape[1]))}
-            for detector, (whole, *parts) in SCHEMES.items():
-                if detector in photos and scheme in (whole, *parts):
-                    pixels, sd = photos[detector], detector_sd(detector, scheme)
-                    found = errors_of(photos, detector)[1]
-                    kinds[detector] = convert(pixels, whole, scheme), found, sd
-            for kind, (pixels, found, sd) in kinds.items():
-                if found.sum() < 2:
-                    continue
-                shapes = trained.predict(pixels[found] * (1, -1), radius[found, None] * sd)
+        for kind in ("exact", *SCHEMES):
+            faces = {model: views_of(each, kind, scheme) for model, each in photos.items()}
+            if any(each is None or each.found.sum() < _FEWEST for each in faces.values()):
+                continue
+            regression = {} if kind == "exact" else _on_detections(faces)
+            for model, (views, sd, truth, found) in faces.items():
+                shapes = trained(run, scheme).predict(views[found], sd[found])
+                if kind != "exact":
+                    shapes["linear_detections"] = regression[model]
                 if kind == "mediapipe":
-                    shapes["mediapipe_corrected"] = photos["mediapipe_shape"][found]
-                row = {"scheme": scheme, "faces": model, "views": kind}
-                for errors in _errors(shapes, truth[found]):
+                    shapes["mediapipe_corrected"] = photos[model]["mediapipe_shape"][found]
+                scored = np.ones(truth.shape[1], bool)
+                if scheme == "ibug51" and run.sfm:
+                    shapes["eos"] = EosFit(run.sfm).predict(views[found])
+                    scored = np.isfinite(shapes["eos"][0, :, 0])  # of all methods alike
+                row = {"scheme": scheme, "faces": model, "views": kind, "landmarks": scored.sum()}
+                shapes = {method: shape[:, scored] for method, shape in shapes.items()}
+                for errors in _errors(shapes, truth[found][:, scored]):
                     yield row | errors | {"not_found": int((~found).sum())}
+
+
+class Views(NamedTuple):
+    """Landmarks of photos: views y up, their s.d., true shapes, and whether the face was found."""
+
+    views: np.ndarray  # (n, L, 2) pixels
+    sd: np.ndarray  # (n, L)
+    truth: np.ndarray  # (n, L, 3) normalised
+    found: np.ndarray  # (n,)
+
+
+def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | None:
+    """Landmarks of a scheme, `"exact"` or by a detector as prediction takes them; None if unknown.
+
+    Args:
+        photos: Of a model, as from `read_portraits`.
+        kind: `"exact"` or a detector.
+        scheme: Of the landmarks.
+    """
+    source = "bfm72" if scheme == "bfm72" else "ibug68"
+    truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))
+    if kind == "exact":
+        pixels, found = photos[f"pixels_{source}"], np.ones(len(truth), bool)
+        sd = np.zeros(truth.shape[:2])
+    elif kind in photos and scheme in SCHEMES[kind]:
+        source, found = SCHEMES[kind][0], errors_of(photos, kind)[1]
+        pixels = to_ibug(photos[kind], kind, source)
+        radius = rms_radius(convert(pixels, source, "ibug51"))
+        sd = radius[:, None] * detector_sd(kind, scheme)
+    else:
+        return None
+    return Views(convert(pixels, source, scheme) * (1, -1), sd, truth, found)
+
+
+def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
+    """Shapes by ridge regression on detections: of either half of the photos by the other.
+
+    The regression sees photos of all models. No other method of the table is trained on detections.
+    """
+    inputs = {m: normalise(centre(each.views[each.found])) for m, each in faces.items()}
+    truths = {m: each.truth[each.found] for m, each in faces.items()}
+    shapes = {m: np.empty_like(truth) for m, truth in truths.items()}
+    for half in (0, 1):
+        parts = [(inputs[m][1 - half :: 2], truths[m][1 - half :: 2]) for m in faces]
+        regression = Linear().fit(*map(np.concatenate, zip(*parts, strict=True)))
+        for m in faces:
+            shapes[m][half::2] = regression.predict(inputs[m][half::2])
+    return shapes
 
 
 def _errors(shapes: dict[str, np.ndarray], truth: np.ndarray) -> Iterator[dict]:

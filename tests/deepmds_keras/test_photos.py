@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepmds_keras import InputError, photos
-from deepmds_keras.photos import check_photo, open_photo, photo_step
+from deepmds_keras import InputError
+from deepmds_keras.photos import check_photo, open_photo
 
 RAMP = np.uint8(np.linspace(0, 255, 64))
 
@@ -62,23 +62,6 @@ def test_a_photo_is_opened_pixel_by_pixel_and_upright_from_a_file_or_its_content
         open_photo(content[:60])
 
 
-@pytest.mark.parametrize("kind", ["jpg", "png"])
-def test_a_large_photo_is_halved_and_its_pixels_stay_in_place(tmp_path, monkeypatch, kind):
-    """A square of 16 pixels at (32, 16) of a photo of an odd number of them."""
-    photo = np.zeros((81, 121, 3), np.uint8)
-    photo[16:32, 32:48] = 255
-    path = saved(tmp_path, photo, f"photo.{kind}", **({"quality": 100} if kind == "jpg" else {}))
-    assert photo_step(path) == 1
-    assert open_photo(path).shape == photo.shape
-    monkeypatch.setattr(photos, "_FULL_PIXELS", 81 * 121 - 1)
-    assert photo_step(path) == 2
-    half = open_photo(path)
-    assert half.shape == (41, 61, 3)
-    inside = np.zeros((41, 61), bool)
-    inside[8:16, 16:24] = True
-    np.testing.assert_array_equal((half > 127).all(2), inside)
-
-
 def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
     pytest.importorskip("pillow_heif", reason="pillow-heif is absent: pip install .[heic]")
     exif = Image.Exif()
@@ -96,7 +79,6 @@ def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
         open_photo(tmp_path / "photo.heic")
 
 
-@pytest.mark.parametrize("read", [open_photo, photo_step])
 @pytest.mark.parametrize(
     ("size", "message"),
     [
@@ -105,11 +87,11 @@ def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
         ((23_000, 23_000), r"at most 256,000,000 pixels. Received: Image size \(529000000 pixels"),
     ],
 )
-def test_tiny_and_huge_photos_are_refused(tmp_path, read, size, message):
+def test_tiny_and_huge_photos_are_refused(tmp_path, size, message):
     path = tmp_path / "photo.png"
     path.write_bytes(b"P5 %d %d 255\n" % size)  # the head of a PGM, which claims to be that large
     with pytest.raises(InputError, match=f"photo.png must.*{message}"):
-        read(path)
+        open_photo(path)
 
 
 def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmds_keras.detection import detector_sd
+from deepmds_keras.detection import detector_sd, to_ibug
 from deepmds_keras.predict.detection import find_upright
 
 
@@ -44,6 +44,17 @@ def test_faces_come_from_left_to_right_with_their_scores(score):
     np.testing.assert_array_equal(scores, [0.1, 0.2, score])
     none = np.empty((0, 68, 2)), np.empty(0)
     assert [len(each) for each in find_upright(np.zeros((9, 9, 3)), lambda _: none)] == [0, 0]
+
+
+def test_landmarks_of_mediapipe_move_with_the_face_and_those_of_dlib_stay():
+    views = np.random.default_rng(0).normal(0, 90, (4, 51, 2)) + 300
+    moved = to_ibug(views, "mediapipe", "ibug51") - views
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    again = to_ibug(3 * views @ turn + 70, "mediapipe", "ibug51") - (3 * views @ turn + 70)
+    np.testing.assert_allclose(again, 3 * moved @ turn, atol=1e-9)
+    assert 0 < np.abs(moved).max() < 0.3 * 90
+    np.testing.assert_array_equal(to_ibug(views, "dlib", "ibug51"), views)
+    np.testing.assert_array_equal(to_ibug(views, "mediapipe", "bfm72"), views)
 
 
 def test_errors_of_each_detector_are_known_in_its_schemes():

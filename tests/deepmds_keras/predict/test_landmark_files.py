@@ -80,20 +80,34 @@ def test_faces_of_nan_are_gaps_and_stay_in_their_place(tmp_path, layout):
 
 def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
     faces = np.repeat(FACES, 3, 0)
-    faces[1, 5, 0], faces[3], faces[4, :, 1], faces[6, 0] = np.nan, 7, 2, 1e12
+    faces[1, 5:, 0], faces[3], faces[4, :, 1], faces[6, 0] = np.nan, 7, 2, 1e12
     points, faults = read_faces(written(tmp_path, "f.npy", faces))
-    expected = {1: "in landmark 6 of 68", 3: "one point 68 times", 4: "straight line", 6: "1e+12, "}
+    expected = {
+        1: "at least 6 landmarks. Received 5",
+        3: "one point 68 times",
+        4: "straight line",
+        6: "1e+12, ",
+    }
     assert [*faults] == [*expected]
     assert all(text in faults[face] for face, text in expected.items())
     good = np.isin(np.arange(9), [*expected], invert=True)
     np.testing.assert_array_equal(points[good], faces[good])
     assert np.isnan(points[~good]).all()
-    for cell, text in (("", "(nan, "), ("12 px", "text"), ("inf", "infinity"), ("1e400", "inf")):
+    for cell, text in (("12 px", "text"), ("inf", "infinity"), ("1e400", "inf")):
         rows = long_rows()
         rows[70] = (*rows[70][:2], cell, rows[70][3])
         points, faults = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
         assert [*faults] == [1] and text in faults[1] and "landmark 3 of 68" in faults[1]
         np.testing.assert_allclose(points[[0, 2]], FACES[[0, 2]], rtol=1e-12)
+
+
+def test_landmarks_may_be_missing(tmp_path):
+    rows = long_rows()
+    rows[70] = (*rows[70][:2], "", rows[70][3])
+    points, faults = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
+    missing = np.isnan(points).any(2)
+    assert not faults and np.argwhere(missing).tolist() == [[1, 2]]
+    np.testing.assert_allclose(points[~missing], FACES[~missing], rtol=1e-12)
 
 
 REFUSED = {
@@ -117,9 +131,9 @@ REFUSED = {
     "endless cell": ("f.csv", "x" * 200_000 + ",y\n", "field limit"),
     "empty table": ("f.csv", "", "empty file"),
     "no such format": ("f.txt", table(ONE[0]), "must end in .csv"),
-    "NaN": (
+    "infinity": (
         "f.npy",
-        np.where(FACES[1, 5, 0] == FACES, np.nan, FACES),
+        np.where(FACES[1, 5, 0] == FACES, np.inf, FACES),
         "face 2 of 3, must .*landmark 6 of 68",
     ),
     "nothing but gaps": ("f.npy", FACES * np.nan, "nothing but gaps"),

@@ -41,7 +41,7 @@ def weights(shapes, tmp_path_factory):
         name: array if array.any() else np.float32(0.1 * rng.standard_normal(array.shape))
         for name, array in arrays.items()
     }
-    lifter.training_sd_, lifter.history_ = 0.01, []
+    lifter.default_sd_, lifter.history_ = 0.01, []
     path = tmp_path_factory.mktemp("weights") / "lifter.npz"
     lifter.save(path)
     return path

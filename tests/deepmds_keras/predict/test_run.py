@@ -137,7 +137,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         "upside_down": landmarks * (1, -1),
         "mirrored": landmarks * (-1, 1),
         "count": landmarks[:50],
-        "nan": np.where(landmarks == landmarks[3], np.nan, landmarks),
+        "infinite": np.where(landmarks == landmarks[3], np.inf, landmarks),
         "good": landmarks,
     }
     for name, array in arrays.items():
@@ -156,7 +156,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         "upside_down.npy": "--y-up",
         "mirrored.npy": "a mirrored face",
         "count.npy": "Received 50",
-        "nan.npy": "finite",
+        "infinite.npy": "finite",
         "missing.jpg": "does not exist",
         "notes.txt": "does not exist",
         "..": "must hold photos",
@@ -211,7 +211,7 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
     alone = save(tmp_path / "alone.npy", frames[[0, 3, 4, 7]])
     frames[1] = np.nan
     frames[2] *= (1, -1)  # upside down, which the others are not: estimated, with a note
-    frames[5, 3] = np.nan
+    frames[5, 3:] = np.nan
     frames[6] = 7
     points = save(tmp_path / "f.npy", frames)
     status, said, (line,) = predict(points, alone, "--format", "csv,json,npz,ply")
@@ -506,3 +506,21 @@ def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):
         lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
         vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
         assert 180 < np.ptp(vertices[:, 1]) < 400  # millimetres of a head
+
+
+def test_faces_with_missing_landmarks_are_estimated_but_by_the_networks_of_the_paper(
+    predict, landmarks, tmp_path
+):
+    faces = np.stack([landmarks, landmarks + 5])
+    faces[1, 3] = np.nan
+    np.save(tmp_path / "some.npy", faces)
+    status, _, errors = predict(tmp_path / "some.npy", "--format", ALL)
+    assert (status, errors) == (0, [])
+    table = pd.read_csv(tmp_path / "out" / "some.csv", comment="#")
+    assert np.isfinite(table[["x", "y", "z", "image_x"]]).all(axis=None)
+    assert table["residual"].isna().sum() == 1
+    written = json.loads((tmp_path / "out" / "some.json").read_text())["faces"][1]
+    assert written["landmarks"][3] == [None, None] and None not in written["shape"][3]
+    options = ("--model", "deepmds", "--out", tmp_path / "paper")
+    status, _, errors = predict(tmp_path / "some.npy", *options)
+    assert status == 1 and "1 of 2 faces cannot be used and are gaps: 2" in errors[0]

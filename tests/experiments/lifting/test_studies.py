@@ -85,6 +85,38 @@ def test_components_are_those_of_the_shapes():
     assert np.allclose(own.T @ own, flat.T @ flat / 500)
 
 
+def test_landmarks_that_a_model_lacks_are_filled_in_for_methods_that_need_them():
+    rng = np.random.default_rng(0)
+    shapes = rng.normal(size=(6, 3)) + 0.1 * rng.normal(size=(200, 6, 3))
+    views = shapes[..., :2].copy()
+    views[:, 5] = views[:, 0] + views[:, 1] - views[:, 2]
+    test = views[:20] * 40 + 900
+    lacking = test.copy()
+    lacking[:, 5] = np.nan
+
+    class Lifter:
+        def predict(self, views, **_):
+            assert np.isnan(views[:, 5]).all(), "which a lifter need not have"
+            return np.zeros((len(views), 6, 3))
+
+    trained = transfer.Trained(views, shapes, Lifter())
+    assert np.allclose(trained._filled(lacking), test)
+    assert np.isfinite(trained.predict(lacking, 0.0)["linear"]).all()
+
+
+@pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")
+def test_faces_of_the_surrey_model_are_tested_where_it_is_given():
+    run = Run("openhead", TINY, sfm=str(SHARED / "sfm"))
+    views, shapes = transfer.tested_faces(run, transfer.SURREY, 0.0)
+    noisy, same = transfer.tested_faces(run, transfer.SURREY, 1.0)
+    np.testing.assert_array_equal(shapes, same)
+    assert 0.8 < np.nanstd(noisy - views) < 1.2
+    assert np.isnan(views).any(2).sum(1).tolist() == [2] * TINY.test_faces
+    known = np.load(SHARED / "sfm" / "sfm49.npz")
+    mean = shapes[:, known["ibug"] - 18].mean(0)
+    assert np.abs(mean - known["mean"]).max() < 15, "of the same faces, in millimetres"
+
+
 @pytest.fixture(scope="module")
 def folder(whole_bfm, tmp_path_factory):
     folder = tmp_path_factory.mktemp("lifting")
@@ -122,7 +154,7 @@ def test_steps_of_the_anatomy_replace_one_part_and_nothing_else(folder):
 
 @pytest.mark.slow
 def test_tests_of_the_transfer_differ_by_the_noise_alone(folder):
-    for model, rows in table_of(folder, "transfer").groupby("tested"):
+    for (_, model), rows in table_of(folder, "transfer").groupby(["trained", "tested"]):
         errors = rows.pivot(index="noise_mm", columns="method", values="mse")
         assert errors.index.tolist() == [*transfer.NOISES_MM]
         assert errors["mean_shape"].nunique() == 1, "the faces are the same"

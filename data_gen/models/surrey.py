@@ -1,0 +1,52 @@
+"""The Surrey Face Model at the landmarks of the inner face, to test on what nothing is trained on.
+
+Huber et al. 2016, doi:10.5220/0005669500580067, from scans of 169 people; for non-commercial
+research, from https://github.com/patrikhuber/eos/tree/master/share.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras.baselines.eos_fit import NUMBERS, read_surrey
+from deepmds_keras.landmarks import load_scheme
+
+# Weight of each of the six expressions, uniform from 0: with all at 1 faces are contorted.
+_MOST_EXPRESSION = 0.5
+
+
+class Surrey:
+    """Random faces of the model.
+
+    Args:
+        path: eos's folder `share`, or its file `sfm_shape_3448.bin`.
+
+    Raises:
+        InputError: eos-py is missing, or a file is missing or damaged.
+    """
+
+    def __init__(self, path: str | Path):
+        _, shape, blendshapes, _, vertices = read_surrey(path)
+        # Rows of a flat mesh: three to a vertex.
+        rows = (3 * np.array(vertices)[:, None] + range(3)).ravel()
+        self._mean = np.ravel(shape.get_mean())[rows]
+        self._identity = np.array(shape.get_rescaled_pca_basis())[rows].T
+        self._expressions = np.stack([np.ravel(b.deformation)[rows] for b in blendshapes])
+
+    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Landmarks `ibug51` of random expressive faces.
+
+        Identities are standard normal.
+
+        Returns:
+            `(n, 51, 3)` millimetres, +x to the subject's left, +y up, +z out of the face, NaN at
+            the two that the model lacks.
+        """
+        identity = rng.standard_normal((n, len(self._identity)))
+        expression = _MOST_EXPRESSION * rng.random((n, len(self._expressions)))
+        flat = self._mean + identity @ self._identity + expression @ self._expressions
+        shapes = np.full((n, len(load_scheme("ibug51")), 3), np.nan)
+        shapes[:, np.isin(load_scheme("ibug51").numbers, NUMBERS)] = flat.reshape(n, -1, 3)
+        return shapes

@@ -1,0 +1,142 @@
+"""Step: what photos of real people tell of detectors and methods, though nobody knows the truth.
+
+The landmarks of the same faces by two detectors. How far they differ gives the table by which
+prediction corrects a detector, `deepmds_keras/landmarks/detectors.csv`. A method is reliable if the
+shapes that it makes of both are alike, and unlike those of other people.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from data_gen.models.registry import open_models
+from deepmds_keras.alignment import align, normalise, rms_radius
+from deepmds_keras.camera import refit
+from deepmds_keras.detection import detector_sd, move, upright_axes
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_npz
+from deepmds_keras.landmarks import FOLDER, load_scheme
+from experiments.lifting.transfer import Trained
+from experiments.methods import title
+from experiments.pretrained.portraits import read_portraits
+from experiments.pretrained.pretrained import SCHEMES, errors_of, trained
+from experiments.records import write_csv
+from experiments.run import Run
+from experiments.studies.study_results import write_results
+
+_SCHEME = "ibug51"
+_EYES = ("right_eye_outer_corner", "left_eye_outer_corner")
+# Variance of the errors that a detector's landmarks are taken to have, both detectors together, in
+# that of their difference. Errors go together, of neighbouring landmarks and of the two detectors,
+# and weigh more than white ones of their strength: with 1 the shapes of the two agree less.
+_STRENGTH = 6.0
+
+
+def main(run: Run, file: str) -> dict:
+    arrays = read_npz(file)
+    if not {"dlib", "mediapipe"} <= {*arrays}:
+        raise InputError(f"{file} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
+    # To image coordinates, y down.
+    faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
+    if run.preset.name == "paper" and not open_models(run.data)[1]:
+        write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
+    table = pd.DataFrame(reliability(trained(run, _SCHEME), faces))
+    misfit = pd.DataFrame(misfits(trained(run, _SCHEME), faces))
+    cells = table.assign(method=table["method"].map(title)).set_index("method")
+    cells = cells.assign(
+        ratio=cells["ratio"].map("{:.3f}".format), between=cells["between"].map("{:.2e}".format)
+    )
+    return write_results(run, "real", {"table": table, "misfit": misfit}, cells)
+
+
+def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
+    """`(n, 51, 2)` from MediaPipe's landmarks to dlib's, in axes and radii of the upright face."""
+    axes, radius = upright_axes(faces["mediapipe"], _SCHEME)
+    apart = faces["dlib"] - faces["mediapipe"]
+    return apart @ np.swapaxes(axes, 1, 2) / radius[:, None, None]
+
+
+def detector_table(run: Run, faces: dict[str, np.ndarray]) -> pd.DataFrame:
+    """Rows of `detector, landmark, dx, dy, sd`, landmarks by their iBUG numbers.
+
+    dlib was trained on iBUG 300-W: its landmarks stay, MediaPipe's are moved by the mean
+    difference. From landmark to landmark s.d. are as on rendered photos; their common size makes
+    the difference on the real ones come out.
+    """
+    apart = differences(faces)
+    variances = {name: _variance(run, name) for name in SCHEMES}
+    both = sum(variance[-apart.shape[1] :] for variance in variances.values()).mean()
+    size = np.sqrt(_STRENGTH * apart.var(0).mean() / both)
+    parts = []
+    for detector, (scheme, *_) in SCHEMES.items():
+        sd = size * np.sqrt(variances[detector])
+        offset = apart.mean(0) if detector == "mediapipe" else np.zeros((len(sd), 2))
+        part = {"detector": detector, "landmark": load_scheme(scheme).numbers}
+        part |= {"dx": offset[:, 0], "dy": offset[:, 1], "sd": sd}
+        parts.append(pd.DataFrame(part))
+    return pd.concat(parts).round(5)
+
+
+def _variance(run: Run, detector: str) -> np.ndarray:
+    """`(L,)` of a coordinate of each landmark about its mean error on rendered photos."""
+    models = open_models(run.data)[0]
+    errors = (errors_of(read_portraits(run, model), detector) for model in models)
+    return np.mean([found_errors[found].var(0).mean(1) for found_errors, found in errors], axis=0)
+
+
+def reliability(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
+    """How alike the shapes of a face by both detectors are, of each method.
+
+    Returns:
+        Rows of `method, ratio, within, between`: mean squared distance of the two shapes of a face
+        after alignment, over that of shapes of different faces by different detectors; 0 if the
+        detectors agree perfectly, 1 if a shape tells nothing of a person. The unit is that of
+        `normalise`, squared. Offsets come from one half of the faces, tested is the other.
+    """
+    apart, rows = differences(faces), []
+    n = len(apart)
+    for half in (np.arange(n) % 2, np.arange(n) // (n // 2 + 1)):
+        for tested in (half == 0, half == 1):
+            mediapipe = move(faces["mediapipe"][tested], _SCHEME, apart[~tested].mean(0))
+            first = _predict(methods, faces["dlib"][tested], "dlib")
+            second = _predict(methods, mediapipe, "mediapipe")
+            for method in first:
+                rows.append({"method": method, **_distances(first[method], second[method])})
+    means = pd.DataFrame(rows).groupby("method", sort=False, as_index=False).mean()
+    means.insert(1, "ratio", (means["within"] / means["between"]).where(means["between"] > 1e-12))
+    return means.to_dict("records")
+
+
+def _predict(methods: Trained, landmarks: np.ndarray, detector: str) -> dict[str, np.ndarray]:
+    sd = rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
+    return methods.predict(landmarks * (1, -1), sd)
+
+
+def _distances(first: np.ndarray, second: np.ndarray) -> dict[str, float]:
+    first, second = normalise(first), normalise(second)
+    n = len(first)
+    pairs = [((align(second, np.stack([face] * n)) - face) ** 2).mean((1, 2)) for face in first]
+    same = np.eye(n, dtype=bool)
+    return {"within": np.array(pairs)[same].mean(), "between": np.array(pairs)[~same].mean()}
+
+
+def misfits(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
+    """How far the lifted shape, as its camera sees it, lies from the landmarks.
+
+    Returns:
+        Rows of `detector, given_sd, misfit`: the median over faces of the root mean square of a
+        coordinate, in distances of the outer corners of the eyes; with the detector's s.d., and
+        as anybody calls the lifter.
+    """
+    right, left = map(load_scheme(_SCHEME).index, _EYES)
+    rows = []
+    for detector, landmarks in faces.items():
+        views, eyes = landmarks * (1, -1), landmarks[:, right] - landmarks[:, left]
+        sd = rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
+        for given, options in (("detector", {"landmark_sd": sd}), ("none", {})):
+            shapes, _, pose = methods.lifter.estimate(views, **options)
+            off = refit(pose, views, shapes).project(shapes) - views
+            off = np.sqrt((off**2).mean((1, 2))) / np.linalg.norm(eyes, axis=1)
+            rows.append({"detector": detector, "given_sd": given, "misfit": np.median(off)})
+    return rows
