@@ -210,8 +210,8 @@ def _figure(rows: list[dict]) -> bytes:
             label=method,
         )
     axes.set(xlabel="Yaw to either side (degrees)", ylim=(0, None))
-    axes.set_ylabel("Mean squared coordinate (10⁻³ eye distances²)")
-    axes.legend(frameon=False)
+    axes.set_ylabel("MSE (10⁻³ squared eye distances)")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=150)
     return content.getvalue()

@@ -53,6 +53,7 @@ _GIVEN_SD = 0.4
 _IDENTITY = (0.8, 1.4)
 _SMOOTH_MM, _SMOOTH_SD_MM = 25.0, 3.0
 _OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.05
+_FLAT = 0.03  # share of faces that lose any part of their depth, that the s.d. knows of such
 
 
 def weights_file(run: Run, name: str) -> Path:
@@ -139,4 +140,5 @@ def _beyond(
     bend = _SMOOTH_SD_MM * rng.random((n, 1, 1)) * (smooth @ rng.standard_normal(shapes.shape))
     offset = _OFFSET_SD_MM * rng.random((n, 1, 1)) * rng.standard_normal(shapes.shape)
     aspect = 1 + _ASPECT_SD * rng.standard_normal((n, 1, 3))
+    aspect[..., 2] *= np.where(rng.random((n, 1)) < _FLAT, rng.random((n, 1)), 1)
     return aspect * (shapes + bend + offset)
