@@ -107,7 +107,7 @@ _ROWS = (
     Method(
         id="eos", title="eos (Surrey model)",
         description="the Surrey Face Model with expressions, fitted by eos to 49 landmarks",
-        drawn=False, colour="#CC79A7", marker="x",
+        drawn=False, colour="#CC79A7", marker="X",
     ),
     # The widths of Zhao's net grow with n.
     Method(

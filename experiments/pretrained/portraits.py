@@ -38,7 +38,7 @@ def main(run: Run) -> dict:
         parts = dict(Bar(drawn, total=len(tasks), desc=f"portraits {model}"))
         names = parts[numbers[0]]
         arrays = {name: np.concatenate([parts[each][name] for each in numbers]) for name in names}
-        write_arrays(_file(run, model), arrays, {})
+        write_arrays(portraits_file(run, model), arrays, {})
     return {"detectors": detectors, "left_out": left_out}
 
 
@@ -50,10 +50,10 @@ def read_portraits(run: Run, model: str) -> dict[str, np.ndarray]:
         `dlib` `(n, 68, 2)` and `mediapipe` `(n, 51, 2)` pixels, NaN where no face was found, and
         `mediapipe_shape` `(n, 51, 3)`, y up, as far as the detectors are installed.
     """
-    return read_arrays(_file(run, model))[0]
+    return read_arrays(portraits_file(run, model))[0]
 
 
-def _file(run: Run, model: str) -> Path:
+def portraits_file(run: Run, model: str) -> Path:
     return run.work / "portraits" / f"{model}.npz"
 
 

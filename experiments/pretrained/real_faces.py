@@ -10,19 +10,23 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from data_gen.models.registry import open_models
+from data_gen.models.registry import OPEN
 from deepmds_keras.alignment import align, normalise, rms_radius
 from deepmds_keras.camera import refit
 from deepmds_keras.detection import detector_sd, move, upright_axes
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.landmarks import FOLDER, load_scheme
-from experiments.lifting.transfer import Trained
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.pipeline import DeepMDS
+from experiments.lifting.transfer import Trained, principal_components
 from experiments.methods import title
-from experiments.pretrained.portraits import read_portraits
-from experiments.pretrained.pretrained import SCHEMES, errors_of, trained
+from experiments.pretrained.portraits import portraits_file, read_portraits
+from experiments.pretrained.pretrained import SCHEMES, errors_of
+from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.records import write_csv
 from experiments.run import Run
+from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 
 _SCHEME = "ibug51"
@@ -39,15 +43,23 @@ def main(run: Run, file: str) -> dict:
         raise InputError(f"{file} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
-    if run.preset.name == "paper" and not open_models(run.data)[1]:
+    drawn = all(portraits_file(run, model).exists() for model in OPEN)
+    if run.preset.name == "paper" and drawn:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
-    table = pd.DataFrame(reliability(trained(run, _SCHEME), faces))
-    misfit = pd.DataFrame(misfits(trained(run, _SCHEME), faces))
-    cells = table.assign(method=table["method"].map(title)).set_index("method")
-    cells = cells.assign(
-        ratio=cells["ratio"].map("{:.3f}".format), between=cells["between"].map("{:.2e}".format)
-    )
+    methods = _methods(run)
+    table = pd.DataFrame(reliability(methods, faces))
+    misfit = pd.DataFrame(misfits(methods, faces))
+    cells = table.set_index(table["method"].map(title))[["ratio", "within", "between"]]
+    cells = cells.map("{:.3g}".format).replace("nan", "–")
     return write_results(run, "real", {"table": table, "misfit": misfit}, cells)
+
+
+def _methods(run: Run) -> Trained:
+    """The weights that ship, and other methods trained on the faces of the lifter's training."""
+    rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
+    views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
+    networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
+    return Trained(views, shapes, *networks, principal_components(shapes))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
@@ -80,8 +92,7 @@ def detector_table(run: Run, faces: dict[str, np.ndarray]) -> pd.DataFrame:
 
 def _variance(run: Run, detector: str) -> np.ndarray:
     """`(L,)` of a coordinate of each landmark about its mean error on rendered photos."""
-    models = open_models(run.data)[0]
-    errors = (errors_of(read_portraits(run, model), detector) for model in models)
+    errors = (errors_of(read_portraits(run, model), detector) for model in OPEN)
     return np.mean([found_errors[found].var(0).mean(1) for found_errors, found in errors], axis=0)
 
 
