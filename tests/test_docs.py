@@ -135,10 +135,12 @@ def test_every_target_and_variable_of_make_is_in_the_makefile(page):
 
 
 def test_every_option_of_the_command_is_one():
-    command = [sys.executable, "-m", "deepmds_keras", "predict", "--help"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    options = {*re.findall(r"--[a-z][a-z-]*", done.stdout)}
+    options = set()
+    for command in ("predict", "evaluate"):
+        words = [sys.executable, "-m", "deepmds_keras", command, "--help"]
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        options |= {*re.findall(r"--[a-z][a-z-]*", done.stdout)}
     code = [code for page in PAGES for code in code_of(page)]
     ours = [piece for piece in code if not piece.startswith(_OTHER_COMMANDS)]
     assert {name for piece in ours for name in re.findall(r"--[a-z][a-z-]*", piece)} <= options

@@ -13,6 +13,7 @@ from experiments.methods import METHODS, title
 
 MODELS = ("openhead", "ict")
 PAIRS = [*itertools.product(MODELS, repeat=2)]
+SURREY = [(faces, "surrey") for faces in (*MODELS, "both")]
 RESULTS, LIFTING = "docs/results.md", "docs/lifting.md"
 # Conditions of hard views that the documents show.
 SHOWN = [condition.id for condition in CONDITIONS if condition.id != "hard_1_hidden"]
@@ -82,16 +83,21 @@ def test_tables_of_the_anatomy_and_of_transfer():
         parts = [t[(t["step"] == step) & (t["embedding"] != "metric")] for t in anatomy.values()]
         values = [1e6 * part["mse"].item() for part in parts]
         assert rows[name] == ["0" if value < 1e-6 else f"{value:.3g}" for value in values], step
-    rows = table_of(LIFTING, "MSE in 10⁻⁵, errors of 1 mm")
-    for method, errors in transfer().iterrows():
-        assert rows[title(method)] == cells_of(1e5 * errors), method
+    for head, pairs in (
+        ("MSE in 10⁻⁵, errors of 1 mm", PAIRS),
+        ("Surrey faces, MSE in 10⁻⁵, errors of 1 mm", SURREY),
+    ):
+        rows, errors = table_of(LIFTING, head), transfer(pairs).dropna()
+        assert {*rows} == {*map(title, errors.index)}
+        for method, cells in errors.iterrows():
+            assert rows[title(method)] == cells_of(1e5 * cells), method
 
 
-def transfer():
+def transfer(pairs=None):
     """Errors with noise of 1 mm: methods by model of training and of test."""
     table = pd.concat(results(f"{m}/lifting/transfer/table.csv") for m in MODELS)
     rows = table[table["noise_mm"] == 1]
-    return rows.pivot(index="method", columns=["trained", "tested"], values="mse")[PAIRS]
+    return rows.pivot(index="method", columns=["trained", "tested"], values="mse")[pairs or PAIRS]
 
 
 def test_table_of_the_shipped_weights():
