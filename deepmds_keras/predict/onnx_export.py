@@ -23,7 +23,7 @@ _DOC = """\
 3D face landmarks from the 2D landmarks of one image (deepmds-keras). The batch n may be any.
 Inputs: view (n, L, 2), x to the right and y UP, any scale and place, NaN where a landmark is
 missing; visible (n, L), false where one is missing, at least 6 true; landmark_sd (n, L), standard
-deviations of the errors of a coordinate in the unit of the view, NaN for that of the training.
+deviations of the errors of a coordinate in the unit of the view, NaN for those of good landmarks.
 Outputs: shape (n, L, 3), facing the front, and shape_sd (n, L, 3), the standard deviations of its
 errors; rotation (n, 3, 3), scale (n), translation (n, 2) and perspective (n) of the camera, which
 sees S at P = rotation S, at scale P_xy / (1 - perspective P_z) + translation of the view. Axes and
