@@ -26,7 +26,6 @@ RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
 FACES ?=
-REAL ?=
 DRY ?=
 TARGET ?= reproduce-bfm
 # Options of Snakemake, such as those of a cluster, see docs/large.md.

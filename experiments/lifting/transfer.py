@@ -13,7 +13,6 @@ import pandas as pd
 from sklearn.linear_model import LinearRegression
 
 from data_gen.models.registry import load_model, open_models
-from data_gen.models.surrey import Surrey
 from data_gen.views import (
     FIELD_OF_VIEW,
     PITCH,
@@ -30,6 +29,7 @@ from deepmds_keras.metrics import mse
 from experiments.face_models import TITLES
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian
+from experiments.lifting.surrey import Surrey
 from experiments.lifting.train import (
     BOTH,
     TRANSFER_SCHEME,

@@ -40,6 +40,7 @@ RESULTS = {
     "rounding": ("The same seed, rounded otherwise", ""),  # its step is gone, its results stay
     "stream": ("Many faces: the tails of the errors", "stream"),
     "pretrained": ("The weights that ship with the package", "pretrained"),
+    "real": ("Real faces by two detectors", "real-faces"),
     "lifting/hard": ("Hard views, against the lower bound", "lifting"),
     "lifting/anatomy": ("Anatomy of Deep-MDS", "lifting"),
     "lifting/transfer": ("Transfer between face models", "lifting"),

