@@ -26,6 +26,7 @@ RINGNET ?= yes
 MEDIAPIPE ?= yes
 JOBS ?= -1
 FACES ?=
+REAL ?=
 DRY ?=
 TARGET ?= reproduce-bfm
 # Options of Snakemake, such as those of a cluster, see docs/large.md.
