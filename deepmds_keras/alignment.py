@@ -50,9 +50,7 @@ def procrustes(
         raise InputError("source and target must be finite. Received NaN or infinity.")
     source_centre, target_centre = source.mean(-2), target.mean(-2)
     centred = source - source_centre[..., None, :]
-    u, singular, vt = np.linalg.svd(
-        np.swapaxes(centred, -1, -2) @ (target - target_centre[..., None, :])
-    )
+    u, singular, vt = np.linalg.svd(np.swapaxes(centred, -1, -2) @ centre(target))
     if not reflection:
         singular, vt = singular.copy(), vt.copy()
         sign = np.sign(np.linalg.det(u @ vt))
@@ -75,19 +73,11 @@ def align(
     a reflection too, so that a face turned inside out scores a perfect zero. That is the default
     here, for comparison with the published numbers; `is_mirrored` tells where it was needed.
 
-    Args:
-        source, target, scaling, reflection: As for `procrustes`.
-
-    Returns:
-        The moved source, of the source's shape.
-
-    Raises:
-        InputError: As for `procrustes`.
+    Arguments and errors are those of `procrustes`; the moved source has the source's shape.
     """
     rotation, scale, _ = procrustes(source, target, scaling=scaling, reflection=reflection)
-    source, target = np.asarray(source, float), np.asarray(target, float)
-    turned = (source - source.mean(-2, keepdims=True)) @ rotation
-    return turned * scale[..., None, None] + target.mean(-2, keepdims=True)
+    middle = np.asarray(target, float).mean(-2, keepdims=True)
+    return centre(source) @ rotation * scale[..., None, None] + middle
 
 
 def is_mirrored(source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -103,9 +93,6 @@ def normalise(points: np.ndarray) -> np.ndarray:
 
     Args:
         points: `(n, L, d)` or `(L, d)`.
-
-    Returns:
-        Array of the same shape.
 
     Raises:
         InputError: A face whose coordinates are all equal, or NaN or infinity.

@@ -1,4 +1,4 @@
-"""Cameras that see given shapes as given views, affine or scaled orthographic: a head's pose."""
+"""Cameras that see given shapes as given views: pose of a head, orientation of an embedding."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepmds_keras.checks import check_points
+from deepmds_keras.checks import check_views_and_shapes
 from deepmds_keras.errors import InputError
 
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
@@ -35,12 +35,12 @@ class HeadPose:
 
     @property
     def yaw(self) -> float | np.ndarray:
-        """Degrees, positive when the head turns to its left; the first turn. 0 from the front."""
+        """Degrees, positive when the head turns to its left; the first turn."""
         return self.as_dict()["yaw"]
 
     @property
     def pitch(self) -> float | np.ndarray:
-        """Degrees, positive when the head looks up; the second turn. 0 from the front."""
+        """Degrees, positive when the head looks up; the second turn."""
         return self.as_dict()["pitch"]
 
     @property
@@ -77,7 +77,7 @@ class HeadPose:
 
 
 def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Return the affine camera of each face that has the least squared distances in its view.
+    """Affine cameras that have the least squared distances in their views, of n faces.
 
     Of a flat shape, which leaves the camera open, the smallest is taken. Views `(n, L, 2)` and
     shapes `(n, L, 3)` give `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
@@ -88,13 +88,12 @@ def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 
 
 def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
-    """Return the scaled orthographic cameras of n faces that are nearest to their affine ones.
+    """Scaled orthographic cameras of views `(n, L, 2)` and shapes `(n, L, 3)`.
 
     Of the affine camera's matrix, the nearest rotation times a scale (the POS algorithm of
     DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
     minimise the distances in the image over rotations instead would not do: shapes are estimates,
-    and the pitch of a nearly frontal one then depends on their errors most. Views are `(n, L, 2)`,
-    shapes `(n, L, 3)`.
+    and the pitch of a nearly frontal one then depends on their errors most.
     """
     linear = np.swapaxes(affine_cameras(views, shapes)[..., :3], 1, 2)
     u, sizes, vt = np.linalg.svd(linear, full_matrices=False)
@@ -128,11 +127,8 @@ def refit(poses: HeadPose, views: np.ndarray, shapes: np.ndarray) -> HeadPose:
 def camera_angles(rotations: np.ndarray) -> np.ndarray:
     """Yaw, pitch and roll of heads in degrees: `(n, 3, 3)` → `(3, n)`.
 
-    Yaw turns first, roll last, so that `R = R_z(roll) R_x(-pitch) R_y(yaw)`. From straight above or
-    below, yaw is as good as roll, and all of the turn is yaw.
-
-    Args:
-        rotations: From the frame of the face to the camera's, to be multiplied from the left.
+    Rotations are those of `HeadPose`, `R = R_z(roll) R_x(-pitch) R_y(yaw)`. From straight above or
+    below yaw and roll are indistinguishable, and all of the turn is yaw.
     """
     (right, up_x, front), (_, up_y, _), (side, up, ahead) = np.moveaxis(rotations, 0, 2)
     steepness = np.hypot(side, ahead)
@@ -169,13 +165,33 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
 
 def head_poses(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
     """`head_pose` of n faces as one `HeadPose`; a mirrored one comes out as seen from behind."""
-    views, shapes = check_points(views, "view", 2), check_points(shapes, "shape", 3)
-    if views.shape[:2] != shapes.shape[:2]:
-        raise InputError(
-            "view and shape must have the same faces and landmarks. "
-            f"Received {views.shape[:2]} and {shapes.shape[:2]}."
-        )
+    views, shapes = check_views_and_shapes(views, shapes)
     poses = orthographic_cameras(views, shapes)
     off = poses.project(shapes) - views
     residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
     return replace(poses, residual=residuals)
+
+
+def front_landmark(shapes: np.ndarray) -> int:
+    """0-based number of the landmark that is on average most in front: `(n, L, 3)` → int."""
+    return int(shapes[..., 2].mean(0).argmax())
+
+
+def resolve_orientation(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> np.ndarray:
+    """Turn shapes over their frontal views, the front landmark towards the viewer.
+
+    The rotation is that of the scaled orthographic camera that sees the shape as its view.
+
+    Args:
+        shapes: `(n, L, 3)` shapes in any orientation, mirrored or not.
+        frontal: `(n, L, 2)` where the landmarks lie when seen from the front.
+        front_landmark: 0-based number of a landmark in front of the others' mean.
+
+    Returns:
+        `(n, L, 3)` turned shapes: x, y centred on the frontal view, mean z 0.
+    """
+    rotation = orthographic_cameras(frontal, shapes).rotation
+    turned = (shapes - shapes.mean(1, keepdims=True)) @ np.swapaxes(rotation, 1, 2)
+    turned[..., 2] *= np.where(turned[:, front_landmark, 2] < 0, -1, 1)[:, None]
+    turned[..., :2] += frontal.mean(1, keepdims=True)
+    return turned

@@ -19,8 +19,7 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
         n_dimensions: `d`, 2 for views and 3 for shapes.
 
     Raises:
-        InputError: Wrong shape, NaN or infinity, or a face whose landmarks all coincide or (in
-            two or more dimensions) lie on one line, from which no shape can be told.
+        InputError: Wrong shape, or a face with one of `find_faults`.
     """
     try:
         points = points if np.ma.isMaskedArray(points) else np.asarray(points)
@@ -29,17 +28,12 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
     if not np.issubdtype(points.dtype, np.number):
         raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
     points = np.ma.filled(points.astype(float), np.nan)  # what is masked is unknown
-    if points.ndim == 2:
-        points = points[None]
-    if (
-        points.ndim != 3
-        or not len(points)
-        or points.shape[1] < 3
-        or points.shape[2] != n_dimensions
-    ):
+    points = points[None] if points.ndim == 2 else points
+    shape = points.shape
+    if len(shape) != 3 or shape[0] < 1 or shape[1] < 3 or shape[2] != n_dimensions:
         raise InputError(
             f"{name} must have shape (faces >= 1, landmarks >= 3, {n_dimensions}). "
-            f"Received {points.shape}."
+            f"Received {shape}."
         )
     for face, fault in find_faults(points).items():
         raise InputError(f"{name} {fault} in face {face}.")
@@ -47,10 +41,7 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
 
 
 def find_faults(points: np.ndarray) -> dict[int, str]:
-    """Faces from whose landmarks no shape can be told.
-
-    Args:
-        points: `(n, L, d)`.
+    """Faces of `(n, L, d)` points from whose landmarks no shape can be told.
 
     Returns:
         For each such face, 0-based, why: NaN or infinity, landmarks that all coincide or (in two
@@ -77,11 +68,7 @@ def find_faults(points: np.ndarray) -> dict[int, str]:
 
 
 def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.ndarray:
-    """`check_points`, and the number of landmarks.
-
-    Raises:
-        InputError: As `check_points`, or another number of landmarks.
-    """
+    """`check_points`; another number of landmarks raises InputError, too."""
     check_n_landmarks(n_landmarks)
     points = check_points(points, name, n_dimensions)
     if points.shape[1] != n_landmarks:
@@ -92,18 +79,14 @@ def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.nd
 
 
 def check_n_landmarks(n_landmarks: int) -> None:
-    """Refuse what cannot be the number of landmarks of a network.
-
-    Raises:
-        InputError: No whole number, or fewer than 3.
-    """
+    """Raise InputError for what is no whole number of landmarks, or fewer than 3."""
     if not isinstance(n_landmarks, Integral) or n_landmarks < 3:
         raise InputError(
             f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}."
         )
 
 
-def check_training_faces(views, shapes) -> tuple[np.ndarray, np.ndarray]:
+def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:
     """Views `(n, L, 2)` and shapes `(n, L, 3)` of the same faces.
 
     Raises:
@@ -119,11 +102,7 @@ def check_training_faces(views, shapes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_images(images: np.ndarray, image_size: int) -> np.ndarray:
-    """Images as a network takes them.
-
-    Raises:
-        InputError: Not `(n, image_size, image_size, 3)` uint8, n at least 1.
-    """
+    """Raise InputError for images that are not `(n >= 1, image_size, image_size, 3)` uint8."""
     images, needed = np.asarray(images), (image_size, image_size, 3)
     if images.dtype != np.uint8 or images.shape[1:] != needed or not images.size:
         raise InputError(

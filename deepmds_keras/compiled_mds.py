@@ -19,10 +19,9 @@ def compiled_mds(
 ) -> tuple[np.ndarray, float, int]:
     """SMACOF with isotonic regression (Kruskal's non-metric MDS, stress-1) of one face.
 
-    Makes the same steps from `start` as scikit-learn's `MDS` (1.9, not metric, one initialisation)
-    and stops at the same one, so it agrees to rounding. It is faster because it is compiled, finds
-    the order of the dissimilarities, which never changes, once, and begins the regression of one
-    iteration with the blocks of the last.
+    Makes the same steps from `start` as scikit-learn's `MDS` (1.9, not metric, one initialisation),
+    so it agrees to rounding. It is faster because it is compiled, finds the order of the
+    dissimilarities once, and begins the regression of an iteration with the blocks of the last.
 
     Args:
         dissimilarities: `(L, L)`, symmetric with zero diagonal and no negative entries. Zeros off
@@ -158,11 +157,10 @@ def _raw_stress(distances, disparities):
 def _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights):
     """Isotonic regression of `(P,)` values by pooling adjacent violators; the number of blocks.
 
-    Violators may be pooled in any order. Blocks, which `blocks` gives by where they begin and the
-    end, are taken over from the last regression: one of which no beginning lies below its mean
-    would end in one piece, so it enters whole; any other enters value by value, those that are
-    `tied` to the one before together. From one iteration to the next over nine of ten blocks stay
-    whole, which leaves little to pool. The solution is filled into the last three arrays.
+    Violators may be pooled in any order. `blocks`, by where they begin and the end, are those of
+    the last regression. One of which no beginning lies below its mean would end in one piece, so it
+    enters whole, as over nine of ten do; any other enters value by value, those that are `tied` to
+    the one before together. The solution is filled into the last three arrays.
     """
     n_new = 0
     for block in range(n_blocks):

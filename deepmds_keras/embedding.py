@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
-from deepmds_keras.errors import InputError, needs
+from deepmds_keras.errors import InputError, check_choice, needs
 
 # Regressed distances of near neighbours may fall slightly below zero; beyond this share of the
 # largest one the matrix is not one of distances.
 _NEGATIVE_SHARE = 0.1
-SOLVERS = ("auto", "numba", "sklearn")
 _STEPS = 18  # of Lanczos' method: the Gram matrices of faces need 12 to 18
 _RESIDUAL = 1e-13
 _ROUNDING = 1e-14  # both relative to the norm of the matrix
@@ -35,10 +33,9 @@ def embed(
     """Points whose distances have the order of the dissimilarities (paper, equation of c_2).
 
     Non-metric MDS (SMACOF, Kruskal's stress-1) from a classical-scaling start, as the `mdscale` of
-    the released code starts. Being non-metric it loses the scale, which is put back by least
-    squares; points are centred and turned to their principal axes, of the sign that
-    `classical_scaling` gives them. Which of the two mirror images that makes says nothing about the
-    face: distances cannot tell, see `DeepMDS.predict`.
+    the released code starts. It loses the scale, which is put back by least squares; points are
+    centred and turned to their principal axes, signed as by `classical_scaling`. Which of the two
+    mirror images that makes says nothing about the face: distances cannot tell.
 
     Args:
         dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
@@ -63,15 +60,12 @@ def embed(
         MissingPackageError: `"numba"` without numba.
     """
     solve = _choose(solver)
-    dissimilarities = np.asarray(dissimilarities)
-    _check_shape(dissimilarities.shape)
-    if not 1 <= n_components <= dissimilarities.shape[-1]:
+    matrices = check_dissimilarities(dissimilarities)
+    if not 1 <= n_components <= matrices.shape[-1]:
         raise InputError(
-            f"n_components must be 1 to {dissimilarities.shape[-1]}, the number of landmarks. "
+            f"n_components must be 1 to {matrices.shape[-1]}, the number of landmarks. "
             f"Received {n_components}."
         )
-    single = dissimilarities.ndim == 2
-    matrices = dissimilarities[None] if single else dissimilarities
     # Compiled code runs beside other threads: nothing has to be sent to another process.
     step, prefer = (32, None) if solve is sklearn_mds else (128, "threads")
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
@@ -83,26 +77,19 @@ def embed(
         points[task], stress[task] = embedded
         if progress is not None:
             progress(len(embedded[0]))
-    if single:
+    if np.ndim(dissimilarities) == 2:
         points, stress = points[0], stress[0]
     return (points, stress) if return_stress else points
 
 
 def _choose(solver: str) -> Callable:
     """`sklearn_mds` or `compiled_mds`."""
-    if solver == "batched":
-        warnings.warn(
-            'solver="batched" is now called "numba", or "auto" where numba may be missing.',
-            DeprecationWarning,
-            stacklevel=3,
-        )
-        solver = "auto"
-    if solver not in SOLVERS:
-        raise InputError(f"solver must be one of {', '.join(SOLVERS)}. Received {solver!r}.")
-    if solver == "numba":
+    check_choice(solver, "solver", ("auto", "numba", "sklearn"))
+    compiled = None if solver == "sklearn" else compiled_solver()
+    if solver == "numba" and compiled is None:
         with needs('numba, which solver="numba" needs,', "fast"):
             import numba  # noqa: F401
-    return (solver != "sklearn" and compiled_solver()) or sklearn_mds
+    return compiled or sklearn_mds
 
 
 @functools.cache
@@ -136,27 +123,25 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
     return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
 
 
-def metric_embed(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
+def metric_embed(dissimilarities: np.ndarray) -> np.ndarray:
     """Points whose distances are nearest to the dissimilarities, to compare with `embed`.
 
-    scikit-learn's metric `MDS` from the same start, with the same limits: `(n, L, L)` →
-    `(n, L, n_components)`, turned as it comes.
-
-    Raises:
-        InputError: As for `embed`.
+    scikit-learn's metric `MDS` from the same start: `(n, L, L)` → `(n, L, 3)`, turned as it comes.
     """
     matrices = check_dissimilarities(dissimilarities)
-    starts = classical_scaling(matrices, n_components)
+    starts = classical_scaling(matrices)
     embedded = (sklearn_mds(*face, metric=True)[0] for face in zip(matrices, starts, strict=True))
     return np.array([*embedded])
 
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     """Matrices as `embed` uses them: `(n, L, L)`, exactly symmetric, not negative, diagonal 0."""
-    matrices = np.array(dissimilarities, float)
-    _check_shape(matrices.shape)
-    if matrices.ndim == 2:
-        matrices = matrices[None]
+    matrices, shape = np.array(dissimilarities, float, ndmin=3), np.shape(dissimilarities)
+    if len(shape) not in (2, 3) or 0 in shape or shape[-1] != shape[-2] or shape[-1] < 3:
+        raise InputError(
+            "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3 and n > 0. "
+            f"Received shape {shape}."
+        )
     if not np.isfinite(matrices).all():
         raise InputError("dissimilarities must be finite. Received NaN or infinity.")
     diagonal = np.arange(matrices.shape[1])
@@ -164,11 +149,10 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     largest = np.abs(matrices).max((1, 2))
     if (largest == 0).any():
         raise InputError("dissimilarities must not all be zero off the diagonal. Received zeros.")
-    asymmetry = (np.abs(matrices - np.swapaxes(matrices, 1, 2)).max((1, 2)) / largest).max()
-    if asymmetry > 1e-5:
+    off = (np.abs(matrices - np.swapaxes(matrices, 1, 2)).max((1, 2)) / largest).max()
+    if off > 1e-5:
         raise InputError(
-            "dissimilarities must be symmetric. "
-            f"Received a matrix that is off by {asymmetry:.1e} of its largest entry."
+            f"dissimilarities must be symmetric. Received differences of {off:.1e} of the largest."
         )
     if (matrices.min((1, 2)) < -_NEGATIVE_SHARE * largest).any():
         raise InputError(
@@ -178,20 +162,12 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     return np.abs((matrices + np.swapaxes(matrices, 1, 2)) / 2)
 
 
-def _check_shape(shape: tuple[int, ...]) -> None:
-    if len(shape) not in (2, 3) or 0 in shape or shape[-1] != shape[-2] or shape[-1] < 3:
-        raise InputError(
-            "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3 and n > 0. "
-            f"Received shape {shape}."
-        )
-
-
 def _with_signs(points: np.ndarray) -> np.ndarray:
     """Points `(..., L, k)`, each axis turned so that the first landmark far out on it is positive.
 
-    The sign of an eigenvector depends on rounding, hence on the processor. So would that of the
-    farthest landmark in a symmetric face, where two are equally far out on either side. Of all that
-    are at least 0.6 times as far out as the farthest, the first is the same on any processor.
+    The sign of an eigenvector depends on rounding, hence on the processor, and so does which of two
+    landmarks is the farthest in a symmetric face. Which is the first of all those at least 0.6
+    times as far out does not.
     """
     sizes = np.abs(points)
     first = (sizes >= 0.6 * sizes.max(-2, keepdims=True)).argmax(-2)
@@ -199,7 +175,6 @@ def _with_signs(points: np.ndarray) -> np.ndarray:
 
 
 def _embed_faces(matrices, n_components, solve, max_iter, eps):
-    matrices = check_dissimilarities(matrices)
     points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
     for face, matrix in enumerate(matrices):
         points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
@@ -227,10 +202,7 @@ def sklearn_mds(
     *,
     metric: bool = False,
 ) -> tuple[np.ndarray, float, int]:
-    """Points, stress-1 and iterations of one face, as `compiled_mds`, by scikit-learn's `MDS`.
-
-    Distances are to have the order of the dissimilarities, or with `metric` their size.
-    """
+    """`compiled_mds` by scikit-learn; with `metric`, distances are to be the dissimilarities."""
     options = {"metric": "precomputed", "init": "random", "normalized_stress": True, "n_init": 1}
     scaling = MDS(start.shape[1], metric_mds=metric, max_iter=max_iter, eps=eps, **options)
     points = scaling.fit_transform(dissimilarities, init=start)
@@ -242,7 +214,7 @@ def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np
 
     Lanczos' method with full reorthogonalisation (Golub & Van Loan, Matrix Computations, chapter
     10) where its answer is proven right, `eigh` for the other matrices. The result for a matrix
-    does not depend on those beside it.
+    does not depend on the others.
 
     Args:
         matrices: `(n, L, L)`, symmetric.
@@ -254,11 +226,10 @@ def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np
     # SciPy's eigh(subset_by_index=) would make the compiled solver a fifth slower on one core, and
     # its threads would wait for each other, since it holds Python's lock.
     n, size, _ = matrices.shape
+    values, vectors = np.empty((n, count)), np.empty((n, size, count))
+    proven = np.zeros(n, bool)
     if size > _STEPS > count:
         values, vectors, proven = _lanczos(matrices, count)
-    else:
-        values, vectors = np.empty((n, count)), np.empty((n, size, count))
-        proven = np.zeros(n, bool)
     if not proven.all():
         all_values, all_vectors = np.linalg.eigh(matrices[~proven])
         top = slice(None, -count - 1, -1)

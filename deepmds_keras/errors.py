@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 _LONGEST = 200
@@ -20,6 +20,13 @@ def brief(message: object, longest: int = _LONGEST) -> str:
     """Message of a library about a file, or what is in it, on one line that is not too long."""
     line = " ".join(str(message).split())
     return line if len(line) <= longest else f"{line[:longest]}…"
+
+
+def check_choice(value: object, name: str, choices: Collection[str]) -> None:
+    """Raise InputError, which calls it `name`, for a value that is none of the choices."""
+    if value not in choices:
+        choices = ", ".join(choices) or "none"
+        raise InputError(f"{name} must be one of {choices}. Received {value!r}.")
 
 
 @contextmanager

@@ -58,17 +58,9 @@ def write_bytes(path: str | Path, content: bytes) -> None:
 
 
 def write_arrays(
-    path: str | Path,
-    arrays: dict[str, np.ndarray],
-    description: dict,
-    *,
-    compressed: bool = True,
+    path: str | Path, arrays: dict[str, np.ndarray], description: dict, *, compressed: bool = True
 ) -> None:
-    """Write arrays and a JSON description into one npz, complete or not at all.
-
-    Raises:
-        InputError, OSError: As for `atomic_write`.
-    """
+    """Write arrays and a JSON description into one npz, and raise as `atomic_write` does."""
     save = np.savez_compressed if compressed else np.savez
     with atomic_write(path) as file:
         save(file, description=np.array(json.dumps(description)), **arrays)
@@ -93,39 +85,28 @@ def read_arrays(
 def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dict[str, np.ndarray]:
     """Return all arrays of an npz by name; nothing in the file is executed.
 
-    Args:
-        path: The file.
-        kind: Its kind with an article, for the message.
-
     Raises:
-        InputError: The file is missing, damaged or foreign, or holds anything but plain arrays.
+        InputError: The file is missing, damaged or foreign, or holds anything but plain arrays;
+            the message calls it `kind`.
     """
+    arrays = {}
     with _named(path, kind), zipfile.ZipFile(path) as archive:
-        arrays = {}
         for member in archive.infolist():
             # All of it, so that its checksum is compared; NumPy stops where an array may end.
             content = io.BytesIO(archive.read(member))
             name = member.filename.removesuffix(".npy")
             arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
-        _check_number(archive)
+        # Python reads a damaged list of contents up to the damage, and does not count what it read.
+        archive.fp.seek(-_ZIP_END_SIZE, os.SEEK_END)
+        end = archive.fp.read()
+        listed = int.from_bytes(end[10:12], "little")
+        if end.startswith(b"PK\5\6") and len(archive.infolist()) != listed:
+            raise zipfile.BadZipFile(f"{len(arrays)} arrays of {listed}")
     return arrays
 
 
-def _check_number(archive: zipfile.ZipFile) -> None:
-    """Python reads a damaged list of contents up to the damage, and does not count what it read."""
-    archive.fp.seek(-_ZIP_END_SIZE, os.SEEK_END)
-    end = archive.fp.read()
-    n, listed = len(archive.infolist()), int.from_bytes(end[10:12], "little")
-    if end.startswith(b"PK\5\6") and n != listed:
-        raise zipfile.BadZipFile(f"{n} arrays of {listed}")
-
-
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
-    """Return the array of an npy file, read-only; only the pages that are asked for are read.
-
-    Raises:
-        InputError: As `read_npz`.
-    """
+    """Map the array of an npy file, read-only; bad files raise InputError as for `read_npz`."""
     with _named(path, kind):  # mapped, a header cannot claim more memory than the file has
         return np.lib.format.open_memmap(path, mode="r")
 
@@ -148,8 +129,7 @@ def sha256_of(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         with path.open("rb") as file:
-            while chunk := file.read(1 << 22):
-                digest.update(chunk)
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
 from deepmds_keras.alignment import align, centre, normalise
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +32,7 @@ def mse(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
         InputError: Shapes differ or are no faces, or a number is not finite.
     """
     prediction, truth = _pair(prediction, truth)
-    return _per_face(np.mean((prediction - truth) ** 2, axis=(-2, -1)))
+    return np.mean((prediction - truth) ** 2, axis=(-2, -1))
 
 
 def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
@@ -60,18 +60,10 @@ def depth_corr(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
     Each landmark contributes the Pearson correlation of its three predicted with its three true
     coordinates, as in the released code; L at most. It depends on where the origin lies and is
     close to L for anything near the face. A landmark of three equal coordinates contributes 0.
-
-    Args:
-        prediction, truth: `(n, L, 3)` or `(L, 3)`, aligned.
-
-    Returns:
-        `(n,)`, or a float for one face.
-
-    Raises:
-        InputError: As for `mse`.
+    Arguments, shape of the result and errors are those of `mse`.
     """
     prediction, truth = _pair(prediction, truth)
-    return _per_face(_pearson(prediction, truth, axis=-1).sum(axis=-1))
+    return _pearson(prediction, truth, axis=-1).sum(axis=-1)
 
 
 def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
@@ -80,13 +72,8 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
     Moniz et al. 2018, "Unsupervised Depth Estimation, 3D Face Rotation and Replacement", which the
     paper cites for its own criterion. L at most; a landmark whose depth does not vary contributes
     0, so that a constant answer scores 0. Aligned to each face it is constant no longer: Procrustes
-    lends it the place and size of the truth, and it then scores high.
-
-    Args:
-        prediction, truth: `(n, L, 3)`, n at least 2, aligned.
-
-    Raises:
-        InputError: As for `mse`, or fewer than two faces.
+    lends it the place and size of the truth, and it then scores high. Arguments and errors are
+    those of `explained_share`, but aligned.
     """
     prediction, truth = _pair(prediction, truth, least=2)
     return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())
@@ -114,8 +101,7 @@ def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
     for method, array in arrays.items():
         if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
             raise InputError(
-                f"values of {method} must be a row of finite numbers. "
-                f"Received {np.isfinite(array).sum()} finite ones in shape {array.shape}."
+                f"values of {method} must be a row of finite numbers. Received {brief(array)}."
             )
     if len({len(array) for array in arrays.values()}) > 1:
         lengths = ", ".join(f"{method} {len(array)}" for method, array in arrays.items())
@@ -140,36 +126,28 @@ def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
 def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Both as valid arrays of floats, of at least so many faces."""
     prediction, truth = np.asarray(prediction, float), np.asarray(truth, float)
+    shape = prediction.shape
+    if shape != truth.shape:
+        raise InputError(
+            f"prediction and truth must have one shape. Received {shape} and {truth.shape}."
+        )
+    if len(shape) not in (2, 3) or shape[-1] != 3 or 0 in shape:
+        raise InputError(f"prediction must have shape (n, L, 3) or (L, 3). Received {shape}.")
+    if least and (len(shape) != 3 or shape[0] < least):
+        raise InputError(f"prediction must be of {least} faces or more. Received {shape}.")
     for name, array in (("prediction", prediction), ("truth", truth)):
-        if array.ndim not in (2, 3) or array.shape[-1] != 3 or not array.size:
-            raise InputError(
-                f"{name} must have shape (n, L, 3) or (L, 3). Received shape {array.shape}."
-            )
         if not np.isfinite(array).all():
-            n_bad = np.count_nonzero(~np.isfinite(array))
-            raise InputError(f"{name} must be finite. Received {n_bad} numbers that are not.")
-    if prediction.shape != truth.shape:
-        raise InputError(
-            "prediction and truth must have one shape. "
-            f"Received {prediction.shape} and {truth.shape}."
-        )
-    if least and (prediction.ndim != 3 or len(prediction) < least):
-        raise InputError(
-            f"prediction must be of {least} faces or more, (n, L, 3). Received {prediction.shape}."
-        )
+            raise InputError(f"{name} must be finite. Received NaN or infinity.")
     return prediction, truth
 
 
 def _pearson(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
     """Pearson correlation along an axis, 0 where either side is constant."""
-    constant = np.zeros((), bool)
-    for x in (a, b):
-        constant = constant | (np.ptp(x, axis=axis) <= _ROUNDING * np.abs(x).max(axis=axis))
+    constant_a, constant_b = (
+        np.ptp(x, axis=axis) <= _ROUNDING * np.abs(x).max(axis=axis) for x in (a, b)
+    )
+    constant = constant_a | constant_b
     a, b = (x - x.mean(axis=axis, keepdims=True) for x in (a, b))
     covariance = (a * b).sum(axis=axis)
     scale = np.sqrt((a**2).sum(axis=axis) * (b**2).sum(axis=axis))
     return np.where(constant, 0.0, covariance / np.where(constant, 1.0, scale))
-
-
-def _per_face(values: np.ndarray) -> np.ndarray | float:
-    return values if values.ndim else float(values)

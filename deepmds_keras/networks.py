@@ -12,7 +12,7 @@ import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.checks import check_n_landmarks
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import check_choice
 from deepmds_keras.proximities import VARIANTS
 
 
@@ -64,8 +64,7 @@ def build_dissimilarity_net(
     Raises:
         InputError: Unknown variant.
     """
-    if variant not in VARIANTS:
-        raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
+    check_choice(variant, "variant", VARIANTS)
     pair = keras.Input((VARIANTS[variant],), name="pair_features")
     dense, name = dense_blocks(seed), f"dissimilarity_{variant}"
     if chain is None:
@@ -78,13 +77,7 @@ def build_dissimilarity_net(
 
 
 def distance_layers(dense: Callable, pair, units: int):
-    """Layers of the dissimilarity net, from what is known of pairs to their distances.
-
-    Args:
-        dense: As from `dense_blocks`.
-        pair: Tensor `(P, F)`.
-        units: Of each hidden layer.
-    """
+    """Layers of the dissimilarity net: from `(P, F)` features of pairs to distances, `(P, 1)`."""
     x = dense(pair, units, "hidden_1")
     second = x = dense(x, units, "hidden_2")
     x = dense(x, units, "hidden_3")
@@ -94,22 +87,13 @@ def distance_layers(dense: Callable, pair, units: int):
     return dense(x, 1, "distance", activated=False)
 
 
-def draw_kernels(network: keras.Model, seed: int) -> None:
-    """Draw every kernel again, in Keras's default way: for networks that take no initialiser."""
-    kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
-    for number, kernel in enumerate(kernels):
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        kernel.assign(initial(kernel.shape))
-
-
 def count_trainable(*networks: keras.Model) -> int:
     """Numbers that training changes, of all the networks together."""
-    weights = (weight for network in networks for weight in network.trainable_weights)
-    return sum(math.prod(weight.shape) for weight in weights)
+    return sum(math.prod(weight.shape) for net in networks for weight in net.trainable_weights)
 
 
 def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
-    """Outputs of a network in inference mode.
+    """Outputs `(n, d_out)` float32 of a network in inference mode.
 
     What fits into one batch goes through the network as it is; of more, a graph is made once for
     each network, with the same outputs in half the time. `Model.predict` would make one for every
@@ -117,11 +101,8 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
 
     Args:
         network: Model of one input and one output, or what is called like one.
-        inputs: `(n, d)`, or `(n, …)` if the network takes that.
+        inputs: `(n, …)`.
         batch_size: Rows at a time, which bounds the memory.
-
-    Returns:
-        `(n, d_out)` float32.
     """
     outputs = functools.partial(network, training=False)
     if len(inputs) > batch_size and isinstance(network, keras.Model):
@@ -134,18 +115,8 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
 
 
 def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
-    """`forward` of a network that takes images in [-1, 1].
-
-    Args:
-        network: Model of one input and one output.
-        images: `(n, size, size, 3)` uint8, an array or what is indexed like one.
-        batch_size: Images at a time, which bounds the memory.
-    """
-
-    def on_scaled(batch, training):
-        return network(scale_images(batch), training=training)
-
-    return forward(on_scaled, images, batch_size)
+    """`forward` of `(n, size, size, 3)` uint8 images by a network that takes them in [-1, 1]."""
+    return forward(lambda batch, **mode: network(scale_images(batch), **mode), images, batch_size)
 
 
 def scale_images(images):

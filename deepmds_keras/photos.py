@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -34,11 +32,43 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
         `(H, W, 3)` uint8, RGB.
 
     Raises:
-        InputError: The file is missing or no photo, is cut short, has a side below 32 pixels or
-            more than 256 million pixels, or is larger than 512 MiB.
+        InputError: The file is missing, damaged or no photo, has a side below 32 pixels or more
+            than 256 million pixels, or is larger than 512 MiB.
     """
-    with _opened(source) as photo:
-        return np.array(in_colour(ImageOps.exif_transpose(photo)))
+    name = source if isinstance(source, (str, os.PathLike)) else "image"
+    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS  # Pillow's limit is lower
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of what is above half its limit
+            content = _content(source)
+            # By the content: telephones send HEIC files called `.jpg`.
+            if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
+                with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
+                    from pillow_heif import register_heif_opener
+                register_heif_opener()
+            # From memory, where what is claimed to follow is not allotted before it is read.
+            with Image.open(io.BytesIO(content)) as photo:
+                _check_head(photo)
+                return np.array(in_colour(ImageOps.exif_transpose(photo)))
+    except MissingPackageError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{name} does not exist; it must be a photo.") from None
+    except InputError as error:
+        raise InputError(f"{name} {error}") from None
+    except Image.DecompressionBombError as error:
+        size = str(error).partition(" exceeds")[0]
+        raise InputError(
+            f"{name} must have at most {MAX_PIXELS:,} pixels. Received: {size}."
+        ) from None
+    except Exception as error:  # Pillow raises many kinds for a damaged file
+        received = f"{type(error).__name__}: {brief(error)}"
+        if isinstance(error, UnidentifiedImageError):
+            received = "no image of a kind that Pillow reads" if content else "0 bytes"
+        elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
+            received = "a folder"
+        raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:
@@ -64,46 +94,6 @@ def in_colour(photo: Image.Image) -> Image.Image:
         photo = photo.convert("RGBA")
         photo = Image.alpha_composite(Image.new("RGBA", photo.size, "white"), photo)
     return photo.convert("RGB")
-
-
-@contextmanager
-def _opened(source: str | Path | bytes | BinaryIO) -> Iterator[Image.Image]:
-    """A photo of which only the head is read; whatever goes wrong becomes one line."""
-    name = source if isinstance(source, (str, os.PathLike)) else "image"
-    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS  # Pillow's limit is lower
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is above half its limit
-            content = _content(source)
-            # By the content: telephones send HEIC files called `.jpg`.
-            if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
-                with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
-                    from pillow_heif import register_heif_opener
-                register_heif_opener()
-            # From memory, where what is claimed to follow is not allotted before it is read.
-            with Image.open(io.BytesIO(content)) as opened:
-                _check_head(opened)
-                yield opened
-    except MissingPackageError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{name} does not exist; it must be a photo.") from None
-    except InputError as error:
-        raise InputError(f"{name} {error}") from None
-    except Image.DecompressionBombError as error:
-        size = str(error).partition(" exceeds")[0]
-        raise InputError(
-            f"{name} must have at most {MAX_PIXELS:,} pixels. Received: {size}."
-        ) from None
-    except Exception as error:  # Pillow raises many kinds for a damaged file
-        received = f"{type(error).__name__}: {brief(error)}"
-        if isinstance(error, UnidentifiedImageError):
-            received = "no image of a kind that Pillow reads" if content else "0 bytes"
-        elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
-            received = "a folder"
-        raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = before
 
 
 def _content(source: str | Path | bytes | BinaryIO) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
 
 import keras
@@ -13,14 +13,14 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras import networks, training, weights
 from deepmds_keras.alignment import centre, normalise
-from deepmds_keras.checks import check_faces, check_fitted, check_training_faces
+from deepmds_keras.camera import front_landmark, resolve_orientation
+from deepmds_keras.checks import check_faces, check_fitted, check_views_and_shapes
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.metrics import explained_share
-from deepmds_keras.orientation import front_landmark, resolve_orientation
 from deepmds_keras.proximities import proximities
 
 _NETWORKS = ("autoencoder", "dissimilarity_net")
@@ -28,6 +28,7 @@ _FACES_PER_CHUNK = 64
 _FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
 
 
+@dataclass(eq=False, repr=False)
 class DeepMDS(BaseEstimator):
     """3D landmarks of a face from the 2D landmarks of one image (Kamyab and Azimifar).
 
@@ -36,12 +37,12 @@ class DeepMDS(BaseEstimator):
     Args:
         n_landmarks: L.
         variant: `"paper"` or `"released"`, see `pair_features`.
-        centre_views: Whether the mean of each view's landmarks is moved to the origin before the
-            view is normalised, so that a face may lie anywhere in its image. The authors' code does
-            not: then views must come in the coordinates of the face model.
+        centre_views: Whether each view is centred before it is normalised, so that a face may lie
+            anywhere in its image. The authors' code does not: then views must come in the
+            coordinates of the face model.
         schedule: Learning rate, `"constant"` as the paper has it or `"cosine"`. The constant one
-            leaves the moving statistics of batch normalisation behind the weights, and the
-            error of the networks in use far above that in training.
+            leaves the moving statistics of batch normalisation behind the weights, and the error in
+            use far above that in training.
         autoencoder_epochs: Passes over the faces, in mini-batches of 16.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` mini-batches, each of one face.
         dissimilarity_steps: Mini-batches in an epoch.
@@ -54,10 +55,8 @@ class DeepMDS(BaseEstimator):
         front_landmark_: 0-based number of the landmark that is most in front of the others; it
             decides which of the two mirror images of an embedding is the face.
         history_: Losses by network and epoch.
-        n_parameters: Trainable parameters of both networks.
 
-    Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
-    Weights that ship: `"deepmds-ibug51"` and `"deepmds-bfm72"`.
+    Weights that ship are of landmarks in the order of a scheme (docs/landmarks.md).
 
     Examples:
         >>> from deepmds_keras import DeepMDS, LandmarkLifter
@@ -67,30 +66,17 @@ class DeepMDS(BaseEstimator):
         (1, 51, 3)
     """
 
-    def __init__(
-        self,
-        n_landmarks: int = 72,
-        variant: str = "paper",
-        *,
-        centre_views: bool = False,
-        schedule: str = "constant",
-        autoencoder_epochs: int = 30,
-        dissimilarity_epochs: int = 30,
-        dissimilarity_steps: int = 1000,
-        seed: int = 0,
-        solver: str = "auto",
-        n_jobs: int | None = None,
-    ):
-        self.n_landmarks = n_landmarks
-        self.variant = variant
-        self.centre_views = centre_views
-        self.schedule = schedule
-        self.autoencoder_epochs = autoencoder_epochs
-        self.dissimilarity_epochs = dissimilarity_epochs
-        self.dissimilarity_steps = dissimilarity_steps
-        self.seed = seed
-        self.solver = solver
-        self.n_jobs = n_jobs
+    n_landmarks: int = 72
+    variant: str = "paper"
+    _: KW_ONLY
+    centre_views: bool = False
+    schedule: str = "constant"
+    autoencoder_epochs: int = 30
+    dissimilarity_epochs: int = 30
+    dissimilarity_steps: int = 1000
+    seed: int = 0
+    solver: str = "auto"
+    n_jobs: int | None = None
 
     def fit(
         self,
@@ -106,41 +92,38 @@ class DeepMDS(BaseEstimator):
             views: `(n, L, 2)` landmarks in the image, y up, any scale; for the origin see
                 `centre_views`.
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
-            checkpoint: Folder in which each network is written after every epoch, under a name
-                made of what it depends on, see `checkpoint_files`. A fit that was stopped goes on
-                from there, and a network that another fit has trained alike is only read.
+            checkpoint: Folder in which each network is written after every epoch, see
+                `checkpoint_files`. A fit that was stopped goes on from there, and a network that
+                another fit has trained alike is only read.
             progress: Called after every epoch with the network's name and its losses.
 
         Raises:
             InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity, or a
                 checkpoint of another run.
         """
-        views, shapes = check_training_faces(views, shapes)
+        views, shapes = check_views_and_shapes(views, shapes)
         views, shapes = self._normalised(views), normalise(shapes)
-        recipes, files, self.history_ = self._recipes(), {}, {}
-        if checkpoint is not None:
-            files = weights.checkpoint_files(checkpoint, self.variant, self.schedule)
+        files = {} if checkpoint is None else self._files(checkpoint)
+        self.history_ = {}
 
-        def train(name, function, *faces, **options):
-            options |= {"seed": self.seed, "checkpoint": files.get(name)}
+        def train(name, function, *faces):
+            options = {"seed": self.seed, "checkpoint": files.get(name)}
             if progress is not None:
                 options["progress"] = functools.partial(progress, name)
-            network, self.history_[name] = function(*faces, recipes[name], **options)
-            return network
+            network, self.history_[name] = function(*faces, self._recipe(name), **options)
+            setattr(self, f"{name}_", network)
 
-        self.autoencoder_ = train("autoencoder", training.train_autoencoder, views, shapes[..., :2])
-        frontal, options = self.frontalise(views), {"variant": self.variant}
-        self.dissimilarity_net_ = train(
-            "dissimilarity_net", training.train_dissimilarity_net, frontal, shapes, **options
-        )
+        train("autoencoder", training.train_autoencoder, views, shapes[..., :2])
+        function = functools.partial(training.train_dissimilarity_net, variant=self.variant)
+        train("dissimilarity_net", function, self.frontalise(views), shapes)
         self.front_landmark_ = front_landmark(shapes)
         return self
 
     def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
-        """Take the networks that `fit` trained to the end, and train nothing.
+        """Take the networks that `fit` trained to the end into a folder, and train nothing.
 
         Args:
-            checkpoint: Folder, as for `fit`.
+            checkpoint: The folder.
             shapes: `(n, L, 3)` shapes that they were trained on.
 
         Raises:
@@ -148,9 +131,8 @@ class DeepMDS(BaseEstimator):
         """
         self._build()
         self.history_ = {}
-        files = weights.checkpoint_files(checkpoint, self.variant, self.schedule)
-        for name, file in files.items():
-            label = {"seed": self.seed, **asdict(self._recipes()[name])}
+        for name, file in self._files(checkpoint).items():
+            label = {"seed": self.seed, **asdict(self._recipe(name))}
             self.history_[name] = training.restore_network(getattr(self, f"{name}_"), file, label)
         self.front_landmark_ = front_landmark(shapes)
         return self
@@ -169,8 +151,7 @@ class DeepMDS(BaseEstimator):
         the other. The one whose `front_landmark_` (the tip of the nose) is in front is taken.
 
         Args:
-            views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale; for the origin
-                see `centre_views`.
+            views: `(n, L, 2)` or `(L, 2)`, as for `fit`.
             check_orientation: Whether to refuse views of a known landmark scheme that are upside
                 down or mirrored.
             progress: Called with the number of faces just embedded.
@@ -178,7 +159,7 @@ class DeepMDS(BaseEstimator):
         Returns:
             `(n, L, 3)` frontal shapes: +x to the subject's left, +y up, +z out of the face, in the
             unit of `normalise`; true size cannot be seen in one view. x and y lie over
-            `frontalise(views)` and the mean of z is 0.
+            `frontalise(views)`, the mean of z is 0.
 
         Raises:
             InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, or wrong
@@ -190,54 +171,40 @@ class DeepMDS(BaseEstimator):
         shapes = np.empty((*frontal.shape[:2], 3))
         for start in range(0, len(frontal), _FACES_PER_EMBEDDING):
             faces = slice(start, start + _FACES_PER_EMBEDDING)
-            # Without signs, as the released code has them before mdscale.
-            matrices = np.abs(self._matrices(frontal[faces]))
-            options = {"solver": self.solver, "n_jobs": self.n_jobs, "progress": progress}
-            shapes[faces] = embed(matrices, **options)
+            shapes[faces] = embed(
+                np.abs(self._matrices(frontal[faces])),  # as the released code does before mdscale
+                solver=self.solver,
+                n_jobs=self.n_jobs,
+                progress=progress,
+            )
         return resolve_orientation(shapes, frontal, self.front_landmark_)
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
-        """How good predictions are, as `metrics.explained_share` of them and true shapes."""
+        """`metrics.explained_share` of the predicted and the true shapes."""
         return explained_share(self.predict(views), shapes)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
-        """Frontal views, as the autoencoder gives them: `(n, L, 2)`, x and y in the shape's unit.
-
-        Raises:
-            InputError: As for `predict`.
-        """
+        """`(n, L, 2)` x and y of the shape, as the autoencoder gives them; errors as `predict`."""
         views = self._normalised(views)
         flat = np.float32(views).reshape(len(views), -1)
         return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
-        """Estimated 3D distances of all pairs, as the net gives them: `(n, L, L)`, symmetric.
+        """3D distances of all pairs, as the net gives them: `(n, L, L)`; errors as `predict`.
 
         The diagonal is not exactly 0 and near neighbours may come out slightly negative; `embed`
         ignores the one and folds the other.
-
-        Raises:
-            InputError: As for `predict`.
         """
         return self._matrices(self.frontalise(views))
 
     def save(self, path: str | Path) -> None:
-        """Write parameters and both networks into one `.npz` file, complete or not at all.
-
-        Raises:
-            InputError: The path is that of a folder.
-        """
-        arrays = {
-            f"{name}/{key}": array
-            for name in _NETWORKS
-            for key, array in weights.network_arrays(self._trained(f"{name}_")).items()
-        }
-        described = {
-            "parameters": self.get_params(),
-            "front_landmark": int(self.front_landmark_),
-            "history": self.history_,
-        }
-        write_arrays(path, arrays, described)
+        """Write parameters and both networks into an `.npz`, and raise as `atomic_write` does."""
+        arrays = {}
+        for name in _NETWORKS:
+            held = weights.network_arrays(self._trained(f"{name}_"))
+            arrays |= {f"{name}/{key}": array for key, array in held.items()}
+        rest = {"front_landmark": int(self.front_landmark_), "history": self.history_}
+        write_arrays(path, arrays, {"parameters": self.get_params(), **rest})
 
     @classmethod
     def load(cls, path: str | Path) -> DeepMDS:
@@ -267,11 +234,7 @@ class DeepMDS(BaseEstimator):
 
     @classmethod
     def pretrained(cls, name: str) -> DeepMDS:
-        """The weights that ship with the package, such as `"deepmds-bfm72"`.
-
-        Raises:
-            InputError: No weights of that name.
-        """
+        """Weights that ship, `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
         return cls.load(weights.pretrained_path(name))
 
     @classmethod
@@ -284,17 +247,18 @@ class DeepMDS(BaseEstimator):
             InputError: Missing or truncated file, weights of another network or not finite, or
                 a number of landmarks that no scheme has.
         """
-        # These weights come without the shapes that they were trained on.
-        tip = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model = cls(n_landmarks, "released")
+        model.history_ = {}
+        # These weights come without the shapes that they were trained on.
+        model.front_landmark_ = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model._build()
         weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
         weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
-        model.front_landmark_, model.history_ = tip, {}
         return model
 
     @property
     def n_parameters(self) -> int:
+        """Trainable parameters of both networks."""
         return networks.count_trainable(*(self._trained(f"{name}_") for name in _NETWORKS))
 
     def _normalised(self, views: np.ndarray) -> np.ndarray:
@@ -307,20 +271,20 @@ class DeepMDS(BaseEstimator):
         first, second = np.triu_indices(self.n_landmarks)
         matrices = np.empty((len(points), self.n_landmarks, self.n_landmarks), np.float32)
         for start in range(0, len(points), _FACES_PER_CHUNK):
-            chunk = points[start : start + _FACES_PER_CHUNK]
-            features = proximities(chunk[:, first], chunk[:, second], self.variant)
-            flat = features.reshape(-1, features.shape[-1])
-            distances = networks.forward(network, flat).reshape(len(chunk), -1)
-            faces = matrices[start : start + len(chunk)]
-            faces[:, first, second] = faces[:, second, first] = distances
+            faces = slice(start, start + _FACES_PER_CHUNK)
+            features = proximities(points[faces, first], points[faces, second], self.variant)
+            distances = networks.forward(network, features.reshape(-1, features.shape[-1]))
+            distances = distances.reshape(features.shape[:2])
+            matrices[faces, first, second] = matrices[faces, second, first] = distances
         return matrices
 
-    def _recipes(self) -> dict[str, training.Recipe]:
-        steps, schedule = self.dissimilarity_steps, self.schedule
-        return {
-            "autoencoder": training.Recipe(self.autoencoder_epochs, schedule=schedule),
-            "dissimilarity_net": training.Recipe(self.dissimilarity_epochs, steps, schedule),
-        }
+    def _recipe(self, network: str) -> training.Recipe:
+        if network == "autoencoder":
+            return training.Recipe(self.autoencoder_epochs, schedule=self.schedule)
+        return training.Recipe(self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule)
+
+    def _files(self, checkpoint: str | Path) -> dict[str, Path]:
+        return weights.checkpoint_files(checkpoint, self.variant, self.schedule)
 
     def _build(self) -> None:
         self.autoencoder_ = networks.build_autoencoder(self.n_landmarks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 
 VARIANTS = {"paper": 6, "released": 5}  # name: features of a pair
 
@@ -41,8 +41,7 @@ def proximities(first, second, variant: str, xp=np):
         variant: As for `pair_features`.
         xp: NumPy, or TensorFlow's namespace of the same functions, to work within a graph.
     """
-    if variant not in VARIANTS:
-        raise InputError(f"variant must be one of {', '.join(VARIANTS)}. Received {variant!r}.")
+    check_choice(variant, "variant", VARIANTS)
     difference = xp.abs(first - second)
     product = first * second
     if variant == "paper":

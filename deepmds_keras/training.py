@@ -13,13 +13,12 @@ import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
 from deepmds_keras.alignment import normalise
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
 from deepmds_keras.proximities import proximities
 from deepmds_keras.weights import Stream, read_checkpoint, set_network_arrays, write_checkpoint
 
-SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
 _DISSIMILARITY_CHECK_FACES = 50
 
@@ -43,10 +42,8 @@ class Recipe:
     batch_size: int = 16
 
     def optimizer(self, steps_per_epoch: int) -> keras.optimizers.Optimizer:
-        if self.schedule not in SCHEDULES:
-            raise InputError(
-                f"schedule must be one of {', '.join(SCHEDULES)}. Received {self.schedule!r}."
-            )
+        """Adam with the schedule over all epochs."""
+        check_choice(self.schedule, "schedule", ("constant", "cosine"))
         rate = self.learning_rate
         if self.schedule == "cosine":
             rate = keras.optimizers.schedules.CosineDecay(rate, self.epochs * steps_per_epoch)
@@ -54,26 +51,19 @@ class Recipe:
 
 
 def train_autoencoder(
-    views: np.ndarray,
-    frontal: np.ndarray,
-    recipe: Recipe,
-    *,
-    seed: int = 0,
-    checkpoint: str | Path | None = None,
-    progress: Callable[[dict], object] | None = None,
+    views: np.ndarray, frontal: np.ndarray, recipe: Recipe, *, seed: int = 0, **training
 ) -> tuple[keras.Model, dict[str, list[float]]]:
     """Train the autoencoder from views to frontal views (paper, J_autoencoder).
 
     Args:
         views: `(n, L, 2)` normalised views.
         frontal: `(n, L, 2)` x and y of the normalised shapes.
-        recipe: Epochs, batch size and learning rate.
+        recipe: How.
         seed: Of the initial weights and of the order of the faces.
-        checkpoint, progress: As for `train_by_epoch`.
+        training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
     Returns:
-        The network, and the loss of each epoch: `train` in training mode, while the weights
-        change, and `inference` of the network as it is afterwards, over the same faces.
+        The network, and its losses as from `train_by_epoch`; `inference` is over the same faces.
     """
     n, n_landmarks = views.shape[:2]
     views, frontal = (np.float32(points).reshape(n, -1) for points in (views, frontal))
@@ -90,7 +80,7 @@ def train_autoencoder(
         return float(np.mean((forward(model, views) - frontal) ** 2))
 
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
-    return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
+    return model, train_by_epoch(model, batches, label, inference, **training)
 
 
 def train_dissimilarity_net(
@@ -102,8 +92,7 @@ def train_dissimilarity_net(
     shuffled: bool = False,
     chain: tuple[int, int] | None = None,
     seed: int = 0,
-    checkpoint: str | Path | None = None,
-    progress: Callable[[dict], object] | None = None,
+    **training,
 ) -> tuple[keras.Model, dict[str, list[float]]]:
     """Train the dissimilarity net, all pairs of one face a mini-batch (paper, J_Dissimilarity).
 
@@ -113,23 +102,22 @@ def train_dissimilarity_net(
     Args:
         frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
         shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
-        recipe: Epochs, steps (faces) in an epoch and learning rate.
+        recipe: How; a step is one face.
         variant, chain: As for `build_dissimilarity_net`.
         shuffled: Whether a mini-batch is as many pairs as one face has, drawn from all faces (the
             other scheme of the paper's "Ablation Study").
         seed: Of the initial weights and of the order of the faces.
-        checkpoint, progress: As for `train_by_epoch`.
+        training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
     Returns:
-        The network, and the loss of each epoch, as `train_autoencoder`; `inference` is over a
-        fixed fifty of the faces.
+        The network, and its losses; `inference` is over a fixed fifty of the faces.
     """
     n, n_landmarks = shapes.shape[:2]
     frontal, shapes = np.float32(normalise(frontal)), np.float32(shapes)
-    first, second = np.triu_indices(n_landmarks, 1)
+    ends = np.triu_indices(n_landmarks, 1)
     if variant == "released":
-        first, second = (index.ravel() for index in np.indices((n_landmarks, n_landmarks)))
-    steps = recipe.steps_per_epoch or n
+        ends = np.indices((n_landmarks, n_landmarks)).reshape(2, -1)
+    n_pairs, steps = len(ends[0]), recipe.steps_per_epoch or n
     model = build_dissimilarity_net(variant, seed=seed, chain=chain)
     # Element-wise work on thousands of pairs is most of a step, which XLA fuses.
     calls = steps_per_call(steps)
@@ -139,19 +127,20 @@ def train_dissimilarity_net(
         # Pairs are made in parallel to the training, a few faces ahead: all would fill the memory.
         if shuffled:
             rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
-            faces, drawn = (rng.integers(m, size=(steps, len(first))) for m in (n, len(first)))
-            ends = [(faces, landmarks[drawn]) for landmarks in (first, second)]
-            pairs = tuple(tuple(array[end] for end in ends) for array in (frontal, shapes))
-            data = tf.data.Dataset.from_tensor_slices(pairs)
-            data = data.map(lambda *pair: features_and_distances(*pair, variant, tnp))
+            faces, drawn = (rng.integers(m, size=(steps, n_pairs)) for m in (n, n_pairs))
+            views, points = (
+                tuple(array[faces, end[drawn]] for end in ends) for array in (frontal, shapes)
+            )
+            data = tf.data.Dataset.from_tensor_slices((views, points))
+            data = data.map(lambda *pairs: features_and_distances(*pairs, variant, tnp))
         else:
             faces = face_order(n, steps, seed, epoch)
             data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
-            data = data.map(lambda *face: pairs_of_faces(*face, (first, second), variant, tnp))
+            data = data.map(lambda *face: pairs_of_faces(*face, ends, variant, tnp))
         return data.prefetch(_STEPS_PER_CALL)
 
     check = slice(_DISSIMILARITY_CHECK_FACES)
-    features, distances = pairs_of_faces(frontal[check], shapes[check], (first, second), variant)
+    features, distances = pairs_of_faces(frontal[check], shapes[check], ends, variant)
     features, distances = features.reshape(-1, features.shape[-1]), distances.reshape(-1, 1)
 
     def inference() -> float:
@@ -160,22 +149,17 @@ def train_dissimilarity_net(
     label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
     if shuffled:
         label["shuffled"] = True
-    return model, train_by_epoch(model, batches, label, inference, checkpoint, progress)
+    return model, train_by_epoch(model, batches, label, inference, **training)
 
 
 def pairs_of_faces(frontal, shapes, ends, variant: str, xp=np):
     """Features `(…, P, F)` and distances `(…, P, 1)` of pairs of landmarks, for the net.
 
-    Args:
-        frontal, shapes: `(…, L, 2)` views and `(…, L, 3)` shapes.
-        ends: `(P,)` numbers of the first landmark of each pair, and of the second.
-        variant: Of the features.
-        xp: NumPy, or TensorFlow's.
+    Views are `(…, L, 2)`, shapes `(…, L, 3)`. `ends` are the numbers, `(P,)`, of the first landmark
+    of each pair and of the second. `variant` and `xp` are those of `proximities`.
     """
-    views, points = (
-        [xp.take(array, landmarks, axis=-2) for landmarks in ends] for array in (frontal, shapes)
-    )
-    return features_and_distances(views, points, variant, xp)
+    both = ([xp.take(a, landmarks, axis=-2) for landmarks in ends] for a in (frontal, shapes))
+    return features_and_distances(*both, variant, xp)
 
 
 def features_and_distances(views, points, variant: str, xp=np):
@@ -206,7 +190,7 @@ def train_by_epoch(
         progress: Called after every epoch with its losses.
 
     Returns:
-        `{"train": losses, "inference": losses}`, one of each for each epoch.
+        Losses by epoch: `train` in training mode, while the weights change, and `inference`.
 
     Raises:
         InputError: The checkpoint is of another run, or damaged.
@@ -232,15 +216,12 @@ def train_by_epoch(
 def restore_network(
     model: keras.Model, checkpoint: str | Path, label: dict
 ) -> dict[str, list[float]]:
-    """Take the weights of a training that is done; nothing is trained.
+    """Take the weights of a training that is done, and return its losses as `train_by_epoch`.
 
     Args:
         model: Network of that kind.
         checkpoint: File that the training wrote.
         label: What is known of the run, its `"epochs"` among it; the data may be unknown.
-
-    Returns:
-        Losses by epoch, as from `train_by_epoch`.
 
     Raises:
         InputError: The file is missing, damaged, of another run, or of a training that was stopped.
@@ -251,10 +232,10 @@ def restore_network(
     written, history = description.get("label", {}), description.get("history", {"train": []})
     label = {"network": model.name, **label}
     _check_run(checkpoint, {name: written.get(name) for name in label}, label)
-    done = len(history["train"])
-    if done < label["epochs"]:
+    done, epochs = len(history["train"]), label["epochs"]
+    if done < epochs:
         raise InputError(
-            f"{checkpoint} is not trained to the end. Received {done} of {label['epochs']} epochs."
+            f"{checkpoint} is not trained to the end. Received {done} of {epochs} epochs."
         )
     set_network_arrays(model, arrays, str(checkpoint))
     return history
@@ -280,25 +261,19 @@ def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:
-    """Mini-batches of images, read one at a time a few ahead of the training.
+    """Mini-batches of images in [-1, 1] and targets, read a few ahead of the training.
 
     Args:
         images: `(n, size, size, 3)` uint8, an array or what is indexed like one.
         targets: `(n, d)` float32, what the network is to find in each.
         rows: `(steps, batch)` which make up each mini-batch.
-
-    Returns:
-        Images in [-1, 1] and targets.
     """
-    steps, batch = rows.shape
-    signature = (
-        tf.TensorSpec((batch, *images[:1].shape[1:]), tf.uint8),
-        tf.TensorSpec((batch, targets.shape[1]), tf.float32),
-    )
+    first = images[rows[0]], targets[rows[0]]
+    signature = tuple(tf.TensorSpec(array.shape, array.dtype) for array in first)
     data = tf.data.Dataset.from_generator(
         lambda: ((images[batch], targets[batch]) for batch in rows), output_signature=signature
     )
-    data = data.apply(tf.data.experimental.assert_cardinality(steps))
+    data = data.apply(tf.data.experimental.assert_cardinality(len(rows)))
     return data.map(lambda image, target: (scale_images(image), target)).prefetch(8)
 
 
@@ -315,8 +290,5 @@ def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray
 
 
 def steps_per_call(steps: int) -> int:
-    """The largest divisor of `steps` up to `_STEPS_PER_CALL`.
-
-    A partial call at the end of an epoch would be compiled as a second graph.
-    """
+    """The largest divisor of `steps` up to 50: a partial call would be compiled separately."""
     return max(k for k in range(1, _STEPS_PER_CALL + 1) if steps % k == 0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, check_choice
 from deepmds_keras.files import read_arrays, write_arrays
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], sour
 
 
 def write_checkpoint(path: str | Path, network: keras.Model, description: dict) -> None:
-    """Everything that training needs to go on: weights, optimiser state, and a description."""
+    """Write what training needs to go on: weights, optimiser state, and a description."""
     state = {f"optimizer/{i}": v.numpy() for i, v in enumerate(network.optimizer.variables)}
     # Floats hardly get smaller, and to press those of a large network takes longer than an epoch.
     write_arrays(path, network_arrays(network) | state, description, compressed=False)
@@ -77,11 +77,10 @@ def checkpoint_files(folder: str | Path, variant: str, schedule: str) -> dict[st
 
     The autoencoder is the same for every variant of the dissimilarity net.
     """
-    names = {
-        "autoencoder": f"autoencoder-{schedule}",
-        "dissimilarity_net": f"dissimilarity-{variant}-{schedule}",
+    return {
+        "autoencoder": Path(folder, f"autoencoder-{schedule}.npz"),
+        "dissimilarity_net": Path(folder, f"dissimilarity-{variant}-{schedule}.npz"),
     }
-    return {network: Path(folder, f"{name}.npz") for network, name in names.items()}
 
 
 def pretrained_path(name: str) -> Path:
@@ -90,11 +89,8 @@ def pretrained_path(name: str) -> Path:
     Raises:
         InputError: No weights of that name; the message lists what there is.
     """
-    path = PRETRAINED / f"{name}.npz"
-    if not path.is_file():
-        names = sorted(p.stem for p in PRETRAINED.glob("*.npz"))
-        raise InputError(f"name must be one of {', '.join(names) or 'none'}. Received {name!r}.")
-    return path
+    check_choice(name, "name", sorted(path.stem for path in PRETRAINED.glob("*.npz")))
+    return PRETRAINED / f"{name}.npz"
 
 
 def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
@@ -108,16 +104,15 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
     """
     import h5py  # of the extra `keras`, which lifters do without
 
-    layers = [layer for layer in network.layers if layer.weights]
-    needed = [[tuple(weight.shape) for weight in layer.weights] for layer in layers]
+    weights = [weight for layer in network.layers for weight in layer.weights]
+    needed, arrays = [tuple(weight.shape) for weight in weights], []
     try:
         with h5py.File(path, "r") as file:
             groups = [file[name] for name in _read_names(file, "layer_names")]
-            groups = [[g[name] for name in _read_names(g, "weight_names")] for g in groups]
-            groups = [group for group in groups if group]
-            shapes = [[dataset.shape for dataset in group] for group in groups]
-            # Shapes come first: a damaged file may claim more numbers than memory holds.
-            arrays = [[d[()] for d in group] for group in groups] if shapes == needed else []
+            data = [group[name] for group in groups for name in _read_names(group, "weight_names")]
+            shapes = [dataset.shape for dataset in data]
+            if shapes == needed:  # else the file may claim more numbers than memory holds
+                arrays = [dataset[()] for dataset in data]
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be a Keras 2 weight file.") from None
     except Exception as error:  # h5py raises many kinds for a damaged file
@@ -126,13 +121,12 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
             f"{path} must be a Keras 2 weight file (HDF5). Received {received}."
         ) from None
     if shapes != needed:
-        pairs = enumerate(zip(shapes, needed, strict=False), start=1)
-        differing = [f"layer {i} has {a}, not {b}" for i, (a, b) in pairs if a != b]
-        differing.append(f"it has {len(shapes)} layers with weights, not {len(needed)}")
-        raise InputError(f"{path} does not fit the network {network.name}: {differing[0]}.")
-    for layer, group in zip(layers, arrays, strict=True):
-        for variable, array in zip(layer.weights, group, strict=True):
-            _assign(variable, array, f"{path}: layer {layer.name} of {network.name}")
+        raise InputError(
+            f"{path} must have the {len(needed)} weights of {network.name}, of shapes "
+            f"{brief(needed, 40)}. Received {len(shapes)}, {brief(shapes, 40)}."
+        )
+    for weight, array in zip(weights, arrays, strict=True):
+        _assign(weight, array, f"{path}: {weight.path} of {network.name}")
 
 
 def _read_names(group, key: str) -> list:

@@ -317,6 +317,6 @@ def ringnet_file(run: Run) -> Path | None:
 
 def ringnet_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
     """Build the published network, to count its parameters."""
-    from deepmds_keras.baselines.networks import build_ringnet
+    from deepmds_keras.baselines.ringnet import build_ringnet
 
     return [build_ringnet(*_RINGNET)]

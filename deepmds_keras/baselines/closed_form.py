@@ -9,7 +9,7 @@ from sklearn.base import BaseEstimator
 from sklearn.linear_model import RidgeCV
 
 from deepmds_keras.camera import affine_cameras
-from deepmds_keras.checks import check_faces, check_fitted, check_points, check_training_faces
+from deepmds_keras.checks import check_faces, check_fitted, check_points, check_views_and_shapes
 from deepmds_keras.errors import InputError
 
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB
@@ -26,17 +26,12 @@ class MeanShape(BaseEstimator):
     """
 
     def fit(self, views: np.ndarray, shapes: np.ndarray) -> MeanShape:
-        """Take the mean.
-
-        Args:
-            views: `(n, L, 2)`, ignored but for their number.
-            shapes: `(n, L, 3)` in one common frame and unit, such as that of `normalise`.
+        """Take the mean of `(n, L, 3)` shapes in one frame and unit; views are only checked.
 
         Raises:
             InputError: NaN, infinity, degenerate or unequal numbers of landmarks.
         """
-        _, shapes = check_training_faces(views, shapes)
-        self.mean_ = shapes.mean(0)
+        self.mean_ = check_views_and_shapes(views, shapes)[1].mean(0)
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
@@ -68,19 +63,18 @@ class Linear(BaseEstimator):
     alphas: tuple[float, ...] = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
     def fit(self, views: np.ndarray, shapes: np.ndarray) -> Linear:
-        """Solve the normal equations; arguments and errors as `MeanShape.fit`, all normalised."""
-        views, shapes = check_training_faces(views, shapes)
+        """Solve for `(n, L, 2)` views and `(n, L, 3)` shapes; errors as `MeanShape.fit`."""
+        views, shapes = check_views_and_shapes(views, shapes)
         n, self.n_landmarks_ = views.shape[:2]
-        self.ridge_ = RidgeCV(np.asarray(self.alphas)).fit(
-            views.reshape(n, -1), shapes.reshape(n, -1)
-        )
+        ridge = RidgeCV(np.asarray(self.alphas))
+        self.ridge_ = ridge.fit(views.reshape(n, -1), shapes.reshape(n, -1))
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 3)` shapes of the `(n, L, 2)` views, in the frame and unit of the training."""
         ridge = check_fitted(self, "ridge_")
-        views = check_faces(views, "views", 2, self.n_landmarks_)
-        return ridge.predict(views.reshape(len(views), -1)).reshape(len(views), -1, 3)
+        flat = check_faces(views, "views", 2, self.n_landmarks_).reshape(-1, 2 * self.n_landmarks_)
+        return ridge.predict(flat).reshape(len(flat), -1, 3)
 
     @property
     def n_parameters(self) -> int:
@@ -98,24 +92,14 @@ class _ModelFit(BaseEstimator):
     n_parameters = 0  # none are trained: the face model is given
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """Shapes of the faces seen, in the unit and frame of `mean`.
+        """`(n, L, 3)` shapes in the unit and frame of `mean`.
 
         Args:
             views: `(n, L, 2)`, any scale and place, y up.
 
-        Returns:
-            `(n, L, 3)`.
-
         Raises:
             InputError: An unusable model, option or view.
         """
-        mean, basis = self._checked_model()
-        views = check_faces(views, "views", 2, len(mean))
-        chunks = np.split(views, range(CHUNK, len(views), CHUNK))
-        coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])
-        return _shapes(coefficients, mean, basis)
-
-    def _checked_model(self) -> tuple[np.ndarray, np.ndarray]:
         mean = check_points(self.mean, "mean", 3)[0]
         extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
         if extents[2] < _FLAT * extents[0]:
@@ -126,17 +110,19 @@ class _ModelFit(BaseEstimator):
                 f"basis_times_sd must be finite, of shape (components, {len(mean)}, 3). "
                 f"Received shape {basis.shape}."
             )
-        return mean, basis
+        views = check_faces(views, "views", 2, len(mean))
+        chunks = np.split(views, range(CHUNK, len(views), CHUNK))
+        coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])
+        return _shapes(coefficients, mean, basis)
 
 
 @dataclass(eq=False, repr=False)
 class Aldrian(_ModelFit):
     """Shape coefficients of a morphable model and an affine camera, by alternating solves.
 
-    Aldrian and Smith 2013 (doi:10.1109/TPAMI.2012.206), geometric part. Given the camera the
-    coefficients have a closed form, `solve_shape`; given the shape so has the camera,
-    `affine_cameras`. The first camera sees the mean face. Coefficients are standard normal, so
-    with the true noise each solve is a maximum a posteriori estimate.
+    Aldrian and Smith 2013 (doi:10.1109/TPAMI.2012.206), geometric part. The first camera sees the
+    mean face. Coefficients are standard normal, so with the true noise each solve is a maximum a
+    posteriori estimate.
 
     An affine camera can pass for part of the identity (stretched or sheared faces), where only
     the prior decides. The rounds creep along that valley, the slower the less noise is assumed:
@@ -180,12 +166,11 @@ class Aldrian(_ModelFit):
 class AldrianAuthors(_ModelFit):
     """The fit of Aldrian and Smith as the paper's authors ran it, whose coefficients are off.
 
-    Camera and shape in turns, as in `Aldrian`, by the steps of the paper's released code. These
-    differ from Aldrian and Smith's: the coefficients are solved for in the unit of the basis, with
-    next to no prior; they are then shifted and scaled to mean 0 and standard deviation 1 over the
-    components of every face, and used as standard normal ones. So every face differs from the mean
-    by about as much. The variances that weigh landmarks come from scans that were not released:
-    here all weigh alike.
+    As `Aldrian`, but by the steps of the paper's released code: coefficients are solved for in the
+    unit of the basis, with next to no prior, then shifted and scaled to mean 0 and standard
+    deviation 1 over the components of every face, and used as standard normal ones. So every face
+    differs from the mean by about as much. The variances that weigh landmarks come from scans that
+    were not released: here all weigh alike.
 
     Args:
         mean, basis_times_sd: As `Aldrian` takes them.
@@ -216,33 +201,21 @@ def gram_matrices(basis_times_sd: np.ndarray) -> np.ndarray:
 
 
 def solve_shape(
-    camera: np.ndarray,
-    views: np.ndarray,
-    mean: np.ndarray,
-    basis_times_sd: np.ndarray,
-    inverse_variance: np.ndarray | float,
-    regularisation: float,
-    gram: np.ndarray | None = None,
+    camera, views, mean, basis_times_sd, inverse_variance, regularisation: float, gram
 ) -> np.ndarray:
-    """Coefficients c that minimise |Omega^(1/2) (A c + b)|^2 + lambda |c|^2, in closed form.
+    """Coefficients c, `(n, K)`, that minimise |Omega^(1/2) (A c + b)|^2 + lambda |c|^2.
 
     A is the basis and b the mean seen through the camera, b less the view.
 
     Args:
-        camera: `(n, 2, 4)` affine cameras.
-        views: `(n, L, 2)`.
-        mean: `(L, 3)`.
-        basis_times_sd: `(K, L, 3)`.
+        camera, views: `(n, 2, 4)` affine cameras and what they see, `(n, L, 2)`.
+        mean, basis_times_sd: `(L, 3)` and `(K, L, 3)`.
         inverse_variance: Diagonal of Omega: a number, or `(n, 1)` of each face.
         regularisation: lambda.
-        gram: `gram_matrices(basis_times_sd)` where the caller has it already.
-
-    Returns:
-        `(n, K)` standard-normal coefficients.
+        gram: `gram_matrices(basis_times_sd)`.
     """
     n, k = len(views), len(basis_times_sd)
     linear, shift = camera[..., :3], camera[..., 3]
-    gram = gram_matrices(basis_times_sd) if gram is None else gram
     weighted = np.broadcast_to(inverse_variance, (n, 2))[..., None] * linear
     axis_weights = np.swapaxes(linear, 1, 2) @ weighted
     normal = (axis_weights.reshape(n, 9) @ gram.reshape(9, k * k)).reshape(n, k, k)

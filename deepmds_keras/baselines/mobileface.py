@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
 
 import keras
 import numpy as np
 import tensorflow as tf
-from keras import ops
+from keras import layers, ops
 
-from deepmds_keras.baselines.networks import NetworkMethod, build_mobileface_net, check_shape
+from deepmds_keras.baselines.networks import NetworkMethod, check_shape, draw_kernels
 from deepmds_keras.checks import check_images
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import check_choice
 from deepmds_keras.networks import forward_images
 from deepmds_keras.photos import IMAGE_SIZE
-from deepmds_keras.training import Recipe, face_order, image_batches, steps_per_call
+from deepmds_keras.training import Recipe, face_order, image_batches
 
-STANDARDISED = ("face", "batch")
 _IMAGES_PER_CALL = 250
 _CHECK_FACES = 500
 
@@ -41,11 +39,10 @@ class MobileFace(NetworkMethod):
         landmark_basis_times_sd: `(K, L, 3)` what one s.d. of each component adds to them.
         shape_gram: `(K, K)` mean over all coordinates of the mesh of the product of two components'
             offsets at one s.d., square millimetres.
-        standardise: One of `STANDARDISED`: over what, in training.
+        standardise: `"face"` or `"batch"`: over what, in training.
         schedule: `"constant"` learning rate, as the authors have it, or `"cosine"` decay to zero.
         learning_rate: Of Adam, at the start.
-        epochs: Rounds of `steps_per_epoch` mini-batches.
-        steps_per_epoch: Mini-batches in an epoch.
+        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
         batch_size: Faces in a mini-batch.
         seed: Of the initial weights and the order of the faces.
 
@@ -65,21 +62,14 @@ class MobileFace(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(
-        self,
-        images,
-        coefficients: np.ndarray,
-        *,
-        checkpoint: str | Path | None = None,
-        progress: Callable[[dict], object] | None = None,
-    ) -> MobileFace:
+    def fit(self, images, coefficients: np.ndarray, **training) -> MobileFace:
         """Train on images of faces whose coefficients are known.
 
         Args:
             images: `(n, 96, 96, 3)` uint8, an array or what is indexed like one; a mini-batch at a
                 time is read.
             coefficients: `(n, K)` standard-normal identity coefficients.
-            checkpoint, progress: As for `train_by_epoch`.
+            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, or a checkpoint of another run.
@@ -87,24 +77,20 @@ class MobileFace(NetworkMethod):
         n, n_coefficients = len(images), len(self.landmark_basis_times_sd)
         check_shape(coefficients, "coefficients", (n, n_coefficients))
         check_shape(self.shape_gram, "shape_gram", (n_coefficients, n_coefficients))
-        coefficients = np.float32(coefficients)
-        loss = self._loss()
-        network = self._build(self.seed)
+        coefficients, check = np.float32(coefficients), np.arange(min(n, _CHECK_FACES))
         steps, batch = self.steps_per_epoch, self.batch_size
-        recipe = Recipe(self.epochs, steps, self.schedule, self.learning_rate, batch)
-        network.compile(recipe.optimizer(steps), loss, steps_per_execution=steps_per_call(steps))
+        recipe, loss = Recipe(self.epochs, steps, self.schedule, self.learning_rate), self._loss()
+        network = self._compiled(recipe.optimizer(steps), loss)
 
         def batches(epoch: int) -> tf.data.Dataset:
             order = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
             return image_batches(images, coefficients, order)
 
-        check = np.arange(min(n, _CHECK_FACES))
-
         def inference() -> float:
             raw = forward_images(network, images[check], _IMAGES_PER_CALL)
             return float(np.mean(loss(coefficients[check], raw)))
 
-        return self._train(network, batches, {"faces": n}, inference, checkpoint, progress)
+        return self._train(network, batches, {"faces": n}, inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: the front.
@@ -128,18 +114,34 @@ class MobileFace(NetworkMethod):
 
     def _loss(self) -> Callable:
         """Mean squared error over all coordinates of the mesh, from coefficients."""
-        if self.standardise not in STANDARDISED:
-            raise InputError(
-                f"standardise must be one of {', '.join(STANDARDISED)}. "
-                f"Received {self.standardise!r}."
-            )
         gram, over = np.float32(self.shape_gram), self.standardise
+        check_choice(over, "standardise", ("face", "batch"))
 
         def mean_squared_error_of_shapes(true_coefficients, raw):
             difference = _standardised(raw, over) - true_coefficients
             return ops.sum(ops.matmul(difference, gram) * difference, axis=1)
 
         return mean_squared_error_of_shapes
+
+
+def build_mobileface_net(n_coefficients: int = 199, *, seed: int = 0) -> keras.Model:
+    """MobileNet of width 0.3125 without its head, and one dense layer on all of its last map.
+
+    Args:
+        n_coefficients: Components of the face model. 199, as the Basel model has, gives 900,979
+            trainable parameters of 907,819.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(n, 96, 96, 3)` images in [-1, 1] to `(n, n_coefficients)`.
+    """
+    size = (IMAGE_SIZE, IMAGE_SIZE, 3)
+    body = keras.applications.MobileNet(size, alpha=0.3125, include_top=False, weights=None)
+    features = layers.Flatten(name="features")(body.output)
+    raw = layers.Dense(n_coefficients, name="coefficients")(features)
+    net = keras.Model(body.input, raw, name=f"mobileface_{n_coefficients}")
+    draw_kernels(net, seed)
+    return net
 
 
 def _standardised(raw, over: str):

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
 
 import keras
 import numpy as np
 import tensorflow as tf
-from keras import ops
+from keras import layers, ops
 
-from deepmds_keras.baselines.networks import N_POSE, NetworkMethod, build_ringnet, check_shape
+from deepmds_keras.baselines.networks import NetworkMethod, check_shape, draw_kernels
 from deepmds_keras.checks import check_images, check_points
 from deepmds_keras.errors import InputError
 from deepmds_keras.networks import forward_images
-from deepmds_keras.training import face_order, image_batches, steps_per_call
+from deepmds_keras.training import face_order, image_batches
 from deepmds_keras.weights import Stream
 
-MARGIN = 0.5  # by which another person's code must be farther away, squared
+_N_POSE = 6  # parameters before the coefficients: log scale, x, y, axis-angle
+_MARGIN = 0.5  # by which another person's code must be farther away, squared
+_MIN_IMAGE_SIZE = 32  # ResNet-50 halves an image five times
 _CHECK_IMAGES = 480
 
 
@@ -45,16 +45,13 @@ class RingNet(NetworkMethod):
         identity_basis_times_sd: `(K, L, 3)` what one s.d. of each identity component adds to them.
         expression_basis: `(E, L, 3)` what each expression adds to them at weight one.
         image_size: Width and height of the images, at least 32 pixels.
-        ring_size: Images in a ring, at least 3.
-        rings_per_batch: Rings in a mini-batch.
+        ring_size, rings_per_batch: Images in a ring, at least 3, and rings in a mini-batch.
         learning_rate: Of Adam, after the warm-up.
-        epochs: Rounds of `steps_per_epoch` mini-batches.
-        steps_per_epoch: Mini-batches in an epoch.
+        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
         seed: Of the initial weights, of dropout and of the order of the images.
         landmark_weight: Of the mean absolute error of the landmarks; the image's side is 2.
         ring_weight: Of the ring loss.
-        identity_weight: Of the sum of the squared identity coefficients.
-        expression_weight: Of the sum of the squared expression coefficients.
+        identity_weight, expression_weight: Of the sums of the squared coefficients.
 
     Attributes:
         history_: `train` is the whole loss; `inference` the mean absolute error of the landmarks
@@ -77,15 +74,7 @@ class RingNet(NetworkMethod):
     identity_weight: float = 1e-2
     expression_weight: float = 1e-1
 
-    def fit(
-        self,
-        images,
-        landmarks: np.ndarray,
-        subjects: np.ndarray,
-        *,
-        checkpoint: str | Path | None = None,
-        progress: Callable[[dict], object] | None = None,
-    ) -> RingNet:
+    def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> RingNet:
         """Train on images with their landmarks, several of each subject.
 
         Args:
@@ -93,28 +82,36 @@ class RingNet(NetworkMethod):
                 mini-batch at a time is read.
             landmarks: `(n, L, 2)` pixels, x right and y down from the left upper corner.
             subjects: `(n,)` int, who is in each image.
-            checkpoint, progress: As for `train_by_epoch`.
+            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, fewer than two subjects or too few images of one to make a
                 ring, bases of other landmarks, or a checkpoint of another run.
         """
         landmarks, subjects = check_points(landmarks, "landmarks", 2), np.asarray(subjects)
-        self._check_training(len(images), landmarks, subjects)
-        points = np.float32(in_frame(landmarks, self.image_size))
+        n_landmarks = len(self.landmark_mean)
+        check_shape(landmarks, "landmarks", (len(images), n_landmarks, 2))
+        check_shape(subjects, "subjects", (len(images),))
+        for name in ("identity_basis_times_sd", "expression_basis"):
+            basis = getattr(self, name)
+            check_shape(basis, name, (max(len(basis), 1), n_landmarks, 3))
+        if self.ring_size < 3:
+            raise InputError(f"ring_size must be at least 3. Received {self.ring_size}.")
+        members = [np.flatnonzero(subjects == subject) for subject in np.unique(subjects)]
+        least = min(map(len, members))
+        if len(members) < 2 or least < self.ring_size - 1:
+            raise InputError(
+                f"subjects must be two or more with {self.ring_size - 1} images each or more. "
+                f"Received {len(members)}, one with {least}."
+            )
+        points = np.float32((2 * landmarks / self.image_size - 1) * [1, -1])  # -1 to 1, y up
         fill = float(np.ptp(points, axis=1).max(1).mean() / 2)
         points = points.reshape(len(points), -1)
-        members = [np.flatnonzero(subjects == subject) for subject in np.unique(subjects)]
-        loss = RingNetLoss(self, fill)
-        network = self._build(self.seed)
+        loss, check = RingNetLoss(self, fill), np.arange(min(len(images), _CHECK_IMAGES))
         steps, n_rings = self.steps_per_epoch, self.steps_per_epoch * self.rings_per_batch
-        network.compile(
-            self._optimizer(),
-            loss,
-            steps_per_execution=steps_per_call(steps),
-            jit_compile=False,  # the compiler's convolutions are the slower ones
-        )
-        dropouts = [layer for layer in network.layers if isinstance(layer, keras.layers.Dropout)]
+        # Not compiled by XLA, whose convolutions are slower.
+        network = self._compiled(self._optimizer(), loss, jit_compile=False)
+        dropouts = [layer for layer in network.layers if isinstance(layer, layers.Dropout)]
 
         def batches(epoch: int) -> tf.data.Dataset:
             for number, layer in enumerate(dropouts):  # as in an unbroken training
@@ -122,13 +119,11 @@ class RingNet(NetworkMethod):
             rings = draw_rings(members, n_rings, self.ring_size, self.seed, epoch)
             return image_batches(images, points, rings.reshape(steps, -1))
 
-        check = np.arange(min(len(images), _CHECK_IMAGES))
-
         def inference() -> float:
             return float(loss.landmark_loss(points[check], forward_images(network, images[check])))
 
         data = {"images": len(images), "subjects": len(members)}
-        return self._train(network, batches, data, inference, checkpoint, progress)
+        return self._train(network, batches, data, inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: the pose is left out.
@@ -144,8 +139,8 @@ class RingNet(NetworkMethod):
         """
         network = self._trained()
         parameters = forward_images(network, check_images(images, self.image_size))
-        end = N_POSE + len(self.identity_basis_times_sd)
-        identity = np.tensordot(parameters[:, N_POSE:end], self.identity_basis_times_sd, 1)
+        end = _N_POSE + len(self.identity_basis_times_sd)
+        identity = np.tensordot(parameters[:, _N_POSE:end], self.identity_basis_times_sd, 1)
         expression = np.tensordot(parameters[:, end:], self.expression_basis, 1)
         return self.landmark_mean + identity + expression
 
@@ -155,31 +150,66 @@ class RingNet(NetworkMethod):
 
     def _optimizer(self) -> keras.optimizers.Optimizer:
         """Adam, whose rate grows over a twentieth of the steps and then falls by a cosine."""
-        steps = self.epochs * self.steps_per_epoch
+        steps, rate = self.epochs * self.steps_per_epoch, self.learning_rate
         warm_up = max(steps // 20, 1)
-        schedule = keras.optimizers.schedules.CosineDecay(
-            self.learning_rate / warm_up,
-            max(steps - warm_up, 1),
-            warmup_target=self.learning_rate,
-            warmup_steps=warm_up,
-        )
-        return keras.optimizers.Adam(schedule)
+        warming = {"warmup_target": rate, "warmup_steps": warm_up}
+        decay = keras.optimizers.schedules.CosineDecay
+        return keras.optimizers.Adam(decay(rate / warm_up, max(steps - warm_up, 1), **warming))
 
-    def _check_training(self, n: int, landmarks: np.ndarray, subjects: np.ndarray) -> None:
-        n_landmarks = len(self.landmark_mean)
-        check_shape(landmarks, "landmarks", (n, n_landmarks, 2))
-        check_shape(subjects, "subjects", (n,))
-        for name in ("identity_basis_times_sd", "expression_basis"):
-            basis = getattr(self, name)
-            check_shape(basis, name, (max(len(basis), 1), n_landmarks, 3))
-        if self.ring_size < 3:
-            raise InputError(f"ring_size must be at least 3. Received {self.ring_size}.")
-        counts = np.unique(subjects, return_counts=True)[1]
-        if len(counts) < 2 or counts.min() < self.ring_size - 1:
-            raise InputError(
-                f"subjects must be two or more with {self.ring_size - 1} images each or more. "
-                f"Received {len(counts)}, one with {counts.min()}."
-            )
+
+def build_ringnet(
+    n_identity: int, n_expression: int, image_size: int = 96, seed: int = 0
+) -> keras.Model:
+    """ResNet-50 on an image, and the camera, pose and coefficients of the face by iteration.
+
+    After Sanyal et al. 2019, arXiv:1905.06817. The 2,048 features of ResNet-50 and the parameters
+    as estimated so far go through two layers of 512 ReLU units with dropout and a linear one. Its
+    output is added to the estimate. The layers are the same in all iterations, of which there are
+    three, as in Kanazawa et al. 2018 (HMR, arXiv:1712.06584), whose regressor it is.
+
+    Two things are ours. The moving averages of the batch normalisation forget ten times as fast as
+    Keras's by default. In a training of a few thousand steps they would lag behind the weights. And
+    dropout removes a fifth of the units; the sources at hand do not say how many theirs does.
+
+    Args:
+        n_identity, n_expression: Numbers of coefficients.
+        image_size: Width and height of the images, at least 32 pixels.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(n, image_size, image_size, 3)` images in [-1, 1] to the parameters,
+        `(n, 6 + n_identity + n_expression)`: log scale, x, y, axis-angle, identity, expression. All
+        of them zero are the mean face, seen from the front in the middle of the image.
+
+    Raises:
+        InputError: Images of less than 32 pixels.
+    """
+    if image_size < _MIN_IMAGE_SIZE:
+        raise InputError(f"image_size must be at least {_MIN_IMAGE_SIZE}. Received {image_size}.")
+    body = keras.applications.ResNet50(
+        input_shape=(image_size, image_size, 3), include_top=False, weights=None, pooling="avg"
+    )
+    for layer in body.layers:
+        if isinstance(layer, layers.BatchNormalization):
+            layer.momentum = 0.9
+    n_parameters = _N_POSE + n_identity + n_expression
+    hidden = []
+    for number in (1, 2):
+        hidden.append(layers.Dense(512, activation="relu", name=f"regressor_{number}"))
+        hidden.append(layers.Dropout(0.2, seed=number, name=f"dropout_{number}"))
+    step = layers.Dense(n_parameters, name="correction")
+    join = layers.Concatenate(name="features_and_estimate")
+    estimate = ops.zeros_like(body.output[:, :1]) * ops.zeros((1, n_parameters))
+    for _ in range(3):
+        x = join([body.output, estimate])
+        for layer in hidden:
+            x = layer(x)
+        estimate = estimate + step(x)
+    net = keras.Model(body.input, estimate, name=f"ringnet_{n_identity}_{n_expression}")
+    draw_kernels(net, seed)
+    # So that training starts about the mean face, seen from the front.
+    step.kernel.assign(0.01 * step.kernel)
+    return net
 
 
 def draw_rings(
@@ -187,13 +217,7 @@ def draw_rings(
 ) -> np.ndarray:
     """Rings of an epoch: every subject as often as another, and one image of somebody else last.
 
-    Args:
-        members: Row numbers of each subject's images.
-        n_rings, ring_size: Rings in the epoch, and images in each.
-        seed, epoch: Of the training, and number of the epoch.
-
-    Returns:
-        `(n_rings, ring_size)` row numbers.
+    Of the row numbers of each subject's images, `(n_rings, ring_size)` are returned.
     """
     rng = np.random.default_rng([seed, Stream.RINGS, epoch])
     whose = face_order(len(members), n_rings, seed, epoch)
@@ -209,12 +233,8 @@ class RingNetLoss:
     """The weighted sum of RingNet's four losses, on a batch of whole rings.
 
     Called with `(n, 2L)` landmarks in [-1, 1] and `(n, P)` parameters of `build_ringnet`. A face
-    turns about the middle of the mean landmarks, so that turning it hardly shifts it.
-
-    Args:
-        model: Face model, ring size and weights.
-        fill: Half the larger side of the landmarks' box in the image at log scale 0, where the
-            image reaches from -1 to 1.
+    turns about the middle of the mean landmarks, so that turning it hardly shifts it. At log scale
+    0, half the larger side of the landmarks' box in the image is `fill`.
     """
 
     def __init__(self, model: RingNet, fill: float):
@@ -226,7 +246,7 @@ class RingNetLoss:
         self._bases = np.float32(bases.reshape(len(bases), -1))
 
     def __call__(self, landmarks, parameters):
-        codes = parameters[:, N_POSE:]
+        codes = parameters[:, _N_POSE:]
         identity, expression = codes[:, : self.n_identity], codes[:, self.n_identity :]
         return (
             self.model.landmark_weight * self.landmark_loss(landmarks, parameters)
@@ -242,9 +262,9 @@ class RingNetLoss:
 
     def project(self, parameters):
         """Scaled orthographic view of the landmarks, `(n, L, 2)`, x right, y up, [-1, 1]."""
-        offsets = ops.matmul(parameters[:, N_POSE:], self._bases)
+        offsets = ops.matmul(parameters[:, _N_POSE:], self._bases)
         shapes = self._mean + ops.reshape(offsets, (-1, *self._mean.shape))
-        rotations = rotation_matrices(parameters[:, 3:N_POSE])
+        rotations = rotation_matrices(parameters[:, 3:_N_POSE])
         posed = ops.matmul(shapes, ops.transpose(rotations, (0, 2, 1)))
         return ops.exp(parameters[:, :1, None]) * posed[..., :2] + parameters[:, None, 1:3]
 
@@ -257,17 +277,14 @@ def ring_loss(identity, ring_size: int):
 
         1/R · Σ_jk max(0, |β_j − β_k|² − |β_j − β_R|² + η)
 
-    over all ordered pairs j ≠ k of the R − 1 elements of one person; β_R is another's and η 0.5.
-
-    Args:
-        identity: `(rings · R, K)` codes; the last of each ring is the other person's.
-        ring_size: R.
+    over all ordered pairs j ≠ k of the R − 1 elements of one person; β_R, the last of each ring in
+    the `(rings · R, K)` codes, is another's and η 0.5.
     """
     rings = ops.reshape(identity, (-1, ring_size, identity.shape[-1]))
     same, other = rings[:, :-1], rings[:, -1:]
     apart = ops.sum(ops.square(same[:, :, None] - same[:, None]), axis=-1)
     away = ops.sum(ops.square(same - other), axis=-1)
-    excess = ops.relu(apart - away[:, :, None] + MARGIN)
+    excess = ops.relu(apart - away[:, :, None] + _MARGIN)
     different = 1 - np.eye(ring_size - 1, dtype=np.float32)
     return ops.mean(ops.sum(excess * different, axis=(1, 2))) / ring_size
 
@@ -277,13 +294,6 @@ def rotation_matrices(axis_angle):
     angle = ops.sqrt(ops.sum(ops.square(axis_angle), axis=1, keepdims=True) + 1e-12)
     x, y, z = ops.split(axis_angle / angle, 3, axis=1)
     zero = ops.zeros_like(x)
-    cross = ops.reshape(
-        ops.concatenate([zero, -z, y, z, zero, -x, -y, x, zero], axis=1), (-1, 3, 3)
-    )
-    sine, cosine = ops.sin(angle)[:, None], ops.cos(angle)[:, None]
-    return ops.eye(3) + sine * cross + (1 - cosine) * ops.matmul(cross, cross)
-
-
-def in_frame(pixels: np.ndarray, image_size: int) -> np.ndarray:
-    """Pixels, y down, → the image from -1 to 1, y up; `(…, 2)` both."""
-    return (2 * np.asarray(pixels) / image_size - 1) * np.array([1.0, -1.0])
+    rows = ops.concatenate([zero, -z, y, z, zero, -x, -y, x, zero], axis=1)
+    cross, turn = ops.reshape(rows, (-1, 3, 3)), angle[:, None]
+    return ops.eye(3) + ops.sin(turn) * cross + (1 - ops.cos(turn)) * ops.matmul(cross, cross)

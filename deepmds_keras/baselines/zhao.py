@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
 
 import keras
 import numpy as np
 import tensorflow as tf
+from keras import layers
 
-from deepmds_keras.baselines.networks import NetworkMethod, build_zhao_net
-from deepmds_keras.checks import check_faces
-from deepmds_keras.errors import InputError
+from deepmds_keras.baselines.networks import NetworkMethod
+from deepmds_keras.checks import check_faces, check_n_landmarks
+from deepmds_keras.errors import check_choice
 from deepmds_keras.networks import forward
-from deepmds_keras.training import face_order, steps_per_call
-
-OPTIMIZERS = ("adam", "rmsprop")
+from deepmds_keras.training import face_order
 
 
 @dataclass(eq=False, repr=False)
@@ -37,8 +34,7 @@ class Zhao(NetworkMethod):
         n_landmarks: L.
         optimizer: `"adam"` or `"rmsprop"`.
         learning_rate: Of the optimiser.
-        epochs: Rounds of `steps_per_epoch` mini-batches.
-        steps_per_epoch: Mini-batches in an epoch.
+        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
         batch_size: Faces in a mini-batch.
         seed: Of the initial weights and the order of the faces.
     """
@@ -52,50 +48,36 @@ class Zhao(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(
-        self,
-        points: np.ndarray,
-        *,
-        checkpoint: str | Path | None = None,
-        progress: Callable[[dict], object] | None = None,
-    ) -> Zhao:
+    def fit(self, points: np.ndarray, **training) -> Zhao:
         """Train on faces in the camera's frame.
 
-        The depth has to be in the frame and unit of x and y, so that both come as one array.
-
         Args:
-            points: `(n, L, 3)`: x and y as in the view, and depth towards the viewer.
-            checkpoint, progress: As for `train_by_epoch`.
+            points: `(n, L, 3)`: x and y as in the view and, in the same frame and unit, depth
+                towards the viewer.
+            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: NaN, infinity, degenerate or another number of landmarks, another optimiser,
                 or a checkpoint of another run.
         """
-        if self.optimizer not in OPTIMIZERS:
-            raise InputError(
-                f"optimizer must be one of {', '.join(OPTIMIZERS)}. Received {self.optimizer!r}."
-            )
+        check_choice(self.optimizer, "optimizer", ("adam", "rmsprop"))
         points = check_faces(points, "points", 3, self.n_landmarks)
         centred = points - points.mean(1, keepdims=True)
         views, size = normalise_view(points[..., :2])
         views = np.float32(views).reshape(len(points), -1)
         depths = np.float32(centred[..., 2] / size[..., 0])
         n, steps, batch = len(points), self.steps_per_epoch, self.batch_size
-        network = self._build(self.seed)
-        optimizer = keras.optimizers.get(
-            {"class_name": self.optimizer, "config": {"learning_rate": self.learning_rate}}
-        )
-        network.compile(optimizer, "mse", steps_per_execution=steps_per_call(steps))
+        options = {"class_name": self.optimizer, "config": {"learning_rate": self.learning_rate}}
+        network = self._compiled(keras.optimizers.get(options), "mse")
 
         def batches(epoch: int) -> tf.data.Dataset:
             faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
             return tf.data.Dataset.from_tensor_slices((views[faces], depths[faces]))
 
         def inference() -> float:
-            predicted = forward(network, views)
-            return float(np.mean((predicted - depths) ** 2))
+            return float(np.mean((forward(network, views) - depths) ** 2))
 
-        return self._train(network, batches, {"faces": n}, inference, checkpoint, progress)
+        return self._train(network, batches, {"faces": n}, inference, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         """Shapes in the camera's frame.
@@ -116,6 +98,29 @@ class Zhao(NetworkMethod):
 
     def _build(self, seed: int = 0) -> keras.Model:
         return build_zhao_net(self.n_landmarks, seed=seed)
+
+
+def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
+    """Five hidden dense layers as wide as the input and a dense output, all with tanh.
+
+    Args:
+        n_landmarks: L. 72 gives 114,840 parameters (the paper's number), 51 gives 57,783.
+        seed: Of the initial weights.
+
+    Returns:
+        Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, L)` depths.
+
+    Raises:
+        InputError: No whole number of landmarks, or fewer than 3.
+    """
+    check_n_landmarks(n_landmarks)
+    view = x = keras.Input((2 * n_landmarks,), name="view")
+    names = [*(f"hidden_{number}" for number in range(1, 6)), "depth"]
+    for number, name in enumerate(names):
+        units = n_landmarks if name == "depth" else 2 * n_landmarks
+        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
+        x = layers.Dense(units, "tanh", kernel_initializer=initial, name=name)(x)
+    return keras.Model(view, x, name=f"zhao_{n_landmarks}")
 
 
 def normalise_view(views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,8 +19,8 @@ from data_gen.datasets.dataset import Dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views import project
 from deepmds_keras.alignment import centre, normalise
+from deepmds_keras.camera import resolve_orientation
 from deepmds_keras.embedding import check_dissimilarities
-from deepmds_keras.orientation import resolve_orientation
 from deepmds_keras.pipeline import DeepMDS
 
 _STARTS = 4

@@ -113,8 +113,8 @@ def train_variant(
     """
     import keras
 
+    from deepmds_keras.camera import front_landmark
     from deepmds_keras.networks import forward
-    from deepmds_keras.orientation import front_landmark
     from deepmds_keras.pipeline import DeepMDS
     from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
     from experiments.methods import load

@@ -1,4 +1,4 @@
-"""Both networks: sizes as published, wiring, the features they take, and the authors' weights."""
+"""Both networks: sizes as published, wiring, features, the authors' weights, and training."""
 
 import keras
 import numpy as np
@@ -16,6 +16,13 @@ from deepmds_keras import (
 )
 from deepmds_keras.networks import count_trainable, forward
 from deepmds_keras.proximities import VARIANTS, proximities
+from deepmds_keras.training import (
+    Recipe,
+    face_order,
+    steps_per_call,
+    train_autoencoder,
+    train_dissimilarity_net,
+)
 
 RELEASED = SHARED / "released" / "bfm"
 
@@ -92,3 +99,54 @@ def test_the_authors_weights_reproduce_what_the_authors_code_gives():
     assert np.abs(model.frontalise(views) - frontal).max() < 1e-5
     assert np.abs(model.dissimilarities(views) - distances).max() < 1e-5
     assert model.n_parameters == 24_880 + 2423
+
+
+@pytest.fixture(scope="module")
+def faces():
+    rng = np.random.default_rng(0)
+    shapes = normalise(rng.random((1, 12, 3)) + 0.1 * rng.normal(size=(64, 12, 3)))
+    return np.float32(normalise(shapes[..., :2])), np.float32(shapes)
+
+
+def autoencoder(faces, recipe, **options):
+    return train_autoencoder(faces[0], faces[1][..., :2], recipe, **options)
+
+
+def test_losses_fall_and_inference_is_that_of_the_network(faces):
+    network, history = autoencoder(faces, Recipe(4, 500, "cosine", 3e-3, batch_size=8))
+    assert history["train"][-1] < 0.1 * history["train"][0]
+    views, frontal = faces[0].reshape(64, -1), faces[1][..., :2].reshape(64, -1)
+    error = np.mean((network.predict(views, verbose=0) - frontal) ** 2)
+    assert np.isclose(history["inference"][-1], error, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_released_variant_sees_self_pairs_too(faces):
+    """The paper's pairs are those i < j; the released code also trains the diagonal towards 0."""
+    recipe = Recipe(4, 500, "cosine", learning_rate=0.01)
+    diagonals, points = {}, faces[0].reshape(-1, 2)
+    for variant in ("paper", "released"):
+        network, _ = train_dissimilarity_net(*faces, recipe, variant=variant)
+        diagonals[variant] = np.abs(forward(network, proximities(points, points, variant))).mean()
+    assert diagonals["released"] < 0.5 * diagonals["paper"]
+
+
+def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    recipe = Recipe(1, 53, batch_size=8)
+    first = autoencoder(faces, recipe, checkpoint=path)[1]
+    assert autoencoder(faces, recipe, seed=2)[1] != first
+    with pytest.raises(InputError, match="checkpoint.npz is of another run; delete it"):
+        autoencoder(faces, recipe, checkpoint=path, seed=1)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match="checkpoint.npz must be an npz written by save"):
+        autoencoder(faces, recipe, checkpoint=path)
+    with pytest.raises(InputError, match="schedule must be one of constant, cosine"):
+        autoencoder(faces, Recipe(1, schedule="linear"))
+
+
+def test_every_face_is_seen_equally_often_and_no_call_of_the_graph_is_a_partial_one():
+    epochs = [face_order(10, 4, seed=0, epoch=epoch) for epoch in range(5)]
+    assert np.array_equal(np.bincount(np.concatenate(epochs)), np.full(10, 2))
+    assert not np.array_equal(np.sort(epochs[0]), np.sort(epochs[1]))
+    assert [steps_per_call(steps) for steps in (1250, 1000, 97, 53, 7)] == [50, 50, 1, 1, 7]

@@ -11,8 +11,8 @@ from writers.keras2 import write_keras2
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
 from deepmds_keras import DeepMDS, InputError, LandmarkLifter, align, metrics, normalise
-from deepmds_keras.alignment import centre, is_mirrored
-from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+from deepmds_keras.alignment import is_mirrored
+from deepmds_keras.baselines.zhao import build_zhao_net
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 
@@ -28,18 +28,13 @@ def shipped():
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    """Folder with the networks of `small`, which nobody may write to."""
-    return tmp_path_factory.mktemp("kept")
-
-
-@pytest.fixture(scope="module")
-def small(kept):
-    """A network of 8 landmarks that is trained in a few seconds, and what it was trained on."""
+def small(tmp_path_factory):
+    """A model of 8 landmarks, what it was trained on, and its folder, which nobody writes to."""
+    folder = tmp_path_factory.mktemp("kept")
     rng = np.random.default_rng(0)
     shapes = rng.random((1, 8, 3)) + 0.05 * rng.normal(size=(48, 8, 3))
     model = DeepMDS(8, autoencoder_epochs=2, dissimilarity_epochs=1, dissimilarity_steps=53, seed=3)
-    return model.fit(shapes[..., :2], shapes, checkpoint=kept), shapes
+    return model.fit(shapes[..., :2], shapes, checkpoint=folder), shapes, folder
 
 
 def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces):
@@ -60,29 +55,21 @@ def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces
 
 
 def test_the_score_is_the_share_of_the_variance_explained(shipped, faces):
-    truth = normalise(centre(faces.landmarks))
-    predicted, mean = shipped.predict(faces.views), np.broadcast_to(truth.mean(0), truth.shape)
-    error, trivial = (metrics.mse(align(x, truth), truth).mean() for x in (predicted, mean))
-    assert shipped.score(faces.views, faces.landmarks) == pytest.approx(1 - error / trivial)
+    expected = metrics.explained_share(shipped.predict(faces.views), faces.landmarks)
+    assert shipped.score(faces.views, faces.landmarks) == expected
     scores = cross_val_score(LandmarkLifter(72, steps=100), faces.views, faces.landmarks, cv=2)
     assert (scores > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("turned", "message"),
-    [((1, -1), "y must grow upwards"), ((-1, 1), "mirrored"), ((-1, -1), "upright")],
-)
-def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(
-    shipped, faces, turned, message
-):
-    views = faces.views[:3] * turned
-    with pytest.raises(InputError, match=f"{message}.*check_orientation"):
+def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped, faces):
+    views = faces.views[:3] * [1, -1]
+    with pytest.raises(InputError, match="y must grow upwards.*check_orientation"):
         shipped.predict(views)
     assert np.isfinite(shipped.predict(views, check_orientation=False)).all()
 
 
 def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp_path):
-    model, shapes = small
+    model, shapes, kept = small
     model.save(tmp_path / "model.npz")
     loaded, copy = DeepMDS.load(tmp_path / "model.npz"), clone(model)
     assert loaded.get_params() == model.get_params() == copy.get_params()
@@ -96,7 +83,7 @@ def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp
 
 @pytest.mark.slow
 def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
-    model, shapes = small
+    model, shapes, kept = small
     views, calls = shapes[..., :2], []
 
     def stop(network, losses):
@@ -131,8 +118,8 @@ def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
         ({"n_landmarks": 7}, "is of another run"),
     ],
 )
-def test_only_what_this_model_would_have_trained_is_restored(small, kept, parameters, problem):
-    model, shapes = small
+def test_only_what_this_model_would_have_trained_is_restored(small, parameters, problem):
+    model, shapes, kept = small
     with pytest.raises(InputError, match=problem):
         clone(model).set_params(**parameters).restore(kept, shapes)
 
@@ -166,7 +153,7 @@ def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
         assert np.array_equal(ours, theirs)
     with h5py.File(files[0], "r+") as file:
         file["decode_1/decode_1/bias:0"][3] = np.nan
-    with pytest.raises(InputError, match="autoencoder_.*.h5: layer decode_1 .* must be finite"):
+    with pytest.raises(InputError, match="autoencoder_.*.h5: decode_1/bias .* must be finite"):
         DeepMDS.from_released(*files, n_landmarks=n_landmarks)
 
 
@@ -180,22 +167,17 @@ def test_foreign_keras_files_are_refused(tmp_path):
         group = file.create_group("dense")
         group.attrs["weight_names"] = ["kernel"]
         group.create_dataset("kernel", (10**9, 10**9), np.float32)  # claims more than memory holds
-    with pytest.raises(InputError, match="foreign.h5 does not fit the network autoencoder_72: lay"):
+    with pytest.raises(InputError, match="foreign.h5 must have the 38 weights of autoencoder_72"):
         DeepMDS.from_released(foreign, foreign)
 
 
 @pytest.mark.parametrize("n_landmarks", [0, 2, 51.0, "51", None])
 def test_impossible_numbers_of_landmarks_are_refused(n_landmarks):
     message = f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}"
-    shapes = np.random.default_rng(0).random((2, 3, 3))
-    for function, *data in (
-        (build_autoencoder, n_landmarks),
-        (build_zhao_net, n_landmarks),
-        (DeepMDS(n_landmarks).fit, shapes[..., :2], shapes),
-        (Zhao(n_landmarks).fit, shapes),
-    ):
+    predict = lambda n: DeepMDS(n).predict(np.eye(3)[:, :2])  # noqa: E731
+    for function in (build_autoencoder, build_zhao_net, predict):
         with pytest.raises(InputError, match=message):
-            function(*data)
+            function(n_landmarks)
 
 
 def test_bad_input_is_named(shipped, faces):

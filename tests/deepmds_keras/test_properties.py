@@ -1,4 +1,4 @@
-"""Laws of the public functions, on inputs that Hypothesis invents: the same ones in every run."""
+"""Laws of the public functions, on inputs that Hypothesis invents, and bad landmarks."""
 
 import tempfile
 from pathlib import Path
@@ -9,13 +9,14 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.configuration import set_hypothesis_home_dir
 from hypothesis.extra.numpy import arrays
+from scipy.spatial import procrustes
 from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, align, embed, metrics, normalise
 from deepmds_keras.alignment import centre, is_mirrored, unit
+from deepmds_keras.camera import resolve_orientation
 from deepmds_keras.checks import check_points
-from deepmds_keras.orientation import resolve_orientation
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -150,3 +151,33 @@ def test_how_an_embedding_lies_does_not_matter(faces, moved, mirrored, front):
     resolved = resolve_orientation(again[None], frontal, front)[0]
     middle = [*frontal[0].mean(0), 0]
     close(resolved - middle, factor * (turned - middle), 1e-5)
+
+
+def test_alignment_agrees_with_scipy_and_one_target_serves_all_sources():
+    source, target = np.random.default_rng(0).normal(size=(2, 5, 12, 3))
+    for face, other, aligned in zip(source, target, align(source, target), strict=True):
+        size = ((other - other.mean(0)) ** 2).sum()
+        assert np.isclose(((aligned - other) ** 2).sum() / size, procrustes(other, face)[2])
+    assert np.allclose(align(source, target[0]), align(source, target[[0] * 5]))
+    for wrong in (source[:, 1:], source[1:], source[0]):
+        with pytest.raises(InputError, match=r"Received \(.*3\) and \(5, 12, 3\)"):
+            align(wrong, target)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((2, 5, 3)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
+        (np.zeros((0, 5, 2)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
+        (np.zeros((2, 2, 2)), r"shape \(faces >= 1, landmarks >= 3, 2\)"),
+        (np.array([["a", "b"]] * 3), "must hold numbers"),
+        (None, "must hold numbers"),
+        (np.full((2, 5, 2), 7e9), "one point 5 times in face 0"),
+        (np.arange(10.0).reshape(1, 5, 2) * [1, -9], "straight line in face 0"),
+        ([[[1, 2], [3, 4], [5]]], "unequal lengths"),
+        (np.ma.masked_greater(np.random.default_rng(0).random((1, 5, 2)), 0.9), "NaN"),
+    ],
+)
+def test_what_is_no_landmarks_is_named(points, message):
+    with pytest.raises(InputError, match=message):
+        check_points(points, "views", 2)

@@ -97,7 +97,8 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
     camera = np.array([[2.0, 0.1, -0.4, 250], [0.2, 1.9, 0.3, 240]])
     views = shapes @ camera[:, :3].T + camera[:, 3] + rng.normal(0, 2, (4, L, 2))
     cameras = affine_cameras(views, np.stack([mean] * 4))
-    ours = closed_form.solve_shape(cameras, views, mean, times_sd, 1 / noise**2, regularisation)
+    known = views, mean, times_sd, 1 / noise**2, regularisation
+    ours = closed_form.solve_shape(cameras, *known, closed_form.gram_matrices(times_sd))
     pca = eos.morphablemodel.PcaModel(
         np.float32(mean.ravel()), np.float32(basis), np.float32(variances), [[0, 1, 2]]
     )
