@@ -34,7 +34,9 @@ PARENT = "EXPERIMENTS_PARENT"
 # Sums are split between threads: their last digits depend on the number, not on the machine's.
 _THREADS = 2
 # Of these several run at once: NumPy has one thread, TensorFlow two as everywhere.
-_TRAININGS = ("tracks.train", "lifting.train", "pretrained.train", "studies.variant")
+_TRAININGS = (
+    *("tracks.train", "lifting.train", "pretrained.train", "studies.variant", "witness.train"),
+)
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)

@@ -63,8 +63,9 @@ def error_lines(
     *,
     looks: Mapping[str, Look] = {},
     n_columns: int | None = None,
+    log_y: bool = True,
 ) -> Figure:
-    """Means against x on one logarithmic axis, a line a method, with 95 % confidence intervals.
+    """Means against x on one axis, a line a method, with 95 % confidence intervals.
 
     Args:
         panels: What is drawn.
@@ -73,6 +74,7 @@ def error_lines(
         units: Of `mean` in the rows of the panels.
         looks: Of ids in `method` that are no methods of the tables.
         n_columns: Of the grid of panels; None puts all in one row.
+        log_y: Whether the y axis is logarithmic; else it begins at 0.
     """
     n_columns = n_columns or len(panels)
     n_rows = -(-len(panels) // n_columns)
@@ -83,7 +85,10 @@ def error_lines(
     power = "" if unit == 1 else f"$10^{{{np.log10(unit):.0f}}}$ "
     for axes in grid[:, 0]:
         axes.set_ylabel(f"{quantity}\n({power}{units})")
-    plain_log_ticks(grid[0, 0].yaxis)
+    if log_y:
+        plain_log_ticks(grid[0, 0].yaxis)
+    else:
+        grid[0, 0].set(yscale="linear", ylim=(0, None))
     methods = dict.fromkeys(method for panel in panels for method in panel.rows["method"])
     shaded = any(panel.shaded for panel in panels)
     more = [Patch(facecolor=_SHADE, label="training views")] if shaded else []

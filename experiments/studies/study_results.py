@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,7 +23,7 @@ _NOTHING = 1e-12  # an error that is rounding
 
 def write_results(
     run: Run,
-    name: str,
+    name: str | Path,
     tables: Mapping[str, pd.DataFrame],
     cells: pd.DataFrame,
     notes: Sequence[str] = (),
@@ -32,12 +33,12 @@ def write_results(
 
     Args:
         run: The run.
-        name: Of the folder of results.
+        name: Of the folder of the model's results, or a folder of several models'.
         tables, figures: By name.
         cells: The table as it is read, as from `grid` or `statistics_cells`.
         notes: To stand below it.
     """
-    folder = run.experiment_results(name)
+    folder = name if isinstance(name, Path) else run.experiment_results(name)
     clear_results(folder)
     for table, rows in tables.items():
         write_csv(folder / f"{table}.csv", rows)

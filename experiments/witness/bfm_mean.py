@@ -1,0 +1,63 @@
+"""The mean of the Basel Face Model at the paper's 72 landmarks, as the authors' weights hold it.
+
+The last layer of their autoencoder is a batch normalisation. What it adds is the mean of what it
+was trained to return: x and y of normalised shapes. Their depth net (Zhao et al.) gives the depth
+of that frontal view. `bfm72_mean.csv` is what `extract_mean` returns for the released weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.alignment import procrustes
+
+SCHEME = "bfm72"
+MEAN = Path(__file__).with_name("bfm72_mean.csv")
+_LAST_BIAS = "batch_normalization_6/batch_normalization_6/beta:0"
+_EYE_CORNERS, _BETWEEN_MM = [0, 56], 86.7  # outer ones, on the model itself
+
+
+def read_mean() -> np.ndarray:
+    """`(72, 3)` millimetres, in the frame and about the origin of the Basel Face Model."""
+    return np.loadtxt(MEAN, delimiter=",", skiprows=1)
+
+
+def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
+    """The same from the authors' files.
+
+    Normalised shapes span [0, 1] over all three axes, so the foremost landmark has a depth of 1.
+    The origin of the model lies in its plane of symmetry, which gives the shift of `normalise`.
+    """
+    import h5py  # here, since whoever plans steps reads this module too
+
+    from deepmds_keras.baselines.zhao import build_zhao_net, normalise_view
+    from deepmds_keras.networks import forward
+    from deepmds_keras.weights import read_keras2_weights
+
+    with h5py.File(autoencoder) as file:
+        frontal = file[_LAST_BIAS][()].reshape(1, -1, 2).astype(float)
+    net = build_zhao_net(frontal.shape[1])
+    read_keras2_weights(net, depth_net)
+    view, size = normalise_view(frontal)
+    depth = forward(net, np.float32(view).reshape(1, -1))[0] * size.item()
+    mean = np.column_stack([frontal[0], depth + 1 - depth.max()])
+    corners = mean[_EYE_CORNERS]
+    shift = corners[:, 0].mean()
+    return (mean - shift) * _BETWEEN_MM / np.linalg.norm(corners[0] - corners[1])
+
+
+def about_mean(model: MorphableModel, scale: float) -> MorphableModel:
+    """Landmarks of faces about the Basel mean that vary as those of another model, times a scale.
+
+    The offsets of the other model are turned and scaled by the similarity that brings its mean
+    nearest to the Basel one.
+    """
+    part, mean = model.restrict(model.landmarks[SCHEME]), read_mean()
+    turn = procrustes(part.mean, mean, reflection=False)
+    basis = scale * turn.scale * part.identity_basis_times_sd @ turn.rotation
+    landmarks = {SCHEME: np.arange(len(mean))}
+    return replace(part, mean=mean, identity_basis_times_sd=basis, landmarks=landmarks)

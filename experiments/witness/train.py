@@ -1,0 +1,64 @@
+"""Step: methods trained on faces about the Basel mean, at a scale of the spread, from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.registry import load_model
+from experiments import recipes
+from experiments.inputs import Faces, as_seen
+from experiments.methods import predict
+from experiments.records import resumable, write_csv
+from experiments.run import Run
+from experiments.scoring.scores import score
+from experiments.streams import Stream
+from experiments.witness.bfm_mean import MEAN, SCHEME, about_mean
+
+SCALES = (0.8, 1.25, 2.0)
+_SEEDS = 3
+
+
+def trainings(run: Run) -> list[str]:
+    """Names of the trainings: scale and seed."""
+    seeds = range(run.seed, run.seed + min(_SEEDS, run.preset.n_seeds))
+    return [f"{scale:g}-seed{seed}" for scale in SCALES for seed in seeds]
+
+
+def trained_file(run: Run, name: str) -> Path:
+    """Table of a training: `scale, seed, method, mse, depth_corr`."""
+    return run.work / "witness" / f"{name}.csv"
+
+
+def main(run: Run, name: str) -> None:
+    scale, _, seed = name.partition("-seed")
+    seeded = replace(run, seed=int(seed))
+    model = about_mean(load_model(run.model, run.data, SCHEME), float(scale))
+    train = _faces(seeded, model, run.preset.train_faces, Stream.WITNESS_TRAINING)
+    test = _faces(seeded, model, run.preset.test_faces, Stream.WITNESS_FACES)
+    folder = resumable(run.work / "witness" / name, [MEAN])
+    data = train.views, train.shapes
+    ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="auto", n_jobs=1)
+    lifting = recipes.lifting(seeded)
+    methods = {
+        "mean_shape": recipes.mean_shape(seeded).fit(*data),
+        "linear": recipes.linear(seeded).fit(*data),
+        "ours": recipes.fit(ours, *data, checkpoint=folder),
+        "lifting": recipes.fit(lifting, *data, checkpoint=folder / "lifting.npz"),
+    }
+    rows = []
+    for method, fitted in methods.items():
+        scores = score(predict(fitted, test.views), test)
+        row = {"scale": float(scale), "seed": seeded.seed, "method": method}
+        rows.append(row | {"mse": scores.mse.mean(), "depth_corr": scores.depth_corr.mean()})
+    write_csv(trained_file(run, name), pd.DataFrame(rows))
+
+
+def _faces(run: Run, model: MorphableModel, n: int, stream: Stream) -> Faces:
+    rng = np.random.default_rng([run.seed, stream])
+    return as_seen(make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol))

@@ -1,0 +1,197 @@
+"""Step: the authors' networks on faces about the mean of the model that they were trained on.
+
+The released weights hold the mean of the Basel Face Model, see `bfm_mean`, but not how faces vary
+about it. That is borrowed from the open models, at several scales. With `MODEL=bfm2009` and the
+like the faces are the model's. Answers are scored on the same test faces: what the networks return,
+one such output for all views, a random face for all, and the mean shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy.stats import bootstrap
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.morphable_model import MorphableModel
+from data_gen.models.registry import OPEN, load_model, open_models
+from deepmds_keras.alignment import normalise
+from deepmds_keras.errors import InputError
+from deepmds_keras.pipeline import DeepMDS
+from experiments.face_models import TITLES
+from experiments.figures.errors import Panel, error_lines
+from experiments.figures.style import INK, Look, colour, marker
+from experiments.inputs import Faces, as_seen
+from experiments.progress import Bar
+from experiments.run import AUTHORS_FILES, Run
+from experiments.scoring.numbers import power, rounded
+from experiments.scoring.scores import Scores, score
+from experiments.streams import Stream
+from experiments.studies.study_results import write_results
+from experiments.witness.bfm_mean import SCHEME, about_mean
+from experiments.witness.train import trained_file, trainings
+
+SCALES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.75, 2.0)
+VIEWS = {"released": "views of the released code", "paper": "views as in the text"}
+NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": "deep_dissim_ours2.h5"}
+PRINTED = {"printed": 1.4e-4, "printed_trivial": 2.9e-4}
+_CONSTANT = "one of their outputs, for all views"
+_LOOKS = {
+    "released": Look("authors' networks", colour("ours"), marker("ours")),
+    "released_2": Look("the same, second dissimilarity net", colour("ours_released"), "h"),
+    "own_constant": Look(_CONSTANT, colour("zhao"), "^"),
+    "random_face": Look("a random face, for all views", "#777777", "v"),
+    "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
+    "printed": Look("printed: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
+    "printed_trivial": Look("printed: trivial case, 2.9", INK, "", (0, (1, 1))),
+}
+_CONSTANTS = 25  # outputs, and faces, whose errors as the answer to all views are averaged
+_UNIT = 1e-4
+
+
+def main(run: Run) -> dict:
+    networks = released_networks(run)
+    populations = [*faces_by_scale(run)]
+    released = pd.DataFrame(
+        row
+        for population in Bar(populations, desc="witness")
+        for views in VIEWS
+        for row in measure(run, networks, views, *population)
+    )
+    tables, figures, folder = {"released": released}, {}, run.experiment_results("witness")
+    if run.model in OPEN:
+        trained = pd.concat([pd.read_csv(trained_file(run, name)) for name in trainings(run)])
+        tables["trained"] = trained
+        figures = {"witness": draw_released(released), "trained": draw_trained(trained)}
+        folder = run.model_results.parent / "witness"  # one for all open models
+    return write_results(run, folder, tables, cells(released), figures=figures)
+
+
+def released_networks(run: Run) -> dict[str, DeepMDS]:
+    """The authors' method with each of their dissimilarity nets that is given.
+
+    Raises:
+        InputError: The files are not there.
+    """
+    if not run.authors:
+        raise InputError("AUTHORS must be the folder of the authors' weights. Received none.")
+    autoencoder = Path(run.authors, AUTHORS_FILES["bfm"][0])
+    nets = {name: Path(run.authors, file) for name, file in NETS.items()}
+    return {
+        name: DeepMDS.from_released(autoencoder, net).set_params(n_jobs=run.jobs, solver="auto")
+        for name, net in nets.items()
+        if net.exists() or name == "released"
+    }
+
+
+def faces_by_scale(run: Run) -> Iterator[tuple[str, float, MorphableModel]]:
+    """Whose spread it is, its scale, and a model of such faces."""
+    if run.model not in OPEN:
+        yield run.model, 1.0, load_model(run.model, run.data, SCHEME)
+        return
+    for name in open_models(run.data)[0]:
+        model = load_model(name, run.data, SCHEME)
+        for scale in SCALES:
+            yield name, scale, about_mean(model, scale)
+
+
+def measure(
+    run: Run,
+    networks: dict[str, DeepMDS],
+    views: str,
+    spread: str,
+    scale: float,
+    model: MorphableModel,
+) -> Iterator[dict]:
+    """Errors of every answer, with 95 % bootstrap intervals over faces, or over constant answers.
+
+    Yields:
+        `spread, views, scale, answer, mse, low, high, depth_corr`.
+    """
+    rng = np.random.default_rng([run.seed, Stream.WITNESS_FACES])
+    n = run.preset.test_faces
+    dataset = make_dataset(model, n + _CONSTANTS, rng, scheme=SCHEME, protocol=views)
+    faces = as_seen(dataset)
+    test, others = faces[:n], faces[n:].shapes
+    outputs = {
+        name: network.predict(test.views, check_orientation=False)
+        for name, network in networks.items()
+    }
+    mean = normalise(faces.shapes).mean(0)
+    constants = {
+        "own_constant": outputs["released"][:_CONSTANTS],
+        "random_face": others if scale else mean[None],
+    }
+    errors = {name: _errors(score(shapes, test)) for name, shapes in outputs.items()}
+    errors |= {
+        name: np.array([_errors(_constant(shape, test)).mean(0) for shape in shapes])
+        for name, shapes in constants.items()
+    }
+    errors["mean_shape"] = _errors(_constant(mean, test))
+    for answer, (mse, depth_corr) in ((answer, columns.T) for answer, columns in errors.items()):
+        low, high = _interval(mse, rng)
+        row = {"spread": spread, "views": views, "scale": scale, "answer": answer}
+        yield row | {"mse": mse.mean(), "low": low, "high": high, "depth_corr": depth_corr.mean()}
+
+
+def _constant(shape: np.ndarray, test: Faces) -> Scores:
+    return score(np.broadcast_to(shape, test.shapes.shape), test)
+
+
+def _errors(scores: Scores) -> np.ndarray:
+    return np.stack([scores.mse, scores.depth_corr], 1)
+
+
+def _interval(values: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    if len(values) < 2 or np.ptp(values) == 0:
+        return values[0], values[0]
+    options = {"n_resamples": 1000, "method": "percentile", "rng": rng, "batch": 100}
+    return tuple(bootstrap((values,), np.mean, **options).confidence_interval)
+
+
+def cells(released: pd.DataFrame) -> pd.DataFrame:
+    """Texts of the table: MSE and, of the networks, depth correlation, by spread and scale."""
+    rows = released[released["views"] == "released"].copy()
+    rows["text"] = [rounded(mse / _UNIT, 2) for mse in rows["mse"]]
+    nets = rows["answer"].isin(NETS)
+    rows.loc[nets, "text"] += " (" + rows["depth_corr"].map(lambda c: rounded(c, 3)) + ")"
+    rows = rows.assign(
+        spread=rows["spread"].map(TITLES),
+        scale=rows["scale"].map("{:g}".format),
+        answer=[_LOOKS[answer].title for answer in rows["answer"]],
+    )
+    table = rows.pivot_table("text", ["spread", "scale"], "answer", "first", sort=False)
+    return table.fillna("").rename_axis(columns=f"MSE ({power(_UNIT)})")
+
+
+def draw_released(released: pd.DataFrame) -> Figure:
+    """Errors of all answers by the scale of the spread, a panel a model and kind of views."""
+    panels = []
+    for (spread, views), rows in released.groupby(["spread", "views"], sort=False):
+        rows = rows.rename(columns={"answer": "method", "mse": "mean"})
+        ends = rows["scale"].agg(["min", "max"])
+        lines = [
+            {"method": name, "scale": scale, "mean": mse, "low": mse, "high": mse}
+            for name, mse in PRINTED.items()
+            for scale in ends
+        ]
+        rows = pd.concat([rows, pd.DataFrame(lines)])
+        title = f"Spread of {TITLES[spread]}, {VIEWS[views]}"
+        panels.append(Panel(rows, "scale", "Scale of the spread", title))
+    return error_lines(panels, looks=_LOOKS, n_columns=2, log_y=False)
+
+
+def draw_trained(trained: pd.DataFrame) -> Figure:
+    """Errors of methods trained about the Basel mean, over the mean shape's: median and range."""
+    errors = trained.pivot(index=["scale", "seed"], columns="method", values="mse")
+    ratios = errors.drop(columns="mean_shape").div(errors["mean_shape"], axis=0)
+    ratios["mean_shape"] = 1.0
+    rows = ratios.melt(ignore_index=False, value_name="mean").reset_index()
+    rows = rows.groupby(["method", "scale"])["mean"].agg(["median", "min", "max"]).reset_index()
+    rows.columns = ["method", "scale", "mean", "low", "high"]
+    panel = Panel(rows, "scale", "Scale of the spread")
+    return error_lines([panel], "MSE", 1, "in that of the mean shape")
