@@ -35,7 +35,8 @@ PARENT = "EXPERIMENTS_PARENT"
 _THREADS = 2
 # Of these several run at once: NumPy has one thread, TensorFlow two as everywhere.
 _TRAININGS = (
-    *("tracks.train", "lifting.train", "pretrained.train", "studies.variant", "witness.train"),
+    *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train"),
+    *("studies.variant", "witness.train"),
 )
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

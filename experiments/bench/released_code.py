@@ -3,8 +3,8 @@
 Their MATLAB generator computes all vertices of each face and picks the landmarks. Their Python
 scripts join the features of a face in two nested loops over all L² ordered pairs. They call Keras'
 `predict` for each face, whose mini-batches are of 32 pairs. Textures, renders and files, which
-those scripts write too, are left out. scikit-learn's `MDS` with four random starts, its default up
-to version 1.8, replaces MATLAB's `mdscale`.
+those scripts write too, are left out. scikit-learn's `MDS` replaces MATLAB's `mdscale(K, 3)`, which
+starts once, from classical scaling.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.camera import resolve_orientation
 from deepmds_keras.embedding import check_dissimilarities
 from deepmds_keras.pipeline import DeepMDS
-
-_STARTS = 4
 
 
 def make_faces(
@@ -70,10 +68,10 @@ def predict(model: DeepMDS, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(frontal), np.stack(matrices)
 
 
-def embed(dissimilarities: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Points `(n, L, 3)` of `(n, L, L)`: the best of four random starts, of each face in turn."""
-    options = {"metric": "precomputed", "init": "random", "normalized_stress": True}
-    scaling = MDS(3, metric_mds=False, n_init=_STARTS, random_state=seed, **options)
+def embed(dissimilarities: np.ndarray) -> np.ndarray:
+    """Points `(n, L, 3)` of `(n, L, L)`, from one classical start, of each face in turn."""
+    options = {"metric": "precomputed", "init": "classical_mds", "normalized_stress": True}
+    scaling = MDS(3, metric_mds=False, n_init=1, **options)
     return np.stack([scaling.fit_transform(own) for own in check_dissimilarities(dissimilarities)])
 
 

@@ -1,7 +1,8 @@
 """Step: Deep-MDS with one part after the other replaced by a better one, down to the limit.
 
-On the first test faces of the paper's protocol. Each dissimilarity matrix goes through the
-non-metric MDS of the method and through metric MDS.
+On the test faces of the paper's protocol, over several seeds of what is trained. Each row differs
+from the one that its title names in one thing. Dissimilarity matrices go through the non-metric MDS
+of the method and through metric MDS.
 """
 
 from __future__ import annotations
@@ -9,16 +10,22 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
+import keras
 import numpy as np
 import pandas as pd
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.embedding import embed, metric_embed, pairwise_distances
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.proximities import pair_features
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.contenders import limit
-from experiments.lifting.train import DEEP_MDS, LIFTING, PAIR_NETS, network_file
+from experiments.lifting.pair_nets import dissimilarities
+from experiments.lifting.train import LIFTING, seeds
+from experiments.lifting.train_pairs import autoencoder, views_of_pairs
+from experiments.lifting.variants import VARIANTS, anatomy_file
 from experiments.lifting.views import Views
 from experiments.methods import load, predict
 from experiments.progress import Bar
@@ -26,77 +33,126 @@ from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.scoring.scores import score
 from experiments.streams import Stream
-from experiments.studies.study_results import grid, mean_error, write_results
+from experiments.studies.seed import recalibrate_batchnorm
+from experiments.studies.study_results import grid, write_results
 
 STEPS = {
     "mean_shape": "Mean shape",
-    "deep_mds": "Deep-MDS, cosine schedule",
-    "true_frontal": "The true frontal view, not the autoencoder's",
-    "landmarks_known": "A dissimilarity net that knows which landmarks it sees",
-    "whole_view": "One that also sees the whole view, as it was given",
+    "constant": "Deep-MDS, constant rate",
+    "recalibrated": "… statistics of batch normalisation computed again",
+    "cosine": "Deep-MDS, cosine schedule (A)",
+    "side": "A on views from the side",
+    "not_rescaled": "A without the second min-max",
+    "true_frontal_tested": "A tested on true frontal views",
+    "true_frontal": "A trained and tested on true frontal views",
+    "wide": "A with 64 units for 20 (B)",
+    "shuffled": "B with shuffled mini-batches (C)",
+    "landmarks_known": "C that knows which landmarks it sees (D)",
+    "whole_view": "D that also sees the whole view",
     "lifting": "The distances of the lifting network",
     "true_distances": "The true distances",
-    "limit": "Limit: with the face model and the camera known",
+    "limit": "Approximate lower bound: with the face model and the camera known",
 }
+_DRAWN = {
+    "mean_shape": "mean shape", "constant": "constant rate", "cosine": "A: cosine schedule",
+    "true_frontal": "A on true frontal views", "wide": "B: A with 64 units",
+    "shuffled": "C: B with shuffled batches", "landmarks_known": "D: C that knows landmarks",
+    "whole_view": "D with the whole view", "lifting": "lifting", "true_distances": "true distances",
+    "limit": "lower bound",
+}  # fmt: skip
 EMBEDDINGS = {
     "non_metric": Look("Non-metric MDS", colour("ours"), marker("ours"), ""),
     "metric": Look("Metric MDS", colour("linear"), marker("linear"), ""),
     "none": Look("Without MDS", INK, "s", ""),
 }
 _UNIT = 1e-6
+_RECALIBRATED_ON = 200  # training faces whose pairs are one batch
 
 
-def matrices(run: Run, test: Faces) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield each step with dissimilarities and its matrices `(n, L, L)`."""
-    import keras
-
-    from experiments.lifting.pair_nets import dissimilarities
-
-    deep_mds = load(run, DEEP_MDS)
-    frontal, net = deep_mds.frontalise(test.views), deep_mds.dissimilarity_net_
-    yield "deep_mds", dissimilarities(net, frontal, test.views)
-    yield "true_frontal", dissimilarities(net, test.shapes[..., :2], test.views)
-    for step in PAIR_NETS:
-        net = keras.saving.load_model(network_file(run, f"anatomy-{step}"), compile=False)
-        yield step, dissimilarities(net, frontal, test.views)
-    yield "lifting", pairwise_distances(predict(load(run, LIFTING), test.views))
-    yield "true_distances", pairwise_distances(test.shapes)
+def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield each step with dissimilarities and its matrices `(n, L, L)`, of a seed."""
+    train = load_faces(run, "train")
+    for name, variant in VARIANTS.items():
+        net = keras.saving.load_model(anatomy_file(run, name, seed), compile=False)
+        encoder = autoencoder(run, variant)
+        yield name, dissimilarities(net, views_of_pairs(variant, test, encoder), test.views)
+        if name == "cosine":
+            true = views_of_pairs(VARIANTS["true_frontal"], test, encoder)
+            yield "true_frontal_tested", dissimilarities(net, true, test.views)
+        if name == "constant":
+            recalibrated = load(run, "ours")
+            flat = train.views.reshape(len(train.views), -1)
+            recalibrated.autoencoder_ = recalibrate_batchnorm(recalibrated.autoencoder_, flat)
+            pairs = views_of_pairs(variant, train[:_RECALIBRATED_ON], recalibrated.frontalise)
+            net = recalibrate_batchnorm(net, np.concatenate(pair_features(np.float32(pairs))))
+            seen = views_of_pairs(variant, test, recalibrated.frontalise)
+            yield "recalibrated", dissimilarities(net, seen, test.views)
+    lifter = LandmarkLifter.load(anatomy_file(run, LIFTING, seed))
+    yield "lifting", pairwise_distances(predict(lifter, test.views))
 
 
 def measure(run: Run) -> pd.DataFrame:
-    """Error of every step on the first test faces: `step, embedding, mse, sem, n_faces`."""
-    dataset, faces = load_dataset(run.work / "test.npz"), slice(run.preset.audited_faces)
-    test = load_faces(run, "test")[faces]
-    mean_shape = load(run, "mean_shape").predict(test.views)
-    errors = {("mean_shape", "none"): score(mean_shape, test).mse}
-    for step, distances in Bar(matrices(run, test), desc="anatomy", total=len(STEPS) - 2):
+    """Error of every step: `step, embedding, seed, mse, sem`, with its standard error over faces.
+
+    What depends on no seed has that of the run.
+    """
+    dataset, test = load_dataset(run.work / "test.npz"), load_faces(run, "test")
+    rows = []
+
+    def add(step: str, embedding: str, seed: int, errors: np.ndarray) -> None:
+        row = {"step": step, "embedding": embedding, "seed": seed, "mse": errors.mean()}
+        rows.append(row | {"sem": errors.std(ddof=1) / len(errors) ** 0.5})
+
+    def embedded(step: str, distances: np.ndarray, seed: int) -> None:
         distances = np.abs(distances)  # as in `DeepMDS.predict`
-        shapes = embed(distances, solver="sklearn", n_jobs=run.jobs)
-        errors[step, "non_metric"] = score(shapes, test).mse
-        errors[step, "metric"] = score(metric_embed(distances), test).mse
+        shapes = embed(distances, solver="auto", n_jobs=run.jobs)
+        add(step, "non_metric", seed, score(shapes, test).mse)
+        add(step, "metric", seed, score(metric_embed(distances), test).mse)
+
+    mean_shape = load(run, "mean_shape").predict(test.views)
+    add("mean_shape", "none", run.seed, score(mean_shape, test).mse)
+    for seed in Bar(seeds(run), desc="anatomy", unit="seed"):
+        for step, distances in matrices(run, test, seed):
+            embedded(step, distances, seed)
+    embedded("true_distances", pairwise_distances(test.shapes), run.seed)
     exact = Views(
-        identity=dataset.identity[faces],
-        shapes=dataset.landmarks[faces].astype(float),
-        views=dataset.views[faces],
+        identity=dataset.identity,
+        shapes=dataset.landmarks.astype(float),
+        views=dataset.views,
         sd_mm=np.zeros(len(test.views)),
-        cameras=dataset.cameras[faces],
+        cameras=dataset.cameras,
     )
     rng = np.random.default_rng([run.seed, Stream.ANATOMY_LIMIT])
-    errors["limit", "none"] = limit(run, exact, rng)
-    return pd.DataFrame(
-        {"step": step, "embedding": embedding} | mean_error(own)
-        for (step, embedding), own in errors.items()
-    )
+    add("limit", "none", run.seed, limit(run, exact, rng))
+    return pd.DataFrame(rows)
+
+
+def over_seeds(errors: pd.DataFrame) -> pd.DataFrame:
+    """`step, embedding, mse, sem, low, high, n_seeds`: mean and, of several seeds, their range.
+
+    `sem` is the standard error over seeds, or of one over faces; then the ends are 95 %'s.
+    """
+    table = errors.groupby(["step", "embedding"], sort=False).agg(
+        mse=("mse", "mean"), of_faces=("sem", "mean"), of_seeds=("mse", "sem"),
+        low=("mse", "min"), high=("mse", "max"), n_seeds=("mse", "count"),
+    )  # fmt: skip
+    single = table["n_seeds"] == 1
+    table.insert(1, "sem", table["of_seeds"].where(~single, table["of_faces"]))
+    for end, sign in (("low", -1), ("high", 1)):
+        table.loc[single, end] = (table["mse"] + sign * 1.96 * table["sem"])[single]
+    return table.drop(columns=["of_faces", "of_seeds"]).reset_index()
 
 
 def main(run: Run) -> dict:
-    table = measure(run)
-    cells = grid(table, "step", "embedding", _UNIT)[[*EMBEDDINGS]]
+    errors = measure(run)
+    table = over_seeds(errors)
+    cells = grid(table, "step", "embedding", _UNIT).reindex(index=[*STEPS])[[*EMBEDDINGS]]
     cells.columns = [look.title for look in EMBEDDINGS.values()]
     cells = cells.rename(index=STEPS).rename_axis(f"MSE ({power(_UNIT)})")
-    # True distances give the shape itself, which a logarithmic axis cannot show.
-    rows = table[table["step"] != "true_distances"]
-    rows = rows.rename(columns={"embedding": "method", "mse": "mean"})
-    rows["step"] = [textwrap.fill(STEPS[step], 18) for step in rows["step"]]
-    figures = {"anatomy": error_lines([Panel(rows, "step")], unit=_UNIT, looks=EMBEDDINGS)}
-    return write_results(run, "lifting/anatomy", {"table": table}, cells, figures=figures)
+    rows = table.rename(columns={"embedding": "method", "mse": "mean"})
+    rows = rows.set_index("step").loc[[*_DRAWN]].reset_index()
+    rows["step"] = [textwrap.fill(_DRAWN[step], 11) for step in rows["step"]]
+    panel = Panel(rows, "step")
+    figures = {"anatomy": error_lines([panel], unit=_UNIT, looks=EMBEDDINGS, log_y=False)}
+    tables = {"table": table, "seeds": errors}
+    return write_results(run, "lifting/anatomy", tables, cells, figures=figures)

@@ -1,4 +1,4 @@
-"""Dissimilarity nets with more input: which two landmarks a pair is, and the whole view."""
+"""Dissimilarity nets as a `Variant` has them: built, trained, and asked for all distances."""
 
 from __future__ import annotations
 
@@ -12,52 +12,58 @@ import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 from keras import layers, ops
 
-from deepmds_keras.alignment import normalise
 from deepmds_keras.networks import dense_blocks, distance_layers
-from deepmds_keras.proximities import VARIANTS, pair_features
-from deepmds_keras.training import Recipe, features_and_distances, steps_per_call, train_by_epoch
+from deepmds_keras.proximities import VARIANTS as N_FEATURES
+from deepmds_keras.proximities import pair_features
+from deepmds_keras.training import (
+    Recipe,
+    face_order,
+    features_and_distances,
+    steps_per_call,
+    train_by_epoch,
+)
 from deepmds_keras.weights import Stream
+from experiments.lifting.variants import Variant
 
-_UNITS = 64  # of a hidden layer: with the paper's 20 the pairs would have no room
 _EMBEDDED, _CODE = 16, 32
 _CHUNK = 8  # faces at a time in use
+_AHEAD = 50  # mini-batches that are made while the net trains
 
 
-def build_pair_net(n_landmarks: int, *, whole_view: bool, seed: int = 0) -> keras.Model:
+def build_pair_net(n_landmarks: int, variant: Variant, *, seed: int = 0) -> keras.Model:
     """The layers of the dissimilarity net on the paper's pair features and more.
 
     A landmark is an embedding of 16 numbers. The sums and the products of two of them do not
     depend on which comes first.
 
     Returns:
-        Model from features `(P, 6)`, numbers of the landmarks `(P, 2)` and, if it has the whole
-        view as an input, too, `(P, 2L)`, to distances `(P, 1)` in the unit of `normalise`.
+        Model from features `(P, 6)`, numbers of the landmarks `(P, 2)` if it knows them, and the
+        whole view `(P, 2L)` if it sees it, to distances `(P, 1)` in the unit of `normalise`.
     """
     dense = dense_blocks(seed)
-    initial = keras.initializers.RandomNormal(seed=1000 * seed + 999)
-    features = keras.Input((VARIANTS["paper"],), name="pair_features")
-    ends = keras.Input((2,), dtype="int32", name="landmarks")
-    embedded = layers.Embedding(n_landmarks, _EMBEDDED, initial, name="embedding")(ends)
-    inputs = [features, ends]
-    known = [features, ops.sum(embedded, 1), ops.prod(embedded, 1)]
-    if whole_view:
+    features = keras.Input((N_FEATURES["paper"],), name="pair_features")
+    inputs, known = [features], [features]
+    if variant.identity:
+        ends = keras.Input((2,), dtype="int32", name="landmarks")
+        initial = keras.initializers.RandomNormal(seed=1000 * seed + 999)
+        embedded = layers.Embedding(n_landmarks, _EMBEDDED, initial, name="embedding")(ends)
+        inputs.append(ends)
+        known += [ops.sum(embedded, 1), ops.prod(embedded, 1)]
+    if variant.whole_view:
         view = keras.Input((2 * n_landmarks,), name="view")
         inputs.append(view)
         known.append(dense(dense(view, 2 * _CODE, "view_1"), _CODE, "view_2"))
-    distance = distance_layers(dense, layers.Concatenate(name="known")(known), _UNITS)
-    name = f"dissimilarity_{n_landmarks}" + "_view" * whole_view
-    return keras.Model(inputs, distance, name=name)
+    joined = layers.Concatenate(name="known")(known) if len(known) > 1 else features
+    distance = distance_layers(dense, joined, variant.units)
+    inputs = inputs if len(inputs) > 1 else features
+    return keras.Model(inputs, distance, name=f"dissimilarity_{n_landmarks}")
 
 
 @dataclass
 class PairNet:
-    """Training of such a net, by Adam with a cosine schedule, with shuffled mini-batches.
+    """Training of such a net by Adam."""
 
-    Each has as many pairs as a face. Those of one face would not do: what is the same for a whole
-    face, such as its view, batch normalisation would take away.
-    """
-
-    whole_view: bool
+    variant: Variant
     epochs: int
     steps_per_epoch: int
     seed: int
@@ -66,35 +72,42 @@ class PairNet:
         """Train a net, or go on from a checkpoint.
 
         Args:
-            frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
+            frontal: `(n, L, 2)` what pairs are of.
             views, shapes: `(n, L, 2)` and `(n, L, 3)`, normalised.
             checkpoint: File that is written after every epoch.
             progress: Called after every epoch with its losses.
         """
         (n, n_landmarks), steps, seed = shapes.shape[:2], self.steps_per_epoch, self.seed
-        frontal, shapes = np.float32(normalise(frontal)), np.float32(shapes)
+        frontal, shapes, variant = np.float32(frontal), np.float32(shapes), self.variant
         flat_views, pairs = np.float32(views).reshape(n, -1), _pairs(n_landmarks)
-        recipe = Recipe(self.epochs, steps, "cosine")
-        net = build_pair_net(n_landmarks, whole_view=self.whole_view, seed=seed)
+        recipe = Recipe(self.epochs, steps, variant.schedule)
+        net = build_pair_net(n_landmarks, variant, seed=seed)
         calls = steps_per_call(steps)
         net.compile(recipe.optimizer(steps), "mse", steps_per_execution=calls, jit_compile=True)
 
         def batches(epoch: int) -> tf.data.Dataset:
-            rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
-            faces, drawn = (rng.integers(m, size=(steps, len(pairs))) for m in (n, len(pairs)))
-            ends = pairs[drawn]
-            views, points = (
-                tuple(array[faces, ends[..., end]] for end in (0, 1)) for array in (frontal, shapes)
-            )
+            if variant.shuffled:
+                rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
+                faces, drawn = (rng.integers(m, size=(steps, len(pairs))) for m in (n, len(pairs)))
+            else:
+                faces = face_order(n, steps, seed, epoch)[:, None]
+                drawn = np.tile(np.arange(len(pairs)), (steps, 1))
 
-            def batch(faces, ends, views, points):
+            def batch(faces, drawn):
+                # Gathered only now: all pairs of an epoch would fill the memory.
+                faces, ends = tf.broadcast_to(faces, tf.shape(drawn)), tf.gather(pairs, drawn)
+                places = tf.stack([tf.stack([faces, faces], 1), tf.cast(ends, faces.dtype)], -1)
+                views, points = (
+                    tf.unstack(tf.gather_nd(array, places), axis=1) for array in (frontal, shapes)
+                )
                 features, distances = features_and_distances(views, points, "paper", tnp)
-                # Repeated only now: of an epoch they would fill the memory.
-                whole = (tf.gather(flat_views, faces),) if self.whole_view else ()
-                return (features, ends, *whole), distances
+                known = (ends,) if variant.identity else ()
+                whole = (tf.gather(flat_views, faces),) if variant.whole_view else ()
+                seen = (features, *known, *whole)
+                return (seen if len(seen) > 1 else features), distances
 
-            data = tf.data.Dataset.from_tensor_slices((faces, ends, views, points))
-            return data.map(batch).prefetch(2)
+            data = tf.data.Dataset.from_tensor_slices((faces, drawn))
+            return data.map(batch).prefetch(_AHEAD)
 
         label = {"network": net.name, "seed": seed, "faces": n, **asdict(recipe)}
         train_by_epoch(
@@ -106,18 +119,19 @@ class PairNet:
 def dissimilarities(net: keras.Model, frontal: np.ndarray, views: np.ndarray) -> np.ndarray:
     """Matrices `(n, L, L)` of the distances that a net predicts, with a diagonal of 0.
 
-    Of `build_pair_net`, or of the method; `views` are normalised, `frontal` are here.
+    Of `build_pair_net`, or of the method; pairs are of `frontal`, and `views` are the whole views.
     """
-    frontal, views = np.float32(normalise(frontal)), np.float32(views).reshape(len(views), -1)
+    frontal, views = np.float32(frontal), np.float32(views).reshape(len(views), -1)
     n_landmarks, pairs = frontal.shape[1], _pairs(frontal.shape[1])
     matrices = np.zeros((len(frontal), n_landmarks, n_landmarks), np.float32)
     for start in range(0, len(frontal), _CHUNK):
         part = slice(start, start + _CHUNK)
         features = pair_features(frontal[part])
         n = len(features)
-        inputs = [features.reshape(n * len(pairs), -1), np.tile(pairs, (n, 1))]
-        inputs = [*inputs, np.repeat(views[part], len(pairs), 0)][: len(net.inputs)]
-        distances = net(inputs if len(inputs) > 1 else inputs[0], training=False)
+        flat = features.reshape(n * len(pairs), -1)
+        inputs = [flat, np.tile(pairs, (n, 1)), np.repeat(views[part], len(pairs), 0)]
+        inputs = inputs[: len(net.inputs)]
+        distances = net(inputs if len(inputs) > 1 else flat, training=False)
         matrices[part, pairs[:, 0], pairs[:, 1]] = np.asarray(distances).reshape(n, -1)
     return matrices + np.swapaxes(matrices, 1, 2)
 

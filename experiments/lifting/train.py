@@ -1,4 +1,4 @@
-"""Step: trains one network of `hard`, `anatomy` or `transfer`, by its name, from a checkpoint on.
+"""Step: trains one network of `hard` or `transfer`, by its name, from a checkpoint on.
 
 Of `hard`, lifting sees new faces in every step, and Deep-MDS, which goes over its faces many times,
 as many as in the paper.
@@ -12,27 +12,22 @@ import numpy as np
 
 from data_gen.models.registry import OPEN, load_model, model_files, open_models
 from data_gen.views import sample_photo_views
-from experiments.inputs import load_faces
 from experiments.lifting.views import CONDITIONS, Condition, sample_training, training_views
-from experiments.methods import load
 from experiments.recipes import deep_mds, fit, lifting
 from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
-SEEDS, SEEDED = 3, "hard_1"  # lifting is trained from so many seeds for one condition
+SEEDS, SEEDED = 3, "hard_1"  # the condition for which lifting is trained from so many seeds
 DEEP_MDS, LIFTING = "ours_stable", "lifting"
 TRANSFERRED = (DEEP_MDS, LIFTING)
-PAIR_NETS = ("landmarks_known", "whole_view")
 TRANSFER_SCHEME, BOTH = "ibug51", "both"
 _HARD_RATE = 3e-3
 _MOST_NOISE_MM = 6.0
 
 
 def lifting_networks(run: Run, study: str) -> list[str]:
-    """Names of the networks of `"hard"`, `"anatomy"` or `"transfer"`, the slow ones first."""
-    if study == "anatomy":
-        return [f"{study}-{method}" for method in PAIR_NETS]
+    """Names of the networks of `"hard"` or `"transfer"`, the slow ones first."""
     if study == "transfer":
         return [transfer_name(m, faces) for faces in transfer_models(run) for m in TRANSFERRED]
     files = [hard_file(run, DEEP_MDS, c, run.seed) for c in CONDITIONS if not c.missing]
@@ -51,10 +46,14 @@ def transfer_name(method: str, faces: str) -> str:
     return f"transfer-{method}" + f"-{BOTH}" * (faces == BOTH)
 
 
+def seeds(run: Run) -> range:
+    """Seeds of what is trained from several."""
+    return range(run.seed, run.seed + min(SEEDS, run.preset.n_seeds))
+
+
 def hard_seeds(run: Run, condition: Condition) -> range:
     """Seeds from which lifting is trained for a condition."""
-    n = min(SEEDS, run.preset.n_seeds) if condition.id == SEEDED else 1
-    return range(run.seed, run.seed + n)
+    return seeds(run)[: None if condition.id == SEEDED else 1]
 
 
 def hard_file(run: Run, method: str, condition: Condition, seed: int) -> Path:
@@ -63,8 +62,7 @@ def hard_file(run: Run, method: str, condition: Condition, seed: int) -> Path:
 
 
 def network_file(run: Run, name: str) -> Path:
-    suffix = "keras" if name.startswith("anatomy") else "npz"
-    return run.work / "lifting" / f"{name}.{suffix}"
+    return run.work / "lifting" / f"{name}.npz"
 
 
 def load_network(file: Path):
@@ -81,8 +79,6 @@ def load_network(file: Path):
 def main(run: Run, name: str) -> None:
     models = OPEN if name.endswith(BOTH) else (run.model,)
     inputs = [file for model in models for file in model_files(model, run.data)]
-    if name.startswith("anatomy"):
-        inputs = [run.work / "train.npz", run.network_file("autoencoder-cosine")]
     folder = resumable(run.work / "lifting" / "checkpoints" / name, inputs)
     checkpoint = folder if DEEP_MDS in name else folder / "network.npz"
     network, data, options = _untrained(run, *name.split("-"))
@@ -91,13 +87,6 @@ def main(run: Run, name: str) -> None:
 
 def _untrained(run: Run, study: str, method: str, training: str = "", seed: str = "") -> tuple:
     """A network by the parts of its name, and the arguments and options of its `fit`."""
-    if study == "anatomy":
-        from experiments.lifting.pair_nets import PairNet
-
-        epochs, steps = run.preset.dissimilarity_epochs, run.preset.dissimilarity_steps
-        net = PairNet(method == "whole_view", epochs, steps, run.seed)
-        train = load_faces(run, "train")
-        return net, (load(run, DEEP_MDS).frontalise(train.views), train.views, train.shapes), {}
     if study == "transfer":
         views, shapes, sd = transfer_faces(run, training or run.model)
         if method == DEEP_MDS:

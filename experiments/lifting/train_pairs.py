@@ -1,0 +1,65 @@
+"""Step: trains one network of `anatomy`, of those that `anatomy_trainings` lists.
+
+Nets that see the autoencoder's views see those of the run's: seeds are of what is trained here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import keras
+import numpy as np
+
+from deepmds_keras.alignment import normalise
+from deepmds_keras.networks import forward
+from deepmds_keras.training import Recipe, train_autoencoder
+from experiments.inputs import Faces, load_faces
+from experiments.lifting.pair_nets import PairNet
+from experiments.lifting.train import DEEP_MDS, LIFTING
+from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, anatomy_file
+from experiments.methods import load
+from experiments.recipes import fit, lifting
+from experiments.records import resumable
+from experiments.run import Run
+
+_FROM_THE_SIDE = [2, 1]  # depth and y
+
+
+def main(run: Run, name: str) -> None:
+    method, _, seed = name.partition("-seed")
+    train, preset, seed = load_faces(run, "train"), run.preset, int(seed)
+    inputs = [run.work / "train.npz", *run.networks.glob("autoencoder-*.npz")]
+    folder = resumable(run.work / "anatomy" / name, inputs)
+    checkpoint = folder / "network.npz"
+    if method == SIDE_AUTOENCODER:
+        recipe = Recipe(preset.autoencoder_epochs, schedule="cosine")
+        target = train.shapes[..., _FROM_THE_SIDE]
+        network, _ = train_autoencoder(
+            train.views, target, recipe, seed=seed, checkpoint=checkpoint
+        )
+    elif method == LIFTING:
+        lifter = lifting(run).set_params(seed=seed)
+        network = fit(lifter, train.views, train.shapes, checkpoint=checkpoint)
+    else:
+        variant = VARIANTS[method]
+        net = PairNet(variant, preset.dissimilarity_epochs, preset.dissimilarity_steps, seed)
+        pairs = views_of_pairs(variant, train, autoencoder(run, variant))
+        network = fit(net, pairs, train.views, train.shapes, checkpoint=checkpoint)
+    network.save(anatomy_file(run, method, seed))
+
+
+def autoencoder(run: Run, variant: Variant) -> Callable[[np.ndarray], np.ndarray]:
+    """What computes the views `(n, L, 2)` that pairs of a variant are of, from views."""
+    if variant.frontal != "side":
+        return load(run, "ours" if variant.schedule == "constant" else DEEP_MDS).frontalise
+    file = anatomy_file(run, SIDE_AUTOENCODER, run.seed)
+    network = keras.saving.load_model(file, compile=False)
+    return lambda views: forward(network, views.reshape(len(views), -1)).reshape(views.shape)
+
+
+def views_of_pairs(
+    variant: Variant, faces: Faces, autoencoder: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Views `(n, L, 2)` whose pairs a net sees, by an `autoencoder` or as they truly are."""
+    seen = faces.shapes[..., :2] if variant.frontal == "true" else autoencoder(faces.views)
+    return normalise(seen) if variant.rescaled else seen

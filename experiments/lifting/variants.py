@@ -1,0 +1,67 @@
+"""The dissimilarity nets of `anatomy`, each of which differs from another in one thing.
+
+The module is light to import, since the map of steps reads it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from experiments.lifting.train import LIFTING, seeds
+from experiments.run import Run
+
+SIDE_AUTOENCODER = "side_autoencoder"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A net and its training; the defaults are the paper's, but for the cosine schedule.
+
+    Attributes:
+        schedule: Learning rate of the net and of the autoencoder before it.
+        units: Of a hidden layer.
+        shuffled: Whether a mini-batch is as many pairs of all faces as one face has. With pairs of
+            one face, batch normalisation would take away what is the same for the whole face.
+        identity: Whether the net knows which two landmarks it sees.
+        whole_view: Whether it also sees the whole view, as it was given.
+        frontal: What pairs are of: views of the `"autoencoder"`, `"true"` frontal views, or views
+            from the side (`"side"`) of an autoencoder that was trained to give these.
+        rescaled: Whether views of the autoencoder are normalised again.
+    """
+
+    schedule: str = "cosine"
+    units: int = 20
+    shuffled: bool = False
+    identity: bool = False
+    whole_view: bool = False
+    frontal: str = "autoencoder"
+    rescaled: bool = True
+
+
+_WIDE = Variant(units=64)
+_SHUFFLED = replace(_WIDE, shuffled=True)
+_KNOWN = replace(_SHUFFLED, identity=True)
+VARIANTS = {
+    "constant": Variant(schedule="constant"),
+    "cosine": Variant(),
+    "true_frontal": Variant(frontal="true"),
+    "side": Variant(frontal="side"),
+    "not_rescaled": Variant(rescaled=False),
+    "wide": _WIDE,
+    "shuffled": _SHUFFLED,
+    "landmarks_known": _KNOWN,
+    "whole_view": replace(_KNOWN, whole_view=True),
+}
+
+
+def anatomy_trainings(run: Run) -> list[str]:
+    """Names of what is trained: a method and a seed, the slow ones first."""
+    names = [f"{method}-seed{seed}" for method in (LIFTING, *VARIANTS) for seed in seeds(run)]
+    return [f"{SIDE_AUTOENCODER}-seed{run.seed}", *names]
+
+
+def anatomy_file(run: Run, method: str, seed: int) -> Path:
+    """Trained network."""
+    suffix = "npz" if method == LIFTING else "keras"
+    return run.work / "anatomy" / f"{method}-seed{seed}.{suffix}"
