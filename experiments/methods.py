@@ -100,6 +100,19 @@ _ROWS = (
         colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
+        id="linear_upright", title="Linear, views upright", tracks=_ALL,
+        description="ridge regression on views that are turned upright in their plane first",
+        build=partial(recipes.linear, upright=True), data=recipes.faces,
+        colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
+    ),
+    Method(
+        id="perceptron", title="Dense network", tracks=_ALL,
+        description="a plain network of two hidden layers, of as many parameters as lifting",
+        build=recipes.perceptron, data=recipes.faces,
+        checkpoint=partial(Run.network_file, name="perceptron"),
+        colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
+    ),
+    Method(
         id="linear_detections", title="Linear, trained on detections",
         description="ridge regression trained on a detector's landmarks of other photos",
         drawn=False,
@@ -148,6 +161,11 @@ _ROWS = (
         description="the same fit with the scaled coefficients of the released code",
         build=recipes.aldrian_authors, one_by_one=True,
         colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
+    ),
+    Method(
+        id="aldrian_hindsight", title="Aldrian & Smith, best noise",
+        description="the same fit, given the noise that is best on the test faces: its own misfit",
+        drawn=False,
     ),
     # A layer of this net is too small to be shared between threads; two layers' gradients are not.
     Method(

@@ -29,6 +29,7 @@ LIFTING_NOISE = 0.2
 # Of MobileFace by its schedule. With a cosine 0.002 and 30,000 steps come within 5 % of the error
 # of the 100,000 constant steps at 0.001 that the authors' code makes; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
+_PERCEPTRON_EPOCHS = 20
 _RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
 
 
@@ -95,10 +96,10 @@ def mean_shape(run: Run):
     return MeanShape()
 
 
-def linear(run: Run):
+def linear(run: Run, *, upright: bool = False):
     from deepmds_keras.baselines.closed_form import Linear
 
-    return Linear()
+    return Linear(upright=upright)
 
 
 def aldrian(run: Run):
@@ -212,6 +213,15 @@ def load_lifting(run: Run, model, checkpoint: Path):
     if run.track == "flame":  # views in the test are off by more than good landmarks
         lifter.default_sd_ = LIFTING_NOISE / 2
     return lifter
+
+
+def perceptron(run: Run, n_landmarks: int | None = None):
+    """The plain network, of the run's landmarks by default, trained for as long as lifting."""
+    from deepmds_keras.baselines.perceptron import Perceptron
+
+    steps = -(-run.preset.lifting_steps // _PERCEPTRON_EPOCHS)
+    n_landmarks = n_landmarks or len(load_scheme(run.scheme))
+    return Perceptron(n_landmarks, epochs=_PERCEPTRON_EPOCHS, steps_per_epoch=steps, seed=run.seed)
 
 
 def zhao(run: Run, *, as_authors: bool = False):

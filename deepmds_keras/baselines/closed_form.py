@@ -8,6 +8,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.linear_model import RidgeCV
 
+from deepmds_keras.alignment import align
 from deepmds_keras.camera import affine_cameras
 from deepmds_keras.checks import check_faces, check_fitted, check_points, check_views_and_shapes
 from deepmds_keras.errors import InputError
@@ -54,27 +55,37 @@ class Linear(BaseEstimator):
 
     Args:
         alphas: Penalties to choose from, for views and shapes in the unit of `normalise`.
+        upright: Whether each view is first turned in its plane, shifted and scaled to lie over the
+            mean of the training shapes as seen from the front.
 
     Attributes:
+        front_: `(L, 2)` x and y of that mean.
         ridge_: Fitted `sklearn.linear_model.RidgeCV`; `ridge_.alpha_` is the penalty chosen.
         n_landmarks_: L.
     """
 
     alphas: tuple[float, ...] = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+    upright: bool = False
 
     def fit(self, views: np.ndarray, shapes: np.ndarray) -> Linear:
         """Solve for `(n, L, 2)` views and `(n, L, 3)` shapes; errors as `MeanShape.fit`."""
         views, shapes = check_views_and_shapes(views, shapes)
         n, self.n_landmarks_ = views.shape[:2]
+        self.front_ = shapes.mean(0)[:, :2]
         ridge = RidgeCV(np.asarray(self.alphas))
-        self.ridge_ = ridge.fit(views.reshape(n, -1), shapes.reshape(n, -1))
+        self.ridge_ = ridge.fit(self._flat(views), shapes.reshape(n, -1))
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 3)` shapes of the `(n, L, 2)` views, in the frame and unit of the training."""
         ridge = check_fitted(self, "ridge_")
-        flat = check_faces(views, "views", 2, self.n_landmarks_).reshape(-1, 2 * self.n_landmarks_)
-        return ridge.predict(flat).reshape(len(flat), -1, 3)
+        views = check_faces(views, "views", 2, self.n_landmarks_)
+        return ridge.predict(self._flat(views)).reshape(len(views), -1, 3)
+
+    def _flat(self, views: np.ndarray) -> np.ndarray:
+        if self.upright:
+            views = align(views, np.broadcast_to(self.front_, views.shape), reflection=False)
+        return views.reshape(len(views), -1)
 
     @property
     def n_parameters(self) -> int:

@@ -15,17 +15,19 @@ import numpy as np
 
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.views import project
-from deepmds_keras.alignment import align, normalise
+from deepmds_keras.alignment import align, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Aldrian, Linear
 from deepmds_keras.camera import affine_cameras, orthographic_cameras
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
+from experiments.recipes import perceptron
 from experiments.run import Run
 
 _CHUNK = 500  # faces whose views are filled together
 _SEEN_SD_MM = 0.1  # by which the regression of missing coordinates trusts the others
 _MISFIT_FACES = 1000
 _LEAST_VIEW_NOISE = 3.5e-3  # Aldrian's default
+_HINDSIGHT_SD, _HINDSIGHT_FACES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12), 500  # in radii
 DRAWS = 8  # from the posterior of a face
 _FACES = 20  # at a time, each with a view for every coefficient
 _STEP = 1e-3  # of a coefficient, by which the view is differentiated
@@ -41,7 +43,7 @@ class Contenders:
     """
 
     def __init__(self, run: Run, condition: Condition):
-        self._landmarks = landmark_model(run)
+        self._run, self._landmarks = run, landmark_model(run)
         self._train = training_views(run, condition)
         self._whole = training_views(run, replace(condition, missing=0.0))
         flat = self._whole.views.reshape(len(self._whole), -1)
@@ -54,9 +56,19 @@ class Contenders:
 
     def linear(self, faces: Views) -> np.ndarray:
         """Ridge regression; in training and test alike, missing coordinates are filled in first."""
-        views = normalise(self.fill(self._train.views))
-        ridge = Linear().fit(views, normalise(self._train.shapes))
-        return ridge.predict(normalise(self.fill(faces.views)))
+        return self._regress(Linear(), faces)
+
+    def linear_upright(self, faces: Views) -> np.ndarray:
+        """The same on views that are turned upright."""
+        return self._regress(Linear(upright=True), faces)
+
+    def perceptron(self, faces: Views) -> np.ndarray:
+        """The same by a dense network."""
+        return self._regress(perceptron(self._run), faces)
+
+    def _regress(self, model, faces: Views) -> np.ndarray:
+        model.fit(normalise(self.fill(self._train.views)), normalise(self._train.shapes))
+        return model.predict(normalise(self.fill(faces.views)))
 
     def aldrian(self, faces: Views) -> np.ndarray:
         """Fit by Aldrian and Smith, given the noise; missing coordinates are filled in first."""
@@ -124,6 +136,24 @@ def fit_aldrian(
     noise = np.mean(sd) / np.ptp(views, axis=1).max(1).mean()
     # With less than its default the first, wrong cameras would be fitted too closely.
     return Aldrian(mean, basis, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
+
+
+def fit_aldrian_in_hindsight(
+    mean: np.ndarray, basis: np.ndarray, views: np.ndarray, shapes: np.ndarray
+) -> np.ndarray:
+    """The same fit with the s.d., of several, that is best on some of the true shapes.
+
+    It stands for what neither the noise nor the face model tells: how far faces are from the model.
+    """
+    radius, some = rms_radius(views)[:, None], slice(_HINDSIGHT_FACES)
+    known = np.isfinite(shapes[0, :, 0])  # the face model may lack landmarks
+    truth = normalise(shapes[some, known])
+
+    def error(part: float) -> float:
+        fitted = fit_aldrian(mean, basis, views[some], part * radius[some])[:, known]
+        return mse(align(fitted, truth), truth).mean()
+
+    return fit_aldrian(mean, basis, views, min(_HINDSIGHT_SD, key=error) * radius)
 
 
 def limit(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:

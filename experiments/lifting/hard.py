@@ -24,6 +24,7 @@ from experiments.tasks import unordered
 
 METRICS = ["mse", "times_limit", "within_1_sd", "within_2_sd"]
 _UNIT = 1e-6
+_REGRESSIONS = ("linear", "linear_upright", "perceptron")
 _FITS = ("aldrian", "model_fit")  # take long: tested on `fitted_faces` of the test faces
 _YAW_STEP = 10.0  # degrees
 _ABOUT = (
@@ -34,7 +35,7 @@ _ABOUT = (
 _FILLED = "missing coordinates are put where a regression on those that are seen expects them"
 _TOLD = "told the noise together with what its camera cannot express of the perspective"
 NOTES = {
-    "linear": f"trained for each column; {_FILLED}",
+    **dict.fromkeys(_REGRESSIONS, f"trained for each column; {_FILLED}"),
     "aldrian": f"{_TOLD}; {_FILLED}",
     "model_fit": _TOLD,
     DEEP_MDS: "trained for each column; it has no way to leave a landmark out",
@@ -65,7 +66,7 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
         yaw = np.abs(faces.cameras.yaw[: len(errors)])
         parts.append(rows.assign(condition=condition.id, method=method, seed=seed, yaw=yaw))
 
-    for method in ("mean_shape", "linear", "aldrian", "model_fit"):
+    for method in ("mean_shape", *_REGRESSIONS, *_FITS):
         tested = faces[: run.preset.fitted_faces] if method in _FITS else faces
         add(method, run.seed, _errors(getattr(contenders, method)(tested), tested))
     if not condition.missing:

@@ -28,7 +28,7 @@ from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.metrics import mse
 from experiments.face_models import TITLES
 from experiments.figures.errors import Panel, error_lines
-from experiments.lifting.contenders import fit_aldrian
+from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
 from experiments.lifting.surrey import Surrey
 from experiments.lifting.train import (
     BOTH,
@@ -41,6 +41,7 @@ from experiments.lifting.train import (
 )
 from experiments.methods import title
 from experiments.progress import Bar
+from experiments.recipes import perceptron
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -60,29 +61,41 @@ class Trained:
     Args:
         views, shapes: `(n, L, 2)` and `(n, L, 3)` of the training faces.
         lifter, deep_mds: Trained networks; None leaves Deep-MDS out.
-        components: For the fit by `fit_aldrian`; None leaves it out.
+        perceptron: An untrained one.
     """
 
-    def __init__(self, views, shapes, lifter, deep_mds=None, components=None):
+    def __init__(self, views, shapes, lifter, deep_mds, perceptron):
         faces = normalise(centre(views)), normalise(shapes)
-        self._views = views
-        with single_threaded():  # the regression's last bits depend on the threads
-            self._mean, self._linear = MeanShape().fit(*faces), Linear().fit(*faces)
-        self.lifter, self._deep_mds, self._components = lifter, deep_mds, components
+        self._views, self._components = views, principal_components(shapes)
+        self.lifter, self._deep_mds = lifter, deep_mds
+        self._regressions = {
+            "mean_shape": MeanShape(),
+            "linear": Linear(),
+            "linear_upright": Linear(upright=True),
+            "perceptron": perceptron,
+        }
+        with single_threaded():  # the last bits depend on the threads
+            for model in self._regressions.values():
+                model.fit(*faces)
 
-    def predict(self, views: np.ndarray, sd: float | np.ndarray) -> dict[str, np.ndarray]:
+    def predict(
+        self, views: np.ndarray, sd: float | np.ndarray, truth: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
         """Method to shapes `(n, L, 3)`.
 
         Args:
             views: `(n, L, 2)`, y up; NaN where all faces lack a landmark. There, the methods that
                 cannot leave one out are given what a regression on the others expects.
             sd: Of the errors, of all, or `(n, L)`.
+            truth: `(n, L, 3)`, for the fit that is given the best noise; None leaves it out.
         """
         given, views = views, self._filled(views)
-        shapes = {"mean_shape": self._mean.predict(views)}
-        shapes["linear"] = self._linear.predict(normalise(centre(views)))
-        if self._components is not None:
-            shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
+        seen = normalise(centre(views))
+        shapes = {method: model.predict(seen) for method, model in self._regressions.items()}
+        shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
+        if truth is not None:
+            fitted = fit_aldrian_in_hindsight(*self._components, views, truth)
+            shapes["aldrian_hindsight"] = fitted
         if self._deep_mds is not None:
             shapes["ours_stable"] = self._deep_mds.predict(views, check_orientation=False)
         lifted = self.lifter.predict(given, landmark_sd=sd, check_orientation=False)
@@ -115,7 +128,7 @@ def trained(run: Run, faces: str) -> Trained:
     views, shapes, _ = transfer_faces(run, faces)
     names = (transfer_name(method, faces) for method in ("lifting", "ours_stable"))
     networks = (load_network(network_file(run, name)) for name in names)
-    return Trained(views, shapes, *networks, principal_components(shapes))
+    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
 
 
 def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +167,7 @@ def measure(run: Run, faces: str, tested: str, noise_mm: float) -> pd.DataFrame:
     Of the Surrey model also that of eos, whose model it is.
     """
     views, shapes = tested_faces(run, tested, noise_mm)
-    predicted = trained(run, faces).predict(views, noise_mm)
+    predicted = trained(run, faces).predict(views, noise_mm, shapes)
     if tested == SURREY:
         predicted["eos"] = EosFit(run.sfm).predict(views)
     known = np.isfinite(shapes[0, :, 0])

@@ -20,10 +20,11 @@ from deepmds_keras.metrics import mse
 from deepmds_keras.weights import PRETRAINED
 from experiments.face_models import TITLES
 from experiments.lifting.train import load_network
-from experiments.lifting.transfer import Trained, principal_components
+from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
+from experiments.recipes import perceptron
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -46,7 +47,7 @@ def trained(run: Run, scheme: str) -> Trained:
     names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
     networks = [load_network(weights_file(run, name)) for name in names]
     networks += [None] * (2 - len(networks))
-    return Trained(views, shapes, *networks, principal_components(shapes))
+    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
 
 
 def measure(run: Run) -> Iterator[dict]:
@@ -59,7 +60,8 @@ def measure(run: Run) -> Iterator[dict]:
                 continue
             regression = {} if kind == "exact" else _on_detections(faces)
             for model, (views, sd, truth, found) in faces.items():
-                shapes = trained(run, scheme).predict(views[found], sd[found])
+                given = views[found], sd[found], truth[found]
+                shapes = trained(run, scheme).predict(*given)
                 if kind != "exact":
                     shapes["linear_detections"] = regression[model]
                 if kind == "mediapipe":

@@ -19,11 +19,12 @@ from deepmds_keras.files import read_npz
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.pipeline import DeepMDS
-from experiments.lifting.transfer import Trained, principal_components
+from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import portraits_file, read_portraits
 from experiments.pretrained.pretrained import SCHEMES, errors_of
 from experiments.pretrained.train import LIFTERS, photo_faces
+from experiments.recipes import perceptron
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.streams import Stream
@@ -59,7 +60,7 @@ def _methods(run: Run) -> Trained:
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
     views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
     networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
-    return Trained(views, shapes, *networks, principal_components(shapes))
+    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
+from data_gen.landmarks import load_vertices
 from data_gen.models.ict import KEPT, N_VERTICES
 
 
@@ -13,6 +14,22 @@ def write_mat(folder, arrays):
     file = folder / "01_MorphableModel.mat"
     savemat(file, arrays, do_compression=True)
     return file
+
+
+def write_bfm2009(folder, mean):
+    """A file of the real size, with landmarks at `(72, 3)` millimetres and little variation."""
+    n, vertices = 53490, load_vertices("bfm72").vertices["bfm2009"]
+    points, offsets = np.zeros((2, n, 3), np.float32)
+    points[vertices] = 1000 * mean
+    offsets[vertices] = np.random.default_rng(0).normal(size=(72, 3))
+    arrays = {
+        "shapeMU": points.reshape(-1, 1),
+        "shapePC": offsets.reshape(-1, 1),
+        "shapeEV": np.array([[1500.0]]),
+        "tl": np.array([[1, 2, n]]),
+    }
+    arrays |= {f"tex{key[5:]}": arrays[key] for key in ("shapeMU", "shapePC", "shapeEV")}
+    return write_mat(folder, arrays)
 
 
 def write_h5(folder, arrays, filename="model2017-1_bfm_nomouth.h5"):

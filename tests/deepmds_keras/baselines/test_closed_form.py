@@ -46,6 +46,15 @@ def test_linear_recovers_an_exactly_linear_map(rng):
     assert linear.n_parameters == 10 * 15 + 15 and linear.ridge_.alpha_ < 1e-4
 
 
+def test_upright_regression_does_not_depend_on_place_size_and_roll(model, rng):
+    shapes = model[0] + np.einsum("nk,kld->nld", rng.standard_normal((200, K)), model[1])
+    upright = Linear(upright=True).fit(shapes[..., :2], shapes)
+    roll = Rotation.from_euler("z", 50, degrees=True).as_matrix()[:2, :2]
+    moved = 3 * shapes[..., :2] @ roll + [100, 7]
+    np.testing.assert_allclose(upright.predict(moved), upright.predict(shapes[..., :2]), atol=1e-6)
+    assert np.abs(upright.predict(moved) - shapes).mean() < 1
+
+
 @pytest.mark.parametrize("yaw", [-45, 0, 45])
 def test_aldrian_recovers_the_shapes_of_exact_views(model, shapes, yaw):
     views = turned(shapes, yaw, pitch=10)[..., :2]
