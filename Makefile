@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting witness dag pictures openhead real-faces surface footprint test nightly lint clean
+.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting witness check dag pictures openhead real-faces surface footprint test nightly lint clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -77,8 +77,9 @@ seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (40 min)
 witness: ## the authors' weights on faces about the mean they hold: results/witness/   [AUTHORS=dir]   (50 min)
+check: ## whether results/<model>/bfm/table.csv is as committed, within what seeds allow
 report: ## all results of the model on one page: results/<model>/report/report.md
-reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting witness report: | $(READY)
+reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting witness check report: | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
 
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)

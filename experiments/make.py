@@ -51,6 +51,11 @@ def main(arguments: list[str] | None = None) -> None:
         if drawing:
             draw([*snakemake, "--dag"], Path(drawing))
             return
+        if target == "check":
+            from experiments.scoring.verdict import check
+
+            check(run)
+            return
         words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
         with locked(run.build / run.model):
             tidy(run)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,7 +36,8 @@ class Method:
         after: Method whose training must be complete before this one is trained or, where it has
             no training of its own, predicts by the other's networks.
         switch: Variable of `make` that leaves it out where it is `no`.
-        given: Variable of `make` without which it is left out.
+        authors: Files of the authors' release that it needs, by track; they come with `AUTHORS=`.
+        of_model: Face model without which it is left out.
         onednn: Whether convolutions are oneDNN's: a training step takes three quarters of the time.
         threads: TensorFlow's within an operation and between operations.
         one_by_one: Whether each face is a fit of its own, which processes share.
@@ -66,7 +67,8 @@ class Method:
     restore: Callable[[Run, object, Path], object] | None = None
     after: str | None = None
     switch: str | None = None
-    given: str | None = None
+    authors: Mapping[str, tuple[str, ...]] | None = None
+    of_model: str | None = None
     onednn: bool = False
     threads: tuple[int, int] | None = None
     one_by_one: bool = False
@@ -92,6 +94,8 @@ class Method:
     @property
     def absent(self) -> str:
         """Note of the table where it was not run."""
-        if self.given:
-            return f"their weight files were not given ({self.given}=folder)"
+        if self.authors and self.of_model:
+            return f"needs their weight files (AUTHORS=folder) and MODEL={self.of_model}"
+        if self.authors:
+            return "their weight files were not given (AUTHORS=folder)"
         return f"left out ({self.switch}=no), or not run yet" if self.switch else ""

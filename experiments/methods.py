@@ -9,6 +9,7 @@ import inspect
 from collections.abc import Mapping
 from functools import partial
 from operator import attrgetter
+from pathlib import Path
 
 import numpy as np
 
@@ -17,11 +18,16 @@ from deepmds_keras.errors import InputError
 from experiments import recipes
 from experiments.inputs import Faces, load_landmark_model
 from experiments.method import Method
-from experiments.run import Run
+from experiments.run import AUTHORS_FILES, Run
 
 _ALL = ("bfm", "flame", "celeba")
+OWN_CONSTANT = "own_constant"
 # Starts from an eigenvalue problem and then sorts all pairs in each of t steps.
 _EMBEDDING = "O(n^3 + t n^2 log n)"
+
+
+def _on_bfm(file: str) -> dict[str, tuple[str]]:
+    return dict.fromkeys(("bfm", "celeba"), (file,))
 
 
 def _deep_mds(variant: str, schedule: str, **row) -> Method:
@@ -88,10 +94,16 @@ def _model_fit_note(run: Run, detected: np.ndarray) -> str:
 # The rows stand in the order of the tables.
 _ROWS = (
     Method(
-        id="mean_shape", title="Mean shape", paper="mean_shape", tracks=_ALL,
-        description="the mean of the training shapes, whatever the view (the paper's trivial case)",
+        id="mean_shape", title="Mean shape", tracks=_ALL,
+        description="the mean of the training shapes, whatever the view",
         build=recipes.mean_shape, data=recipes.faces, over_seeds=True,
         colour="#8C6D31", marker="s", mapped=_ALL, complexity="O(n)",
+    ),
+    Method(
+        id=OWN_CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
+        description="no method: what Deep-MDS makes of another face's view (the paper's trivial "
+        "case, that the method only outputs one specific solution)",
+        colour="#BFA6A0", marker="_", drawn=False,
     ),
     Method(
         id="linear", title="Linear", tracks=_ALL,
@@ -139,6 +151,12 @@ _ROWS = (
         colour="#56B4E9", marker="v", drawn=False, complexity="O(n^2)",
     ),
     Method(
+        id="zhao_weights", title="Zhao et al., authors' weights", tracks=("bfm", "celeba"),
+        description="Zhao's net with the authors' own weights, nothing trained here",
+        build=recipes.zhao_weights, authors=_on_bfm(recipes.ZHAO_FILE),
+        colour="#8FB9DD", marker="<", drawn=False, complexity="O(n^2)",
+    ),
+    Method(
         id="zhao_frontal", title="Zhao et al., authors' protocol", tracks=("bfm",),
         description="the same net tested on frontal orthographic views, as the authors did",
         inputs="frontal views", build=partial(recipes.zhao, as_authors=True),
@@ -146,18 +164,24 @@ _ROWS = (
         colour="#1F3A93", marker="d", drawn=False, complexity="O(n^2)",
     ),
     Method(
+        id="zhao_evaluator", title="Zhao et al., authors' protocol and evaluator",
+        description="the same predictions as the released evaluator scores them",
+        drawn=False,
+    ),
+    Method(
         id="zhao_true_depth", title="True depth in place of Zhao et al.",
         description="no method: what the released evaluator gives to a net that makes no error",
         drawn=False,
     ),
     Method(
-        id="aldrian", title="Aldrian & Smith", paper="aldrian", tracks=("bfm", "celeba"),
+        id="aldrian", title="Aldrian & Smith", tracks=("bfm", "celeba"),
         description="fit of the face model to the view; nothing is trained, the model is given",
         build=recipes.aldrian, one_by_one=True,
         colour="#009E73", marker="*", complexity="O(t (n k^2 + k^3))",
     ),
     Method(
-        id="aldrian_authors", title="Aldrian & Smith, authors' fit", tracks=("bfm", "celeba"),
+        id="aldrian_authors", title="Aldrian & Smith, authors' fit", paper="aldrian",
+        tracks=("bfm", "celeba"),
         description="the same fit with the scaled coefficients of the released code",
         build=recipes.aldrian_authors, one_by_one=True,
         colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
@@ -176,6 +200,13 @@ _ROWS = (
         switch="MOBILEFACE", onednn=True, threads=(1, 2),
         note=_mobileface_note, colour="#7B1FA2", marker="<", mapped=("celeba",),
         complexity="O(n k)",
+    ),
+    Method(
+        id="mobileface_weights", title="MobileFace, authors' weights", tracks=("bfm", "celeba"),
+        description="MobileFace with the authors' own weights, nothing trained here",
+        inputs="images", build=recipes.mobileface_weights, of_model="bfm2009",
+        authors=_on_bfm(recipes.MOBILEFACE_FILE), switch="MOBILEFACE", onednn=True,
+        colour="#B79BD0", marker="1", drawn=False, complexity="O(n k)",
     ),
     Method(
         id="true_landmarks", title="True landmarks",
@@ -239,7 +270,7 @@ _ROWS = (
         id="authors_weights", title="Deep-MDS, authors' weights", tracks=_ALL,
         description="the released networks with the authors' own weights, nothing trained here",
         build=recipes.authors_weights, deep_mds=("released", None),
-        networks=partial(recipes.deep_mds_networks, "released"), given="AUTHORS",
+        networks=partial(recipes.deep_mds_networks, "released"), authors=AUTHORS_FILES,
         colour="#CC79A7", marker="X", complexity=_EMBEDDING,
     ),
     Method(
@@ -252,7 +283,7 @@ _ROWS = (
         complexity="O(n)",
     ),
     Method(
-        id="limit", title="Limit",
+        id="limit", title="Approximate lower bound",
         description="no method: what noise and a single view leave open to one that knows the face "
         "model and the camera",
         colour="#777777", drawn=False,
@@ -283,14 +314,29 @@ def title(method_id: str) -> str:
     return method_of(method_id).title
 
 
-def methods_of(track: str, *, authors: bool = False) -> list[Method]:
+def rows_of_paper(beside: Mapping[str, str] = {}) -> dict[str, str]:
+    """Method of the paper to the row that its numbers stand beside: `Method.paper`, or `beside`."""
+    rows = {method.paper: method.id for method in METHODS.values() if method.paper}
+    return rows | dict(beside)
+
+
+def methods_of(
+    track: str, *, authors: str | Path | None = None, model: str | None = None
+) -> list[Method]:
     """Methods that predict on a track, in the order of the tables.
 
     Args:
         track: `"bfm"`, `"flame"` or `"celeba"`.
-        authors: Whether the authors' released weights were given.
+        authors: Folder of the authors' released weights, if it was given.
+        model: Face model, without which methods of one alone are left out.
     """
-    return [m for m in METHODS.values() if track in m.tracks and (authors or not m.given)]
+
+    def is_given(method: Method) -> bool:
+        files = method.authors[track] if method.authors else ()
+        return not files or (authors and all(Path(authors, file).is_file() for file in files))
+
+    methods = (m for m in METHODS.values() if track in m.tracks and m.of_model in (None, model))
+    return [method for method in methods if is_given(method)]
 
 
 def train(run: Run, method_id: str):
@@ -343,6 +389,14 @@ def predict(model, inputs, **options) -> np.ndarray:
     if "check_orientation" in inspect.signature(model.predict).parameters:
         options.setdefault("check_orientation", False)
     return model.predict(inputs, **options)
+
+
+def constant_answers(shapes: np.ndarray) -> np.ndarray:
+    """For each face the prediction for another: on average the error of one answer to all views.
+
+    Half of the faces lie between the two, so that they are of different people.
+    """
+    return np.roll(shapes, len(shapes) // 2, axis=0)
 
 
 def views_for(method: Method, test: Faces) -> np.ndarray:

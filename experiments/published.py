@@ -44,6 +44,16 @@ def published(experiment: str) -> pd.DataFrame:
     return pd.concat([rows[["method", "metric"]], numbers, notes], axis=1)
 
 
+def paper_table(experiment: str) -> pd.DataFrame:
+    """Cells of the paper's own table: `table, row, column, method, metric, printed`.
+
+    Raises:
+        InputError: Unknown experiment.
+    """
+    rows = _rows(experiment)
+    return rows[rows["table"].str.startswith("tab:") & rows["method"].ne("")]
+
+
 def printed(experiment: str, metric: str) -> dict[str, str]:
     """Cells of a metric as the paper prints them, by method; for what is no number.
 

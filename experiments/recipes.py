@@ -30,6 +30,7 @@ LIFTING_NOISE = 0.2
 # of the 100,000 constant steps at 0.001 that the authors' code makes; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
 _PERCEPTRON_EPOCHS = 20
+ZHAO_FILE, MOBILEFACE_FILE = "deep_PAMI_occ_5000.h5", "deep_mobileface_occ.h5"  # of the authors
 _RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
 
 
@@ -237,6 +238,17 @@ def zhao(run: Run, *, as_authors: bool = False):
     )
 
 
+def zhao_weights(run: Run):
+    """Zhao's net with the authors' weights."""
+    from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+    from deepmds_keras.weights import read_keras2_weights
+
+    model = Zhao(len(load_scheme(run.scheme)))
+    model.network_ = build_zhao_net(model.n_landmarks)
+    read_keras2_weights(model.network_, Path(run.authors, ZHAO_FILE))
+    return model
+
+
 # Networks that see images
 
 
@@ -262,6 +274,18 @@ def mobileface(run: Run):
         steps_per_epoch=run.preset.mobileface_steps,
         seed=run.seed,
     )
+
+
+def mobileface_weights(run: Run):
+    """MobileFace with the authors' weights, which find coefficients of the Basel model of 2009."""
+    from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
+    from deepmds_keras.weights import read_keras2_weights
+
+    mean, basis = load_landmark_model(run)
+    model = MobileFace(mean, basis, None)
+    model.network_ = build_mobileface_net(len(basis))
+    read_keras2_weights(model.network_, Path(run.authors, MOBILEFACE_FILE))
+    return model
 
 
 def mobileface_data(run: Run) -> tuple:

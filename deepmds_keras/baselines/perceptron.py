@@ -23,8 +23,7 @@ class Perceptron(NetworkMethod):
     """Two hidden layers with ReLU, from a view that is centred and scaled to all coordinates.
 
     With 60 units and 72 landmarks it has 25,536 parameters, about as many as the lifting network.
-    It is trained as long: by Adam with a cosine schedule, in mini-batches of 128 faces. Of rates from
-    0.002 to 0.005 the last had the least error.
+    It is trained for as many steps: by Adam with a cosine schedule, in mini-batches of 128 faces.
 
     Args:
         n_landmarks: L.

@@ -36,8 +36,7 @@ _MOST_NOISE = 5  # percent of the interocular distance
 
 def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     """By claim and name, each number that bears on it; NaN where the tables lack it."""
-    ours, mean_shape = t.seeds("ours"), t.seeds("mean_shape")
-    own_output = t.measured("constants", "mse", answer="own_output")
+    ours, mean_shape, own_constant = map(t.seeds, ("ours", "mean_shape", "own_constant"))
     constant = t.measured("constants", "mse", answer="frontal_view").value
     frontal = "autoencoder_mse_inference"
     pairs = dict.fromkeys(("method_a", "method_b"), ["ours", *_COMPARED])
@@ -55,12 +54,12 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "seeds_below_aldrian_authors": share_below(ours, t.error("aldrian_authors")),
         },
         "trivial-case": {
-            "ours_over_own_constant": over_seeds(ours / own_output.value),
-            "seeds_below_own_constant": share_below(ours, own_output.value),
+            "ours_over_own_constant": over_seeds(ours / own_constant),
+            "seeds_below_own_constant": share_below(ours, own_constant),
             "ours_over_mean_shape": over_seeds(ours / mean_shape),
             "seeds_below_mean_shape": share_below(ours, mean_shape),
             "ours_mse": over_seeds(ours),
-            "own_constant_mse": own_output,
+            "own_constant_mse": over_seeds(own_constant),
             "mean_shape_mse": over_seeds(mean_shape),
         },
         "unbiased": {

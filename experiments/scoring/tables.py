@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.errors import InputError
-from experiments.methods import METHODS, title
+from experiments.methods import METHODS, rows_of_paper, title
 from experiments.metrics import METRICS, metrics_of
 from experiments.published import published
 from experiments.records import write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.typesetting import latex, text
+from experiments.scoring.verdict import verdict
 
 _KEYS = ["method", "metric"]
 _PAPER = ["paper_mean", "paper_std"]
@@ -60,8 +61,8 @@ def summarise(
     measured = metrics.groupby(_KEYS)["value"].agg(mean="mean", std="std", n_subsets="count")
     # Of what is measured once, such as a time, the subset is empty.
     measured["n_subsets"] = metrics.groupby(_KEYS)["subset"].count()
-    ids = {method.paper: method.id for method in METHODS.values() if method.paper} | dict(beside)
-    quoted = quoted.assign(method=quoted["method"].map(ids)).set_index(_KEYS)
+    rows = rows_of_paper(beside)
+    quoted = quoted.assign(method=quoted["method"].map(rows)).set_index(_KEYS)
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
         title(method)  # refuses an unknown one
@@ -106,16 +107,20 @@ def write_tables(
     )
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
-    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face))
+    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds))
     return table
 
 
 def wilcoxon_tests(
-    metrics: pd.DataFrame, per_face: Mapping[str, Mapping[str, np.ndarray]]
+    metrics: pd.DataFrame,
+    per_face: Mapping[str, Mapping[str, np.ndarray]],
+    seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
-    """Wilcoxon tests over the subsets, the paper's way, and over all faces.
+    """Wilcoxon tests over trainings from several seeds, over subsets, and over all faces.
 
-    Subsets of one test set differ only by resampling, so the first says little of the methods.
+    Only the first tell methods apart: pairs are of one seed, and `p_holm` is corrected for the
+    number of pairs of methods. Subsets, the paper's way, differ by resampling alone, and both they
+    and the faces are of one training.
     """
     from deepmds_keras.metrics import wilcoxon_table  # scipy.stats takes a while to import
 
@@ -125,12 +130,26 @@ def wilcoxon_tests(
         subsets = rows.pivot(index="subset", columns="method", values="value")
         methods = [method for method in METHODS if method in subsets]
         samples.append(("subsets", metric, {m: subsets[m].to_numpy() for m in methods}))
+        if seeds is not None:
+            rows = seeds[seeds["metric"] == metric]
+            trained = rows.pivot(index="seed", columns="method", values="value")
+            names = [method for method in METHODS if method in trained]
+            samples.append(("seeds", metric, {m: trained[m].to_numpy() for m in names}))
     samples += [("faces", metric, dict(values)) for metric, values in per_face.items()]
     tests = []
     for over, metric, values in samples:
         names = pd.DataFrame({"over": [over], "metric": [metric]})
-        tests.append(names.merge(wilcoxon_table(values), how="cross"))
+        table = wilcoxon_table(values)
+        table["p_holm"] = holm_adjusted(table["p_value"]) if over == "seeds" else np.nan
+        tests.append(names.merge(table, how="cross"))
     return pd.concat([test for test in tests if len(test)] or tests[:1], ignore_index=True)
+
+
+def holm_adjusted(p_values: np.ndarray) -> np.ndarray:
+    """p-values `(n,)` corrected for their number, after Holm 1979 (jstor.org/stable/4615733)."""
+    order, n = np.argsort(p_values), len(p_values)
+    steps = (n - np.arange(n)) * np.asarray(p_values)[order]
+    return np.maximum.accumulate(steps).clip(max=1)[np.argsort(order)]
 
 
 def print_tables(run: Run) -> None:
@@ -153,6 +172,7 @@ def print_tables(run: Run) -> None:
         raise InputError(f"{path} must be there. Run make reproduce-{run.track}.")
     for folder in written:
         print(f"Tables, figures and manifest: {folder}/")
+    print(*verdict(run), sep="\n")
 
 
 def _over_seeds(seeds: pd.DataFrame) -> pd.DataFrame:

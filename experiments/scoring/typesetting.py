@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
 from deepmds_keras.landmarks import load_scheme
-from experiments.methods import title
-from experiments.metrics import Metric, metrics_of
-from experiments.published import unit_of
+from experiments.methods import rows_of_paper, title
+from experiments.metrics import METRICS, Metric, metrics_of
+from experiments.published import paper_table, unit_of
 from experiments.run import SCHEMES
-from experiments.scoring.latex import tabular
+from experiments.scoring.latex import tabular, tex
 from experiments.scoring.numbers import NOTHING, as_quoted, between, plus_minus, power, rounded
 
 _WIDTH = 96  # characters of a line of the terminal
@@ -50,6 +51,32 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
     shown = cells(table, experiment, "latex").reset_index(col_level=1)
     columns = "l" + "r" * (shown.shape[1] - 1)
     return tabular(shown, columns, remarks(table, experiment, "latex"))
+
+
+def paper_layout(
+    table: pd.DataFrame, experiment: str, faces: str, beside: Mapping[str, str] = {}
+) -> str:
+    r"""The paper's own table as a LaTeX `table`: in each cell its number and, after /, ours.
+
+    Args:
+        table, experiment: As for `text`.
+        faces: Of what the numbers here are.
+        beside: As for `tables.summarise`.
+    """
+    shown, rows = cells(table, experiment, "latex"), rows_of_paper(beside)
+    quoted = paper_table(experiment)
+    ours = [
+        shown.loc[title(rows[cell.method]), (head_of(METRICS[cell.metric], experiment), "here")]
+        for cell in quoted.itertuples()
+    ]
+    texts = quoted.assign(text=quoted["printed"] + " / " + ours)
+    layout = texts.pivot_table("text", "row", "column", "first", sort=False)
+    layout = layout.rename_axis(index="Paper / here", columns=None).reset_index()
+    (label,) = quoted["table"].unique()
+    caption = tex(f"The paper's table; after each slash the number of this run, on {faces}.")
+    body = tabular(layout, "l" + "c" * (layout.shape[1] - 1))
+    lines = (r"\begin{table}", r"\centering", body.rstrip(), rf"\caption{{{caption}}}")
+    return "\n".join([*lines, rf"\label{{{label}}}", r"\end{table}", ""])
 
 
 def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmds_keras.networks import forward
 from experiments.inputs import Faces, load_faces
-from experiments.methods import DEEP_MDS, load
+from experiments.methods import DEEP_MDS, OWN_CONSTANT, constant_answers, load
 from experiments.metrics import METRICS
 from experiments.run import Run
 from experiments.scoring.scores import load_prediction, score
@@ -22,8 +22,10 @@ def main(run: Run) -> dict:
     """Return rows of `method, metric, value` for the record."""
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
-    for method in ("mean_shape", *DEEP_MDS):
-        scores = score(load_prediction(run, method)[0]["shapes"], test)
+    shapes = {m: load_prediction(run, m)[0]["shapes"] for m in ("mean_shape", *DEEP_MDS)}
+    shapes[OWN_CONSTANT] = constant_answers(shapes["ours"])
+    for method, predicted in shapes.items():
+        scores = score(predicted, test)
         values = {metric: METRICS[metric].per_face(scores).mean() for metric in _SCORES}
         if method in DEEP_MDS:
             values |= autoencoder_errors(run, train, method)

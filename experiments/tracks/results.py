@@ -15,13 +15,14 @@ from data_gen.photographs import crop
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import checkpoint_files
+from experiments.face_models import TITLES
 from experiments.figures import style
 from experiments.figures.errors import error_per_landmark
 from experiments.figures.qualitative import qualitative, renders
 from experiments.figures.summary import summary
 from experiments.inputs import Faces, image_files, load_faces
-from experiments.methods import DEEP_MDS, METHODS, notes
-from experiments.records import clear_results, write_csv
+from experiments.methods import DEEP_MDS, METHODS, OWN_CONSTANT, constant_answers, notes
+from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.scores import (
     Scores,
@@ -32,6 +33,7 @@ from experiments.scoring.scores import (
     per_face,
 )
 from experiments.scoring.tables import write_tables
+from experiments.scoring.typesetting import paper_layout
 
 # Of photos in a picture: pixels of a side, and the side in sizes of the landmarks' box.
 _PHOTO, _MARGIN = 112, 1.4
@@ -102,6 +104,8 @@ class Evaluation:
         write_csv(self.folder / "metrics.csv", self.metrics)
         values = per_face(self.scores)
         table = write_tables(self.folder, self.metrics, per_face=values, **self.table_options)
+        layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.beside)
+        write_text(self.folder / "table_paper.tex", layout)
         self.save(summary(table, self.run.track), "summary")
 
     def save(self, figure: Figure, name: str) -> None:
@@ -164,6 +168,8 @@ def predicted_shapes(
     order = sorted(methods, key=lambda method: METHODS[method].switch or "")
     loaded = load_predictions(run, order)
     shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
+    if "ours" in shapes:
+        shapes[OWN_CONSTANT] = constant_answers(shapes["ours"])
     return shapes, {method: described for method, (_, described) in loaded.items()}
 
 

@@ -131,11 +131,12 @@ def test_released_protocol():
     rest = drawn[~through_viewmtx]
     assert abs((rest.yaw != 0).mean() - 2 / 7) < 0.02  # two of three yaws in 30 of 70 %
     assert not rest.pitch.any() and not rest.roll.any() and not drawn.field_of_view.any()
-    # Where the viewer stands, in the frame of the face, as `viewmtx` takes it: about z, then down.
+    # Where the viewer stands, in the frame of the face: about z from its forehead, then down.
     x, y, z = rotations(drawn[through_viewmtx])[:, 2].T
-    azimuth, elevation = np.rad2deg([np.arctan2(x, -y), np.arcsin(np.minimum(z, 1))])
+    azimuth, elevation = np.rad2deg([np.arctan2(x, y), np.arcsin(np.minimum(z, 1))])
     spread(azimuth, -45, 45)
     spread(elevation, 60, 90)
+    assert (drawn.pitch[through_viewmtx] <= 1e-9).all(), "faces look down"
     assert abs(np.corrcoef(azimuth, elevation)[0, 1]) < 0.05
 
 

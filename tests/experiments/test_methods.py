@@ -9,11 +9,12 @@ import pandas as pd
 import pytest
 
 from deepmds_keras import InputError
+from experiments import recipes
 from experiments.inputs import load_faces
 from experiments.method import Method
 from experiments.methods import DEEP_MDS, METHODS, load, methods_of, predict
 from experiments.presets import TINY
-from experiments.run import Run
+from experiments.run import AUTHORS_FILES, Run
 from experiments.tracks import bfm
 from experiments.tracks import predict as predict_step
 
@@ -71,7 +72,7 @@ def test_loading_never_trains(folder):
     files = [path for path in run.work.rglob("*.npz") if path.parent.name != "predictions"]
     before = {path: path.stat().st_mtime_ns for path in files}
     trained = [method.id for method in methods_of("bfm") if method.trained]
-    assert len(trained) == 8
+    assert len(trained) == 9
     for method in trained:
         load(run, method)
     assert {path: path.stat().st_mtime_ns for path in files} == before
@@ -102,10 +103,16 @@ def test_methods_that_share_a_network_are_trained_one_after_the_other():
         assert all(METHODS[method].after == first for method in others)
 
 
-def test_a_method_is_run_where_its_row_says():
+def test_a_method_is_run_where_its_row_says(tmp_path):
     ids = {track: [m.id for m in methods_of(track)] for track in ("bfm", "flame")}
     assert "aldrian" in ids["bfm"] and "aldrian" not in ids["flame"]
-    assert {m.id for m in methods_of("bfm", authors=True)} - {*ids["bfm"]} == {"authors_weights"}
+    for name in (*AUTHORS_FILES["bfm"], recipes.ZHAO_FILE):
+        (tmp_path / name).touch()
+    given = {m.id for m in methods_of("bfm", authors=tmp_path)} - {*ids["bfm"]}
+    assert given == {"authors_weights", "zhao_weights"}
+    (tmp_path / recipes.MOBILEFACE_FILE).touch()
+    given = {m.id for m in methods_of("bfm", authors=tmp_path, model="bfm2009")}
+    assert "mobileface_weights" in given
     assert all(method.build for method in METHODS.values() if method.tracks)
 
 

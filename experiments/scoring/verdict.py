@@ -1,0 +1,110 @@
+"""What a reader of the main table wants to know first, and whether it is the committed one."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from deepmds_keras.errors import InputError
+from experiments.methods import OWN_CONSTANT
+from experiments.published import unit_of
+from experiments.run import Run
+from experiments.scoring.numbers import as_quoted, between, plus_minus, power
+
+# Part of an error by which that of another processor may differ: over ten seeds those of Deep-MDS
+# with a cosine schedule, which differ less than at a constant rate, have about that range.
+_TOLERANCE = 0.15
+
+
+def verdict(run: Run) -> list[str]:
+    """Lines on the paper's method: its error, the paper's, and those of constant answers."""
+    rows, unit = _errors(_fresh(run)), unit_of(run.track, "mse")
+    ours, constant, mean = (
+        _cell(rows, method, unit) for method in ("ours", OWN_CONSTANT, "mean_shape")
+    )
+    paper = as_quoted(*rows.loc["ours", ["paper_mean", "paper_std"]], unit)
+    lines = [
+        f"MSE in {power(unit)}: Deep-MDS {ours} (paper {paper}); one output of its own for all "
+        f"views {constant}; the mean shape {mean}."
+    ]
+    if run.preset.caution:
+        return [*lines, f"Not compared with the committed run: {run.preset.caution}."]
+    off = differences(run)
+    if off is None:
+        return [*lines, "There is no committed run to compare with."]
+    agrees = "agrees with" if off.empty else f"differs in {len(off)} rows from"
+    return [*lines, f"This run {agrees} the committed one; make check says by how much."]
+
+
+def differences(run: Run) -> pd.DataFrame | None:
+    """Rows of the table whose error is not the committed one; None where none is committed.
+
+    Returns:
+        `here, low, high` by method: the error, and what the committed run allows, the range of its
+        seeds or, of one training, its error, widened by `_TOLERANCE`.
+    """
+    committed = _committed(run)
+    if committed is None:
+        return None
+    here, there = _errors(_fresh(run)), _errors(committed)
+    ends = there.reindex(columns=["lowest", "highest"])
+    allowed = pd.DataFrame(
+        {
+            "here": here["mean"],
+            "low": (1 - _TOLERANCE) * ends["lowest"].fillna(there["mean"]),
+            "high": (1 + _TOLERANCE) * ends["highest"].fillna(there["mean"]),
+        }
+    ).dropna()
+    return allowed[~allowed["here"].between(allowed["low"], allowed["high"])]
+
+
+def check(run: Run) -> None:
+    """Say whether the table of a run is the committed one; end with status 1 if it is not.
+
+    Raises:
+        InputError: One of the two is not there.
+    """
+    off = differences(run)
+    if off is None:
+        raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")
+    if len(off):
+        print(off.to_string(float_format="{:.3g}".format))
+        raise SystemExit(1)
+    print(f"{_table(run)} agrees with the committed run.")
+
+
+def _cell(rows: pd.DataFrame, method: str, unit: float) -> str:
+    if method not in rows.index:
+        return "not run"
+    row = rows.loc[method].reindex(["mean", "std", "median", "lowest", "highest"])
+    if np.isnan(row["median"]):
+        return plus_minus(row["mean"], row["std"], unit)
+    return between(row["median"], row["lowest"], row["highest"], unit)
+
+
+def _table(run: Run) -> Path:
+    return run.experiment_results(run.evaluation) / "table.csv"
+
+
+def _fresh(run: Run) -> pd.DataFrame:
+    if not _table(run).is_file():
+        raise InputError(f"{_table(run)} must be there. Run make reproduce-{run.track}.")
+    return pd.read_csv(_table(run))
+
+
+def _committed(run: Run) -> pd.DataFrame | None:
+    path = _table(run)
+    words = ["git", "show", f"HEAD:./{path.name}"]
+    try:
+        shown = subprocess.run(words, cwd=path.parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return pd.read_csv(io.StringIO(shown.stdout))
+
+
+def _errors(table: pd.DataFrame) -> pd.DataFrame:
+    return table[table["metric"] == "mse"].set_index("method")
