@@ -9,7 +9,7 @@ PYTHON ?= python3
 VENV ?= .venv
 MODEL ?= openhead
 DATA ?=
-PRESET ?= paper
+PRESET ?= full
 SEED ?= 0
 SEEDS ?=
 PROTOCOL ?= paper
@@ -39,7 +39,7 @@ READY := $(VENV)/.ready
 VALUES := $(foreach name,$(VARIABLES),'$(name)=$(subst ','\'',$($(name)))')
 
 help: ## what there is (this text)
-	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=paper|smoke]'
+	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=full|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '            [DRY=1: say what would be done] [SNAKEMAKE=options, such as those of a cluster]'
 	@echo '     dag: [TARGET=reproduce-bfm]   stream: [FACES=1000000]   seeds: [SEEDS=10]'

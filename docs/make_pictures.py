@@ -205,10 +205,15 @@ def method_picture() -> Figure:
     heads = ("any view", "frontal view", "distances in 3D", "shape", "from the side")
     for axes, head_line in zip(panels, heads, strict=True):
         axes.set_title(head_line)
-    steps = ("autoencoder", "dissimilarity\nnet", "non-metric\nMDS")
-    for axes, step in zip(panels[:3], steps, strict=True):
+    steps = {
+        "autoencoder": "144-64-32-16\n-16-32-64-144",
+        "dissimilarity\nnet": "each pair:\n6-20-20-20\n-20-20-1",
+        "non-metric\nMDS": "",
+    }
+    for axes, (step, widths) in zip(panels[:3], steps.items(), strict=True):
         x = axes.get_position().x1 + _GAP / 2
         figure.text(x, 0.46, step, ha="center", va="bottom", fontsize=6)
+        figure.text(x, 0.33, widths, ha="center", va="top", fontsize=4.5, color=INK)
         figure.text(x, 0.4, "⟶", ha="center", va="center", fontsize=13, color=INK)
     return figure
 

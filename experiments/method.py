@@ -46,7 +46,7 @@ class Method:
             found each test face.
         colour, marker: Its look, the same in every figure.
         drawn: Whether the figures show it; otherwise only the tables.
-        pictured: Whether it is drawn beside whole faces; some look there as their neighbour.
+        pictured: Whether it is in the figure of whole faces; others are in a second one.
         gallery: Whether it is in the figure of photos with FLAME's landmarks.
         mapped: Experiments that draw its error by landmark as a whole face.
         complexity: Time of a prediction in the number of landmarks n, derived from the algorithm;

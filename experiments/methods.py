@@ -96,7 +96,7 @@ _ROWS = (
     Method(
         id="mean_shape", title="Mean shape", tracks=_ALL,
         description="the mean of the training shapes, whatever the view",
-        build=recipes.mean_shape, data=recipes.faces, over_seeds=True,
+        build=recipes.mean_shape, data=recipes.faces, over_seeds=True, pictured=False,
         colour="#8C6D31", marker="s", mapped=_ALL, complexity="O(n)",
     ),
     Method(
@@ -108,7 +108,7 @@ _ROWS = (
     Method(
         id="linear", title="Linear", tracks=_ALL,
         description="ridge regression from the view to the shape, on the same views",
-        build=recipes.linear, data=recipes.faces,
+        build=recipes.linear, data=recipes.faces, pictured=False,
         colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
@@ -224,7 +224,7 @@ _ROWS = (
         id="model_fit", title="Model fit",
         description="the fit of the face model to a photo; the truth found on scans starts from "
         "it, and on photos it is the truth",
-        note=_model_fit_note, colour="#6A7B00", marker="P",
+        note=_model_fit_note, colour="#6A7B00", marker="P", pictured=False,
     ),
     Method(
         id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
@@ -238,7 +238,7 @@ _ROWS = (
         id="mediapipe", title="MediaPipe", paper="mediapipe", tracks=("flame",),
         description="pretrained face mesh of an image, by the authors' list of points",
         inputs="photos", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
-        note=_mediapipe_note, colour="#00727A", marker="H", complexity="O(1)",
+        note=_mediapipe_note, colour="#00727A", marker="H", pictured=False, complexity="O(1)",
     ),
     Method(
         id="mediapipe_corrected", title="MediaPipe, corrected list", tracks=("flame",),
@@ -264,7 +264,7 @@ _ROWS = (
         "paper", "cosine",
         id="ours_stable", title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
-        colour="#8C1C13", marker="p", gallery=True, mapped=("bfm",),
+        colour="#8C1C13", marker="p", gallery=True, pictured=False, mapped=("bfm",),
     ),
     Method(
         id="authors_weights", title="Deep-MDS, authors' weights", tracks=_ALL,

@@ -1,4 +1,4 @@
-"""Sizes at which every experiment runs: the paper's, a small one to see that it works, a tiny one.
+"""Sizes at which every experiment runs: full ones, a small one to see that it works, a tiny one.
 
 Steps are tested at the last.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Sizes of the experiments; the defaults are those of the preset `paper`.
+    """Sizes of the experiments; the defaults are those of the preset `full`.
 
     Attributes:
         train_faces, test_faces: Faces of the BFM track (paper, section "Datasets").
@@ -48,7 +48,7 @@ class Preset:
         caution: Stands on figures and below tables.
     """
 
-    name: str = "paper"
+    name: str = "full"
     train_faces: int = 20_000
     test_faces: int = 5_000
     frame_subjects: int = 12
@@ -89,7 +89,7 @@ class Preset:
     caution: str = ""
 
 
-PAPER = Preset()
+FULL = Preset()
 SMOKE = Preset(
     name="smoke",
     train_faces=4_800,
@@ -159,4 +159,4 @@ TINY = replace(
     streamed_faces=100,
     faces_per_file=10,
 )
-PRESETS = {preset.name: preset for preset in (PAPER, SMOKE, TINY)}
+PRESETS = {preset.name: preset for preset in (FULL, SMOKE, TINY)}

@@ -49,7 +49,7 @@ class Run:
     """
 
     model: str = _option("morphable model of the faces", "openhead", choices=MODELS)
-    preset: Preset = _option("sizes of the experiment", PRESETS["paper"], choices=tuple(PRESETS))
+    preset: Preset = _option("sizes of the experiment", PRESETS["full"], choices=tuple(PRESETS))
     track: str = _option("which of the paper's experiments", "bfm", choices=tuple(SCHEMES))
     seed: int = _option("of everything random", 0, type=int)
     protocol: str = _option("how faces are projected", "paper", choices=PROTOCOLS)
@@ -127,8 +127,8 @@ class Run:
 
     @property
     def model_results(self) -> Path:
-        """`results/<model>`; other presets than the paper's lie apart, not to overwrite it."""
-        root = self.results if self.preset.name == "paper" else self.results / self.preset.name
+        """`results/<model>`; other presets than `full` lie apart, not to overwrite it."""
+        root = self.results if self.preset.name == "full" else self.results / self.preset.name
         return root / self.model
 
     def experiment_results(self, name: str) -> Path:

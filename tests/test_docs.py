@@ -25,7 +25,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
-from experiments.presets import PAPER, PRESETS
+from experiments.presets import FULL, PRESETS
 from experiments.recipes import MOBILEFACE_RATES
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
@@ -185,18 +185,18 @@ def test_numbers_of_the_method_are_those_of_the_code():
     encoder = count_trainable(build_autoencoder(72))
     released, paper = (build_dissimilarity_net(variant) for variant in ("released", "paper"))
     sums = [encoder + count_trainable(net) for net in (released, paper)]
-    recipe = Recipe(PAPER.autoencoder_epochs)
-    steps = PAPER.dissimilarity_epochs * PAPER.dissimilarity_steps
+    recipe = Recipe(FULL.autoencoder_epochs)
+    steps = FULL.dissimilarity_epochs * FULL.dissimilarity_steps
     method = text_of("docs/method.md")
     for text in (
         f"{build_zhao_net(72).count_params():,} parameters",
         f"{count_trainable(build_mobileface_net(199)):,} parameters",
         f"{encoder:,} trainable and {released.count_params():,} in all",
         "trainable are {:,}, and {:,} with the paper's".format(*sums),
-        f"{recipe.epochs} passes over the {PAPER.train_faces:,} faces",
+        f"{recipe.epochs} passes over the {FULL.train_faces:,} faces",
         f"mini-batches of {recipe.batch_size}, and {steps:,} mini-batches",
-        f"over {PAPER.n_subsets} subsets of {PAPER.subset_size} faces",
-        f"one prediction of {PAPER.timed_faces} test faces on one core",
+        f"over {FULL.n_subsets} subsets of {FULL.subset_size} faces",
+        f"one prediction of {FULL.timed_faces} test faces on one core",
     ):
         assert text in method, text
 
@@ -206,27 +206,27 @@ def test_the_table_of_recipes_is_that_of_the_code():
         {name: own.default for name, own in inspect.signature(method).parameters.items()}
         for method in (Zhao, MobileFace, RingNet, LandmarkLifter)
     )
-    net = Recipe(PAPER.autoencoder_epochs)
-    passes = f"{PAPER.train_faces // net.batch_size:,}"
+    net = Recipe(FULL.autoencoder_epochs)
+    passes = f"{FULL.train_faces // net.batch_size:,}"
     faces = f"{mobileface['batch_size']} faces"
     rings = f"{ringnet['rings_per_batch']} rings of {ringnet['ring_size']} images"
-    zhao_steps = f"{PAPER.zhao_epochs} × {PAPER.zhao_steps:,}"
+    zhao_steps = f"{FULL.zhao_epochs} × {FULL.zhao_steps:,}"
     rows = {
         "autoencoder": (net.learning_rate, net.schedule, f"{net.batch_size} faces",
-                        f"{PAPER.autoencoder_epochs} × {passes}"),
+                        f"{FULL.autoencoder_epochs} × {passes}"),
         "dissimilarity net": (net.learning_rate, net.schedule, "pairs of 1 face",
-                              f"{PAPER.dissimilarity_epochs} × {PAPER.dissimilarity_steps:,}"),
+                              f"{FULL.dissimilarity_epochs} × {FULL.dissimilarity_steps:,}"),
         "Zhao et al.": (zhao["learning_rate"], "constant", f"{zhao['batch_size']} faces",
                         zhao_steps),
         "MobileFace": (MOBILEFACE_RATES["cosine"], "cosine", faces,
-                       f"{PAPER.mobileface_epochs} × {PAPER.mobileface_steps}"),
+                       f"{FULL.mobileface_epochs} × {FULL.mobileface_steps}"),
         "MobileFace, `MOBILEFACE=paper`": (
             MOBILEFACE_RATES["constant"], "constant", faces,
-            f"{PAPER.mobileface_paper_epochs} × {PAPER.mobileface_steps}"),
+            f"{FULL.mobileface_paper_epochs} × {FULL.mobileface_steps}"),
         "RingNet": (ringnet["learning_rate"], "warm-up and cosine", rings,
-                    f"{PAPER.ringnet_epochs} × {PAPER.ringnet_steps}"),
+                    f"{FULL.ringnet_epochs} × {FULL.ringnet_steps}"),
         "Lifting, in the tables": (lifting["learning_rate"], "cosine",
-                                   f"{lifting['batch_size']} faces", f"{PAPER.lifting_steps:,}"),
+                                   f"{lifting['batch_size']} faces", f"{FULL.lifting_steps:,}"),
     }  # fmt: skip
     method = text_of("docs/method.md")
     for network, (rate, schedule, batch, steps) in rows.items():

@@ -22,6 +22,7 @@ from experiments.run import Run
 from experiments.scoring.numbers import power, scientific
 
 CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
+_DRAWN = ("mean_shape", "zhao", "aldrian", "ours", "lifting")
 _PAGE = Path(__file__).with_name("claims.md.j2")
 
 
@@ -47,7 +48,7 @@ def main(run: Run, *topics: str) -> dict:
 
 def figures(curves: pd.DataFrame) -> dict[str, Figure]:
     """Errors by pose and projection, and by noise, of `curves.csv`."""
-    rows = curves.rename(columns={"mse": "mean"}).groupby("sweep")
+    rows = curves[curves["method"].isin(_DRAWN)].rename(columns={"mse": "mean"}).groupby("sweep")
     poses = []
     for sweep, trained in TRAINED.items():
         label = f"{sweep.replace('_', ' ').capitalize()} (°)"

@@ -175,7 +175,7 @@ def main(run: Run) -> dict:
     table = pd.DataFrame(measure(run))
     table = table[[*table.columns.drop(["n_faces", "not_found"]), "n_faces", "not_found"]]
     # Weights of one model's faces are not those of the docs.
-    if run.preset.name == "paper" and not open_models(run.data)[1]:
+    if run.preset.name == "full" and not open_models(run.data)[1]:
         for name in NETWORKS:
             shutil.copyfile(weights_file(run, name), PRETRAINED / f"{name}.npz")
     cells = grid(table, ["scheme", "faces", "views"], "method", _UNIT).rename(columns=title)

@@ -45,7 +45,7 @@ def main(run: Run, file: str) -> dict:
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
     drawn = all(portraits_file(run, model).exists() for model in OPEN)
-    if run.preset.name == "paper" and drawn:
+    if run.preset.name == "full" and drawn:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
     methods = _methods(run)
     table = pd.DataFrame(reliability(methods, faces))

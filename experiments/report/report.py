@@ -120,7 +120,7 @@ def report(run: Run, results: list[Result]) -> str:
     environment.filters["commits"] = commits_of
     steps = [step for result in results for step in result.steps]
     present = {result.base for result in results}
-    given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "paper")
+    given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "full")
     text = environment.get_template("report.md.j2").render(
         given=given,
         title=TITLES[run.model],

@@ -36,8 +36,9 @@ def verdict(run: Run) -> list[str]:
     off = differences(run)
     if off is None:
         return [*lines, "There is no committed run to compare with."]
-    agrees = "agrees with" if off.empty else f"differs in {len(off)} rows from"
-    return [*lines, f"This run {agrees} the committed one; make check says by how much."]
+    if off.empty:
+        return [*lines, "This run agrees with the committed one."]
+    return [*lines, f"It differs from the committed run, see make check: {', '.join(off.index)}."]
 
 
 def differences(run: Run) -> pd.DataFrame | None:
@@ -47,10 +48,10 @@ def differences(run: Run) -> pd.DataFrame | None:
         `here, low, high` by method: the error, and what the committed run allows, the range of its
         seeds or, of one training, its error, widened by `_TOLERANCE`.
     """
-    committed = _committed(run)
+    fresh, committed = _fresh(run), _committed(run)
     if committed is None:
         return None
-    here, there = _errors(_fresh(run)), _errors(committed)
+    here, there = _errors(fresh), _errors(committed)
     ends = there.reindex(columns=["lowest", "highest"])
     allowed = pd.DataFrame(
         {

@@ -39,7 +39,8 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
     """Write the figures; with the true landmarks known, that of the fit has its errors."""
     run, test, table = evaluation.run, evaluation.test, load_photos(evaluation.run)
     faces = shown_faces(test, evaluation.scores["ours"].mse)
-    titles = [f"yaw {yaw:+.0f}°".replace("-", "−") for yaw in test.cameras.yaw[faces]]
+    titles = [f"yaw {round(yaw):+d}°".replace("+0", "0") for yaw in test.cameras.yaw[faces]]
+    titles = [title.replace("-", "−") for title in titles]
     evaluation.draw_faces("celeba", faces, titles, photos=True)
     evaluation.draw_renders("photos")
 

@@ -70,6 +70,7 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
 def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
     """Faces of the median error of `ours` for each of some conditions, and one that is N/A.
 
+    Of these the one with the least error: of others dlib may have cut out something else, an eye.
     Where the conditions are not known, faces from a small error of `ours` to a large one.
     """
     mse = scores["ours"].mse
@@ -79,7 +80,7 @@ def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray
         groups = np.array_split(np.argsort(mse), min(_SHOWN_FACES, len(mse)))
     faces = [median_face(group, mse) for group in groups]
     missing = [np.flatnonzero(np.isnan(evaluation.mse)) for evaluation in scores.values()]
-    missing = next((faces for faces in missing if len(faces)), [])
+    missing = next((faces[np.argsort(mse[faces])] for faces in missing if len(faces)), [])
     return np.array([*faces[: _SHOWN_FACES - bool(len(missing))], *missing[:1]])
 
 

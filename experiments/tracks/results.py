@@ -117,6 +117,8 @@ class Evaluation:
     ) -> None:
         """Write the figures of some faces with each method, and of the errors by landmark.
 
+        Methods that are not `pictured` have a figure of their own, whose name ends with `_others`.
+
         Args:
             name: Of the first figure.
             faces: Numbers of test faces; `ours` is among the methods.
@@ -124,10 +126,13 @@ class Evaluation:
             photos: Whether the views were detected in photos, to be drawn in their place.
         """
         frontal = load_prediction(self.run, "ours")[0]["frontal"]
-        pictured = {m: scores for m, scores in self.drawn.items() if METHODS[m].pictured}
         seen = self.photos(faces) if photos else None
         views, scheme = self.test.views, load_scheme(self.run.scheme)
-        self.save(qualitative(views, frontal, pictured, faces, titles, scheme, seen), name)
+        for pictured, suffix in ((True, ""), (False, "_others")):
+            scores = {m: s for m, s in self.drawn.items() if METHODS[m].pictured == pictured}
+            if scores:
+                figure = qualitative(views, frontal, scores, faces, titles, scheme, seen)
+                self.save(figure, f"{name}{suffix}")
         errors = landmark_errors(self.drawn)
         maps = [method for method in errors if self.run.track in METHODS[method].mapped]
         figure = error_per_landmark(errors, scheme, self.test.shapes.mean(0), maps)

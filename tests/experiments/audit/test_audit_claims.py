@@ -21,7 +21,7 @@ from experiments.audit.estimates import (
     share_below,
     spread_of_seeds,
 )
-from experiments.presets import PAPER
+from experiments.presets import FULL
 from experiments.run import Run
 
 RESULTS = committed() / "results"
@@ -106,7 +106,7 @@ def test_what_is_no_condition_is_refused(text):
 
 
 def test_claims_are_named_once_and_their_conditions_are_on_numbers():
-    numbers = numbers_of(Tables(Run("ict", PAPER, results=RESULTS)))
+    numbers = numbers_of(Tables(Run("ict", FULL, results=RESULTS)))
     names = [name for estimates in numbers.values() for name in estimates]
     assert len({*names}) == len(names)
     table = pd.read_csv(audit.CLAIMS)
@@ -120,7 +120,7 @@ def copied(tmp_path):
     """Runs whose results are a copy of the committed tables."""
     for model in MODELS:
         shutil.copytree(RESULTS / model, tmp_path / model, ignore=_other_files)
-    return [Run(model, PAPER, results=tmp_path) for model in MODELS]
+    return [Run(model, FULL, results=tmp_path) for model in MODELS]
 
 
 def _other_files(folder, names):

@@ -121,7 +121,7 @@ def test_figures_of_a_small_preset_are_stamped_wherever_they_lie(preset, tmp_pat
     figure = draw_learning(None)
     style.save(figure, tmp_path / "smoke" / "figures", "curves", preset.caution)
     stamps = [text.get_text() for text in figure.texts]
-    assert stamps == ([] if preset.name == "paper" else [preset.caution])
+    assert stamps == ([] if preset.name == "full" else [preset.caution])
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from experiments.lifting.train_pairs import views_of_pairs
 from experiments.lifting.variants import VARIANTS
 from experiments.lifting.views import CONDITIONS
 from experiments.methods import load, predict
-from experiments.presets import PAPER, TINY
+from experiments.presets import FULL, TINY
 from experiments.run import Run
 from experiments.scoring.scores import score
 
@@ -59,7 +59,7 @@ def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
 
 
 def test_every_condition_has_its_network_and_one_has_three_seeds():
-    names = lifting_networks(Run("openhead", PAPER), "hard")
+    names = lifting_networks(Run("openhead", FULL), "hard")
     assert len({*names}) == len(names) == 4 + 5 + 2
     assert sum(name.startswith("hard-lifting-hard_1-") for name in names) == 3
 

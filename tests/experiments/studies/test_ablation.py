@@ -11,7 +11,7 @@ from deepmds_keras import normalise
 from deepmds_keras.networks import build_dissimilarity_net, count_trainable
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.inputs import Faces
-from experiments.presets import PAPER, SMOKE, TINY
+from experiments.presets import FULL, SMOKE, TINY
 from experiments.records import write_json
 from experiments.run import Run
 from experiments.studies import ablation
@@ -22,13 +22,13 @@ SIZE = SMOKE.training_sizes[0]
 
 
 def test_every_variant_is_trained_from_every_seed_and_has_its_own_file():
-    run = Run("openhead", PAPER, seed=3)
+    run = Run("openhead", FULL, seed=3)
     trainings = ablation_trainings(run)
     assert {item.partition("-")[0] for item, _ in trainings} == {*VARIANTS}
     fewer = [(item.split("-")[1], seed) for item, seed in trainings if "-" in item]
-    assert len(fewer) == 2 * len(PAPER.training_sizes)
-    assert all(int(size) < PAPER.train_faces and seed == 3 for size, seed in fewer)
-    assert len(trainings) - len(fewer) == (len(VARIANTS) - 2) * PAPER.ablation_seeds
+    assert len(fewer) == 2 * len(FULL.training_sizes)
+    assert all(int(size) < FULL.train_faces and seed == 3 for size, seed in fewer)
+    assert len(trainings) - len(fewer) == (len(VARIANTS) - 2) * FULL.ablation_seeds
     assert len({scores_file(run, *training) for training in trainings}) == len(trainings)
 
 
