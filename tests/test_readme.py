@@ -16,7 +16,7 @@ PAIRS = [*itertools.product(MODELS, repeat=2)]
 SURREY = [(faces, "surrey") for faces in (*MODELS, "both")]
 RESULTS, LIFTING = "docs/results.md", "docs/lifting.md"
 # Conditions of hard views that the documents show.
-SHOWN = [condition.id for condition in CONDITIONS if condition.id != "hard_1_hidden"]
+SHOWN = [condition.id for condition in CONDITIONS]
 
 
 def two(value):
@@ -69,7 +69,7 @@ def test_the_readme_and_the_results_have_one_main_table():
 def test_table_of_hard_views(model, head):
     rows = table_of(LIFTING, head)
     mse = 1e6 * errors_of(f"{model}/lifting/hard").set_index("condition", append=True)["mean"]
-    table = mse.unstack()[SHOWN].rename(index=lambda m: "Limit" if m == "limit" else title(m))
+    table = mse.unstack()[SHOWN].rename(index=title)
     assert {*rows} == {*table.index}
     for method, errors in table.iterrows():
         assert rows[method] == cells_of(errors), method

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepmds_keras.camera import HeadPose, head_poses, refit
 from deepmds_keras.errors import InputError, needs
-from deepmds_keras.files import read_arrays, sha256_of
+from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.weights import pretrained_path
@@ -122,17 +122,6 @@ def describe_model(scheme: str, model: str | None) -> dict[str, str]:
         return described | {"weights": "given by the user"}
     source = f"shipped with deepmds-keras; trained on {kind.trained_on}"
     return described | {"weights": source, "licence": _MIT}
-
-
-def hash_weights(model: str | None) -> str:
-    """SHA-256 of the weights that a run may use: of one model, or of a family.
-
-    Raises:
-        InputError: There is no such model.
-    """
-    family = FAMILIES.get(model or DEFAULT)
-    names = [model] if family is None else family.shipped.values()
-    return sha256_of(map(weights_path, names))
 
 
 def load_model(name: str) -> Model:

@@ -35,7 +35,6 @@ from deepmds_keras.predict.models import (
     DEFAULT,
     FAMILIES,
     describe_model,
-    hash_weights,
     load_model,
     name_for,
     target_scheme,
@@ -44,10 +43,9 @@ from deepmds_keras.predict.outputs import MESH_FORMATS, output_files, write_outp
 from deepmds_keras.predict.overlay import write_overlay
 from deepmds_keras.predict.page import write_page
 from deepmds_keras.predict.sources import (
-    Record,
+    LOCK,
     find_sources,
-    is_landmark_file,
-    is_video,
+    kind_of,
     list_skipped,
     name_faces,
     name_sources,
@@ -77,45 +75,46 @@ def run(
         overwrite: Whether to redo what is done, and to replace files that no run wrote.
         jobs: Processes; -1 is one for each core.
         stopped: Asked after every source whether to stop.
-        settings: The other options of `cli`, by name; results depend on them.
+        settings: The other options of `cli`, by name.
 
     Returns:
         How many sources could not be used.
 
     Raises:
-        InputError: Nothing can be done at all: no detector, no model, no folder, another run.
+        InputError: Nothing can be done at all: no detector, no model, no folder of its own,
+            another run.
         OSError: The folder or the terminal cannot be written to.
         KeyboardInterrupt: It was stopped.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out} must be a folder for the results. Received a file.")
-    record = Record(out, settings | {"weights": hash_weights(settings["model"])})
-    paths, errors, skipped = find_sources(sources, recursive=recursive, results=record)
+    paths, errors, skipped = find_sources(sources, recursive=recursive)
     for error in errors:
         _complain(error)
     if skipped:
         print(f"skipped: {printable(list_skipped(skipped))}")
     _note_without_effect(paths, settings)
+    if any(path.parent.resolve() == out.resolve() for path in paths):
+        raise InputError(f"{out} must not be a folder of sources. Name another (--out).")
     named = [*zip(paths, name_sources(paths), strict=True)]
-    todo = [pair for pair in named if not record.is_done(*pair) or overwrite]
+    todo = [pair for pair in named if overwrite or not _is_done(out, *pair)]
     if len(todo) < len(named):
-        print(f"{len(named) - len(todo)} of {len(named)} sources are done already, by what "
-              f"{printable(str(record.path))} says; --overwrite does them again.")  # fmt: skip
+        print(f"{len(named) - len(todo)} of {len(named)} sources have a newer picture in "
+              f"{printable(str(out))} and are skipped; --overwrite does them again.")  # fmt: skip
     if not todo:
         return len(errors)
     usable = _usable(todo, settings)
     failed = len(errors) + len(todo) - len(usable)
-    protected = {path.resolve() for path in paths}
     hidden = len(usable) == 1 or None  # None: where there is no terminal
     with _locked(out) as folder, tqdm(total=len(usable), unit="source", disable=hidden) as bar:
-        record.begin()
-        for source, name, files, lines, fault in _results(usable, folder, jobs, settings):
-            blocked = [record.why_not(out / file, overwrite, protected) for file in files]
-            if any(blocked):
-                fault = next(filter(None, blocked))
+        for files, lines, fault in _results(usable, folder, jobs, settings):
+            if blocked := [path for file in files if _is_taken(path := out / file, overwrite)]:
+                fault = (
+                    f"{blocked[0]} must not be there yet. Received an existing file: move it away, "
+                    "name another folder (--out), or replace it by --overwrite."
+                )
             elif files:
-                record.add(source, name, files)
-                for file in files:
+                for file in files:  # the picture, by which a source is done, comes last
                     os.replace(folder / file, out / file)
                 listed = [str(out / files[0]), *files[1:4], *["…"] * (len(files) > 4)]
                 lines[0] += f" → {', '.join(listed)}"
@@ -129,6 +128,21 @@ def run(
     return failed
 
 
+def _picture(source: Path, name: str) -> str:
+    """File that every source has when it is done."""
+    return f"{name}{'.mp4' if kind_of(source) == 'video' else '.png'}"
+
+
+def _is_done(out: Path, source: Path, name: str) -> bool:
+    """Whether there is a picture that is newer than the source: the last file that a run writes."""
+    picture = out / _picture(source, name)
+    return picture.is_file() and picture.stat().st_mtime_ns >= source.stat().st_mtime_ns
+
+
+def _is_taken(path: Path, overwrite: bool) -> bool:
+    return path.is_dir() or (os.path.lexists(path) and not overwrite)
+
+
 def _complain(error: object, kind: str = "error") -> None:
     tqdm.write(f"{kind}: {printable(str(error))}", file=sys.stderr)
 
@@ -137,7 +151,7 @@ def _complain(error: object, kind: str = "error") -> None:
 def _locked(out: Path) -> Iterator[Path]:
     """A folder for incomplete files within that of the results, which is locked meanwhile."""
     out.mkdir(parents=True, exist_ok=True)
-    with open(out / f"{_HIDDEN}lock", "wb") as file:
+    with open(out / LOCK, "wb") as file:
         try:
             if os.name == "nt":
                 import msvcrt
@@ -164,7 +178,7 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
     """What can be done with what is installed; what is missing is said before the work begins."""
     if settings["model"] not in (None, *FAMILIES):
         load_model(settings["model"])
-    given = [pair for pair in todo if is_landmark_file(pair[0])]
+    given = [pair for pair in todo if kind_of(pair[0]) == "landmarks"]
     if len(given) == len(todo):
         return todo
     detector = DETECTORS[settings["detector"]]
@@ -182,7 +196,8 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
 
 def _note_without_effect(paths: list[Path], settings: dict) -> None:
     """Say which options have no effect on any of the sources."""
-    videos, files = any(map(is_video, paths)), any(map(is_landmark_file, paths))
+    kinds = {*map(kind_of, paths)}
+    videos, files = "video" in kinds, "landmarks" in kinds
     without = {
         "--smooth": settings["smooth"] and not (videos or files),
         "--every": settings["every"] > 1 and not videos,
@@ -197,8 +212,8 @@ def _note_without_effect(paths: list[Path], settings: dict) -> None:
 def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: dict) -> Iterator:
     """What `_process` returns of each source, as soon as it is there."""
     # Videos one by one, after the others; they, and the paper's networks, use all processes.
-    videos = [pair for pair in todo if is_video(pair[0])]
-    others = [pair for pair in todo if not is_video(pair[0])]
+    videos = [pair for pair in todo if kind_of(pair[0]) == "video"]
+    others = [pair for pair in todo if pair not in videos]
     model = settings["model"] or DEFAULT
     family = model if model in FAMILIES else load_model(model).family
     jobs = cpu_count() if jobs == -1 else jobs
@@ -213,12 +228,11 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
 def _process(
     source: Path, name: str, *, folder: Path, formats: tuple[str, ...], view: bool, mesh: bool,
     **settings,
-) -> tuple[Path, str, list[str], list[str], object]:  # fmt: skip
+) -> tuple[list[str], list[str], object]:  # fmt: skip
     """Write the files of a source into a folder.
 
     Returns:
-        The source, its name, names of the files, lines about it for the terminal, and what cannot
-        be used, or None.
+        Names of the files, lines about it for the terminal, and what cannot be used, or None.
     """
     try:
         photo, detections = _detect(source, name, **settings)
@@ -232,16 +246,16 @@ def _process(
             path: partial(write_output, faces=held, model=model)
             for path, held in output_files(folder, name, faces, kinds).items()
         }
-        files |= _pictures(folder, name, faces, photo, view, mesh, settings["every"])
+        files |= _pictures(folder, source, name, faces, photo, view, mesh, settings["every"])
         for path, write in files.items():
             write(path)
     except InputError as error:
-        return source, name, [], [], error
+        return [], [], error
     except OSError as error:
         place = folder.parent / Path(error.filename or name).name
-        return source, name, [], [], f"{place} cannot be written: {error.strerror}."
+        return [], [], f"{place} cannot be written: {error.strerror}."
     written, lines = [path.name for path in files], [*lines_about(source, faces, _DRAWN_FACES)]
-    return source, name, written, lines, fault_of(source, faces)
+    return written, lines, fault_of(source, faces)
 
 
 def _detect(
@@ -251,10 +265,10 @@ def _detect(
 ) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
     """The photo, or None of other sources, and the landmarks of its faces."""
     options = {"detector": detector, "landmarker": landmarker, "model": model}
-    if is_video(source):
+    if kind_of(source) == "video":
         options |= {"every": every, "smooth": smooth, "jobs": jobs}
         return None, find_in_video(source, name, **options)
-    if not is_landmark_file(source):
+    if kind_of(source) == "photo":
         photo = open_photo(source)
         detections = find_in_photo(photo, source, name, **options)
         if not detections.names:
@@ -283,16 +297,10 @@ def _detect(
 
 
 def _pictures(
-    folder: Path,
-    name: str,
-    faces: list[Face],
-    photo: np.ndarray | None,
-    view: bool,
-    mesh: bool,
-    every: int,
-) -> dict[Path, Callable[[Path], None]]:
-    """The picture of a source, for a video that is a video, and the page, each with its writer."""
-    picture, page = folder / f"{name}.png", folder / f"{name}.html"
+    folder: Path, source: Path, name: str, faces: list[Face], photo: np.ndarray | None, view: bool,
+    mesh: bool, every: int,
+) -> dict[Path, Callable[[Path], None]]:  # fmt: skip
+    """The page and the picture of a source, for a video that is a video, each with its writer."""
     shown = [face for face in faces if not face.is_gap]
     if video := faces[0].frame_ref is not None:
         shown = portraits(shown, _DRAWN_FACES)
@@ -303,9 +311,9 @@ def _pictures(
             path, some, read_stills(some, every) if video else [photo] * len(some), mesh=mesh
         )
 
-    writers = {page: write_view} if view else {}
-    if video:
-        preview = partial(write_landmark_video, faces=faces, every=every)
-        return {picture.with_suffix(".mp4"): preview} | writers
+    writers = {folder / f"{name}.html": write_view} if view else {}
     drawn = some if photo is None else shown
-    return {picture: partial(write_overlay, faces=drawn, photo=photo)} | writers
+    write_picture = partial(write_overlay, faces=drawn, photo=photo)
+    if video:
+        write_picture = partial(write_landmark_video, faces=faces, every=every)
+    return writers | {folder / _picture(source, name): write_picture}

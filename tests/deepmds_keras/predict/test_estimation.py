@@ -15,7 +15,7 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.predict.estimation import estimate
 from deepmds_keras.predict.faces import Detections
-from deepmds_keras.predict.models import PaperNetworks, describe_model, hash_weights, load_model
+from deepmds_keras.predict.models import PaperNetworks, describe_model, load_model
 from deepmds_keras.weights import pretrained_path
 
 N = 60
@@ -178,9 +178,7 @@ def test_weights_that_know_another_origin_are_noted_and_are_read_again_when_they
     assert describe_model("ibug51", str(path)) == described
     shipped = describe_model("bfm72", None)
     assert "shipped" in shipped["weights"] and shipped["licence"] == "MIT licence"
-    before = hash_weights(str(path))
     path.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
-    assert hash_weights(str(path)) == hash_weights("lifting-ibug51") != before
     again = estimate(found(landmarks), model=str(path))
     assert np.array_equal(again[0].xyz, estimate(found(landmarks))[0].xyz)
     assert describe_model("ibug51", str(path))["method"] == "lifting"
@@ -193,5 +191,3 @@ def test_what_fits_no_weights_is_named(landmarks, tmp_path):
         estimate(found(landmarks), model="deepmds-bfm72")
     with pytest.raises(InputError, match="DeepMDS.save.., or its name must be one of deep"):
         load_model("openhead")
-    with pytest.raises(InputError, match="no.npz must be a file that LandmarkLifter.save"):
-        hash_weights(str(tmp_path / "no.npz"))

@@ -16,7 +16,6 @@ from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
-from deepmds_keras import DeepMDS
 from deepmds_keras.__main__ import main
 from deepmds_keras.detection import (
     DETECTORS,
@@ -27,7 +26,6 @@ from deepmds_keras.detection import (
 )
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.predict import detection, run
-from deepmds_keras.predict.cli import parse
 from deepmds_keras.predict.landmark_files import read_landmarks
 
 ALL = "csv,json,npz,ply,obj"
@@ -116,7 +114,7 @@ def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
     assert "two.png: 2 faces → deepmds-out/two.csv, two.png" in done.stdout
     out = tmp_path / "deepmds-out"
     names = [f"{name}.{kind}" for name in ("turned", "two", "one") for kind in ("csv", "png")]
-    assert written(out) == sorted([*names, "deepmds.json"])
+    assert written(out) == sorted(names)
     table = pd.read_csv(out / "turned.csv", comment="#")
     assert tuple(table.name) == load_scheme("ibug51").names
     assert np.abs(table[["image_x", "image_y"]] - heads[1][1]).mean().max() < 4
@@ -168,7 +166,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
     assert len(errors) == len(expected) + 1
     assert said.count("1 face →") == 2 and "new\\nline" in said
     results = {f"{name}.{kind}" for name in ("good", odd.stem) for kind in ("csv", "png")}
-    assert {*written(tmp_path / "out")} == results | {"deepmds.json"}
+    assert {*written(tmp_path / "out")} == results
 
 
 @pytest.mark.parametrize(
@@ -267,104 +265,51 @@ def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, fa
     assert (tmp_path / "out" / "00.png").is_file()
 
 
-def test_what_is_done_is_skipped_unless_something_changed(tmp_path, predict, landmarks):
+def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, landmarks):
     first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
-    weights, out = tmp_path / "mine.npz", tmp_path / "out"
-    DeepMDS.pretrained("deepmds-ibug51").save(weights)
+    out = tmp_path / "out"
 
     def redone(*options):
         """What a run writes, by the times of the files."""
         before = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
-        status, said, _ = predict(first, second, *options)
-        assert status == 0
+        status, said, errors = predict(first, second, *options)
         after = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
-        assert ("sources are done already" in said) == (len(after.items() - before.items()) < 2)
-        return sorted(path.stem for path, _ in after.items() - before.items())
+        new = sorted(path.stem for path, _ in after.items() - before.items())
+        assert ("are skipped; --overwrite" in said) == (len(new) + len(errors) < 2)
+        return status, new
 
-    assert redone() == ["a", "b"]
-    assert redone() == []
-    save(second, landmarks + 1)
-    assert redone() == ["b"]
+    assert redone() == (0, ["a", "b"])
+    assert redone() == (0, [])
+    assert redone("--overwrite") == (0, ["a", "b"])
+    assert redone("--force") == (0, ["a", "b"])  # its former name
+    (out / "a.png").unlink()
     (out / "a.csv").unlink()
-    assert redone() == ["a"]
-    assert redone("--interocular", "90") == ["a", "b"]
-    assert redone("--interocular", "90") == []
-    assert redone("--interocular", "90", "--overwrite") == ["a", "b"]
-    assert redone("--interocular", "90", "--force") == ["a", "b"]  # its former name
-    assert redone("--model", weights) == ["a", "b"]
-    DeepMDS.pretrained("deepmds-ibug51").set_params(seed=5).save(weights)
-    assert redone("--model", weights) == ["a", "b"]
+    assert redone() == (0, ["a"])
+    save(second, landmarks + 1)
+    assert redone() == (1, []), "whose former results are in the way"
+    assert redone("--overwrite") == (0, ["a", "b"])
 
 
 def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landmarks):
     first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
     out = tmp_path / "out"
     out.mkdir()
-    (out / "a.png").write_text("mine")
+    (out / "a.csv").write_text("mine")
     status, said, (line,) = predict(first, second)
     assert (status, "b.npy: 1 face" in said) == (1, True)
-    assert f"{out / 'a.png'} must not be there yet" in line and "--overwrite" in line
-    assert (out / "a.png").read_text() == "mine"
-    assert written(out) == ["a.png", "b.csv", "b.png", "deepmds.json"]
+    assert f"{out / 'a.csv'} must not be there yet" in line and "--overwrite" in line
+    assert (out / "a.csv").read_text() == "mine"
+    assert written(out) == ["a.csv", "b.csv", "b.png"]
     assert predict(first, second, "--overwrite")[0] == 0
-    assert (out / "a.png").read_bytes().startswith(b"\x89PNG")
-    (out / "deepmds.json").write_text("hello")
-    status, said, (line,) = predict(first, "--overwrite")
-    assert (status, said, "must be the record of earlier results" in line) == (1, "", True)
-    assert (out / "deepmds.json").read_text() == "hello"
+    assert (out / "a.csv").read_text().startswith("# 3D face landmarks")
 
 
-def test_the_folder_of_the_sources_works_every_time_and_no_source_is_replaced(
-    tmp_path, predict, heads, landmarks
-):
+def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):
     Image.fromarray(heads[0][1]).save(tmp_path / "a.jpg")
-    for _ in range(2):
-        assert predict(tmp_path, "--out", tmp_path)[0] == 0
-        assert written(tmp_path) == ["a.csv", "a.jpg", "a.png", "deepmds.json"]
-    content = (tmp_path / "a.csv").read_bytes()
     for options in ((), ("--overwrite",)):
-        status, _, (line,) = predict(tmp_path / "a.csv", "--out", tmp_path, *options)
-        assert (status, "a.csv is a source" in line) == (1, True)
-        assert (tmp_path / "a.csv").read_bytes() == content
-
-
-def test_results_that_another_source_replaced_are_redone(tmp_path, predict, landmarks):
-    for folder, shift in (("x", 0), ("y", 9)):
-        (tmp_path / folder).mkdir()
-        save(tmp_path / folder / "a.npy", landmarks + shift)
-    for folder, shift in (("x", 0), ("y", 9), ("x", 0)):
-        assert predict(tmp_path / folder / "a.npy", "--format", "npz")[0] == 0
-        assert np.allclose(arrays_of(tmp_path / "out" / "a.npz")["landmarks"], landmarks + shift)
-
-
-def test_a_record_that_was_cut_short_loses_its_last_line_only(tmp_path, predict, landmarks):
-    files = [save(tmp_path / f"{name}.npy", landmarks) for name in "abc"]
-    assert predict(*files)[0] == 0
-    record = tmp_path / "out" / "deepmds.json"
-    assert len(json.loads(record.read_bytes())) == 3
-    record.write_bytes(record.read_bytes()[:-20])
-    status, said, errors = predict(*files, "--overwrite")
-    assert (status, len(errors)) == (0, 0)
-    assert {entry["name"] for entry in json.loads(record.read_bytes())} == {*"abc"}
-    assert predict(*files)[1].startswith("3 of 3 sources are done")
-
-
-def test_the_record_grows_by_a_line_for_each_source(tmp_path, landmarks, monkeypatch):
-    """Nothing is written whose size is that of the record, which would be quadratic."""
-    files = [save(tmp_path / f"{i}.npy", landmarks) for i in range(40)]
-    sizes = []
-    monkeypatch.setattr(
-        "deepmds_keras.predict.sources.write_bytes",
-        lambda path, content: sizes.append(len(content)) or path.write_bytes(content),
-    )
-    options = parse(["predict", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "1"])
-    options = {key: value for key, value in vars(options).items() if key != "command"}
-    assert run.run(**options) == 0
-    assert len(sizes) == 1 and sizes[0] < 10
-    assert len((tmp_path / "out" / "deepmds.json").read_text().splitlines()) == 42
-    with pytest.raises(KeyboardInterrupt):  # an exception that was lost counts after the source
-        run.run(**options | {"out": tmp_path / "other"}, stopped=lambda: True)
-    assert len(json.loads((tmp_path / "other" / "deepmds.json").read_bytes())) == 1
+        status, _, (line,) = predict(tmp_path, "--out", tmp_path, *options)
+        assert (status, "must not be a folder of sources" in line) == (1, True)
+    assert written(tmp_path) == ["a.jpg"]
 
 
 def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
@@ -381,7 +326,7 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
     other.kill()
     other.communicate()
     assert predict(points)[0] == 0
-    assert written(tmp_path / "out") == ["a.csv", "a.png", "deepmds.json"]
+    assert written(tmp_path / "out") == ["a.csv", "a.png"]
 
 
 @pytest.mark.parametrize("place", ["write_output", "write_overlay"])
@@ -396,7 +341,7 @@ def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr(run, place, stop)
         assert predict(points)[0] == 130
-    assert written(tmp_path / "out") == ["deepmds.json"]
+    assert written(tmp_path / "out") == []
     assert predict(points)[0] == 0
 
 
@@ -412,10 +357,10 @@ def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
     errors = started.communicate()[1].decode()
     assert started.returncode == 130, errors
     assert errors.endswith("Stopped. The same command goes on from here.\n")
-    done = json.loads((out / "deepmds.json").read_bytes())
-    assert 3 <= len(done) < 300
-    missing = [file for entry in done for file in entry["files"] if not (out / file).exists()]
-    assert len(missing) <= 2  # of the source that it was just at
+    done = {path.stem for path in out.glob("*.png")}
+    assert 3 <= len(done) < 300 and done <= {path.stem for path in out.glob("*.csv")}
+    rest = subprocess.run(arguments, capture_output=True, text=True)
+    assert (rest.returncode, len([*out.glob("*.png")])) == (0, 300), rest.stderr
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
@@ -426,7 +371,7 @@ def test_a_full_output_gets_one_line(tmp_path, landmarks):
         done = subprocess.run(arguments, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1
     assert done.stderr == "error: the output cannot be written: No space left on device.\n"
-    assert written(tmp_path / "out") == ["a.csv", "a.png", "deepmds.json"]
+    assert written(tmp_path / "out") == ["a.csv", "a.png"]
 
 
 def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predict, landmarks):
@@ -501,7 +446,7 @@ def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):
     kinds = ("ply", "obj", "mesh.ply", "mesh.obj")
     faces = {f"two-{n}.{kind}" for n in (1, 2) for kind in kinds}
     tables = {f"two.{kind}" for kind in ("csv", "json", "npz", "png", "html")}
-    assert {*written(tmp_path / "out")} == faces | tables | {"deepmds.json"}
+    assert {*written(tmp_path / "out")} == faces | tables
     for n in (1, 2):
         lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
         vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)

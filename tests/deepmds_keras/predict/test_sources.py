@@ -20,20 +20,20 @@ def touched(folder, *names):
 
 def test_a_folder_gives_its_photos_by_name_and_counts_the_rest(tmp_path):
     touched(tmp_path, "b.JPG", "a.png", "c.webp", "1.mp4", "2.MP4", "3.mp4", ".b", ".c.jpg")
-    touched(tmp_path, "README", "within/d.jpg", "old.png")
+    touched(tmp_path, "README", "within/d.jpg")
     (tmp_path / "folder.jpg").mkdir()
-    sources, errors, skipped = find_sources([tmp_path], results=[tmp_path / "old.png"])
+    sources, errors, skipped = find_sources([tmp_path])
     assert [path.name for path in sources] == ["a.png", "b.JPG", "c.webp"]
     assert not errors
     counts = {"hidden": 2, ".mp4": 3, "without suffix": 1, "subfolder (--recursive)": 2}
-    assert skipped == counts | {"result of an earlier run": 1}
+    assert skipped == counts
     listed = list_skipped(skipped)
     assert "3 .mp4, " in listed and "2 subfolders (--recursive)" in listed
 
 
 def test_subfolders_are_taken_if_asked_for_but_no_results_and_nothing_twice(tmp_path):
     touched(tmp_path, "b/b.jpg", "b/a/c.jpg", "a/d.heic", "e.jpg", ".hidden/f.jpg", "b/notes.txt")
-    touched(tmp_path, "b/out/g.png", "b/out/deepmds.json")
+    touched(tmp_path, "b/out/g.png", "b/out/.deepmds-lock")
     (tmp_path / "a" / "round").symlink_to(tmp_path)
     sources, errors, skipped = find_sources([tmp_path], recursive=True)
     names = ["e.jpg", "a/d.heic", "b/b.jpg", "b/a/c.jpg"]
@@ -56,7 +56,7 @@ def test_a_subfolder_that_cannot_be_read_is_named(tmp_path, monkeypatch, listed)
         return refuse
 
     monkeypatch.setattr(os, "scandir", refusing(os.scandir, [] if listed else ["within"]))
-    monkeypatch.setattr(os, "stat", refusing(os.stat, ["b.jpg", "deepmds.json"]))
+    monkeypatch.setattr(os, "stat", refusing(os.stat, ["b.jpg", ".deepmds-lock"]))
     sources, errors, skipped = find_sources([tmp_path], recursive=True)
     assert [path.name for path in sources] == ["a.jpg"]
     if listed:
@@ -81,8 +81,8 @@ def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
 
 
 def test_a_source_gives_its_name_to_the_results_where_that_is_free():
-    names = ("x/a.jpg", "b.c.png", "a.png", "y/a.jpg", "z/a.jpg", "deepmds.jpg", "d.mesh.jpg")
-    expected = ["a", "b.c", "a_png", "a_jpg", "a_jpg_2", "deepmds_jpg", "d.mesh_jpg"]
+    names = ("x/a.jpg", "b.c.png", "a.png", "y/a.jpg", "z/a.jpg", "d.mesh.jpg")
+    expected = ["a", "b.c", "a_png", "a_jpg", "a_jpg_2", "d.mesh_jpg"]
     assert name_sources([*map(Path, names)]) == expected
     assert name_sources([Path("p-1.jpg"), Path("p-2.jpg")]) == ["p-1", "p-2"]
 

@@ -56,8 +56,8 @@ def write(run, errors):
 def test_a_run_ends_with_its_verdict(run):
     said, compared = verdict(run)
     assert said == (
-        "MSE in 10⁻⁴: Deep-MDS 1.30 [0.90, 1.71] (paper 1.4 ± 0.005); one output of its own for all "
-        "views 1.45 [1.00, 1.90]; the mean shape 0.72 [0.50, 0.95]."
+        "MSE in 10⁻⁴: Deep-MDS 1.30 [0.90, 1.71] (paper 1.4 ± 0.005); one output of its own for "
+        "all views 1.45 [1.00, 1.90]; the mean shape 0.72 [0.50, 0.95]."
     )
     assert compared == "This run agrees with the committed one."
     write(run, ERRORS | {"ours": 3e-4})
