@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from documents import errors_of, results, table_of, text_of
 
+from experiments.face_models import TITLES
 from experiments.lifting.anatomy import STEPS
 from experiments.lifting.views import CONDITIONS
 from experiments.methods import METHODS, title
@@ -112,6 +113,13 @@ def test_table_of_the_shipped_weights():
 def pretrained():
     table = results("openhead/pretrained/table.csv")
     return table.set_index(["scheme", "faces", "views", "method"])
+
+
+def test_table_of_meshes():
+    table = results("openhead/surface/table.csv").set_index(["faces", "landmarks"])
+    lines = [[TITLES[f], k, *map("{:.2f}".format, row)] for (f, k), row in table.iterrows()]
+    page = text_of("docs/mesh.md")
+    assert len(lines) == 8 and all(f"| {' | '.join(line)} |" in page for line in lines)
 
 
 def test_tables_of_times_and_of_an_installation():

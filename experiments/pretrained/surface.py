@@ -1,13 +1,11 @@
-"""Step: writes the head of `deepmds predict --mesh`, and measures how far its meshes lie off.
-
-`make surface` prints the table of docs/mesh.md.
-"""
+"""Step: writes the head of `deepmds predict --mesh`, and measures how far its meshes lie off."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
+import pandas as pd
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
@@ -32,6 +30,7 @@ from deepmds_keras.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.face_models import TITLES
 from experiments.run import Run
 from experiments.streams import Stream
+from experiments.studies.study_results import write_results
 
 _SCHEME, _N_FACES, _SEED = "ibug51", 200, 0
 _ERROR_MM, _VIEW_ERROR_MM = 2, 3  # of each coordinate of landmarks, and of those in a view
@@ -39,17 +38,19 @@ _FRONT = 30  # mm from the axis of the head
 _HALF = 127  # of a mask
 
 
-def main(run: Run) -> None:
+def main(run: Run) -> dict:
     write_surface(FILE)
-    print("| faces of | landmarks | mean head to surface | mesh to surface | mesh to landmarks |")
-    print("|---|---|---|---|---|")
-    for name in open_models(run.data)[0]:
-        for landmarks, *distances in measure(load_model(name, run.data)):
-            cells = " | ".join(f"{distance:.2f}" for distance in distances)
-            print(f"| {TITLES[name]} | {landmarks} | {cells} |")
+    table = pd.DataFrame(
+        {"faces": name} | row
+        for name in open_models(run.data)[0]
+        for row in measure(load_model(name, run.data))
+    )
+    cells = table.assign(faces=table["faces"].map(TITLES)).set_index(["faces", "landmarks"])
+    cells = cells.map("{:.2f}".format).rename(columns=lambda name: name.replace("_", " "))
+    return write_results(run, "surface", {"table": table}, cells)
 
 
-def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[tuple[str, float, float, float]]:
+def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[dict]:
     """Measure heads that are fitted to the landmarks of random faces, mean distances in mm.
 
     Yields:
@@ -67,12 +68,12 @@ def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[tuple[str, flo
         landmarks = np.tile(mean[vertices], (n, 1, 1))
         rotation, scale, shift = procrustes(landmarks, given, reflection=False)
         means = scale[:, None, None] * (mean @ rotation) + shift[:, None]
-        yield (
-            kind,
-            _distance(means[:, face], true, model.triangles),
-            _distance(fitted[:, face], true, model.triangles),
-            np.linalg.norm(fitted[:, vertices] - given, axis=2).mean(),
-        )
+        yield {
+            "landmarks": kind,
+            "mean_head_to_surface": _distance(means[:, face], true, model.triangles),
+            "mesh_to_surface": _distance(fitted[:, face], true, model.triangles),
+            "mesh_to_landmarks": np.linalg.norm(fitted[:, vertices] - given, axis=2).mean(),
+        }
 
 
 def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
