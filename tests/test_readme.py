@@ -6,6 +6,7 @@ from functools import partial
 import pandas as pd
 import pytest
 from documents import errors_of, results, table_of, text_of
+from places import ROOT
 
 from experiments.face_models import TITLES
 from experiments.lifting.anatomy import STEPS
@@ -77,11 +78,14 @@ def test_table_of_hard_views(model, head):
 
 
 def test_tables_of_the_anatomy_and_of_transfer():
-    anatomy = {m: results(f"{m}/lifting/anatomy/table.csv") for m in MODELS}
-    rows = table_of(LIFTING, "MSE in 10⁻⁶, non-metric MDS")
-    assert {*rows} == {*STEPS.values()}
-    for step, name in STEPS.items():
-        parts = [t[(t["step"] == step) & (t["embedding"] != "metric")] for t in anatomy.values()]
+    head = "MSE in 10⁻⁶, non-metric MDS"
+    paths = [ROOT / "results" / model / "lifting/anatomy/table.csv" for model in MODELS]
+    anatomy = [pd.read_csv(path) for path in paths if path.exists()]
+    assert (head in text_of(LIFTING)) == bool(anatomy)
+    rows = table_of(LIFTING, head) if anatomy else {}
+    assert {*rows} == ({*STEPS.values()} if anatomy else set())
+    for step, name in STEPS.items() if anatomy else ():
+        parts = [t[(t["step"] == step) & (t["embedding"] != "metric")] for t in anatomy]
         values = [1e6 * part["mse"].item() for part in parts]
         assert rows[name] == ["0" if value < 1e-6 else f"{value:.3g}" for value in values], step
     for head, pairs in (
