@@ -26,10 +26,6 @@ OWN_CONSTANT = "own_constant"
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
 
-def _on_bfm(file: str) -> dict[str, tuple[str]]:
-    return dict.fromkeys(("bfm", "celeba"), (file,))
-
-
 def _deep_mds(variant: str, schedule: str, **row) -> Method:
     return Method(
         tracks=_ALL,
@@ -151,9 +147,9 @@ _ROWS = (
         colour="#56B4E9", marker="v", drawn=False, complexity="O(n^2)",
     ),
     Method(
-        id="zhao_weights", title="Zhao et al., authors' weights", tracks=("bfm", "celeba"),
+        id="zhao_weights", title="Zhao et al., authors' weights", tracks=_ALL,
         description="Zhao's net with the authors' own weights, nothing trained here",
-        build=recipes.zhao_weights, authors=_on_bfm(recipes.ZHAO_FILE),
+        build=recipes.zhao_weights, authors=recipes.ZHAO_FILES,
         colour="#8FB9DD", marker="<", drawn=False, complexity="O(n^2)",
     ),
     Method(
@@ -205,7 +201,7 @@ _ROWS = (
         id="mobileface_weights", title="MobileFace, authors' weights", tracks=("bfm", "celeba"),
         description="MobileFace with the authors' own weights, nothing trained here",
         inputs="images", build=recipes.mobileface_weights, of_model="bfm2009",
-        authors=_on_bfm(recipes.MOBILEFACE_FILE), switch="MOBILEFACE", onednn=True,
+        authors=recipes.MOBILEFACE_FILES, switch="MOBILEFACE", onednn=True,
         colour="#B79BD0", marker="1", drawn=False, complexity="O(n k)",
     ),
     Method(

@@ -30,7 +30,10 @@ LIFTING_NOISE = 0.2
 # of the 100,000 constant steps at 0.001 that the authors' code makes; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
 _PERCEPTRON_EPOCHS = 20
-ZHAO_FILE, MOBILEFACE_FILE = "deep_PAMI_occ_5000.h5", "deep_mobileface_occ.h5"  # of the authors
+# Of the authors' release, by track.
+ZHAO_FILES = dict.fromkeys(("bfm", "celeba"), ("deep_PAMI_occ_5000.h5",))
+ZHAO_FILES |= {"flame": ("deep_PAMI_depth_FLAME.h5",)}
+MOBILEFACE_FILES = dict.fromkeys(("bfm", "celeba"), ("deep_mobileface_occ.h5",))
 _RINGNET = (100, 50)  # identity and expression coefficients that the published RingNet finds
 
 
@@ -239,13 +242,19 @@ def zhao(run: Run, *, as_authors: bool = False):
 
 
 def zhao_weights(run: Run):
-    """Zhao's net with the authors' weights."""
-    from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+    """Zhao's net with the authors' weights, which on the FLAME track return metres."""
+    import keras
+
+    from deepmds_keras.baselines.zhao import Zhao, build_zhao_net, normalise_view
     from deepmds_keras.weights import read_keras2_weights
 
     model = Zhao(len(load_scheme(run.scheme)))
-    model.network_ = build_zhao_net(model.n_landmarks)
-    read_keras2_weights(model.network_, Path(run.authors, ZHAO_FILE))
+    net = model.network_ = build_zhao_net(model.n_landmarks)
+    read_keras2_weights(net, Path(run.authors, *ZHAO_FILES[run.track]))
+    if run.track == "flame":
+        mean, _ = load_landmark_model(run)
+        metres = normalise_view(mean[None, :, :2])[1].item() / 1000
+        model.network_ = keras.Model(net.input, net.output / metres, name=net.name)
     return model
 
 
@@ -284,7 +293,7 @@ def mobileface_weights(run: Run):
     mean, basis = load_landmark_model(run)
     model = MobileFace(mean, basis, None)
     model.network_ = build_mobileface_net(len(basis))
-    read_keras2_weights(model.network_, Path(run.authors, MOBILEFACE_FILE))
+    read_keras2_weights(model.network_, Path(run.authors, *MOBILEFACE_FILES[run.track]))
     return model
 
 

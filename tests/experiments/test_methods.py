@@ -106,11 +106,11 @@ def test_methods_that_share_a_network_are_trained_one_after_the_other():
 def test_a_method_is_run_where_its_row_says(tmp_path):
     ids = {track: [m.id for m in methods_of(track)] for track in ("bfm", "flame")}
     assert "aldrian" in ids["bfm"] and "aldrian" not in ids["flame"]
-    for name in (*AUTHORS_FILES["bfm"], recipes.ZHAO_FILE):
+    for name in (*AUTHORS_FILES["bfm"], *recipes.ZHAO_FILES["bfm"]):
         (tmp_path / name).touch()
     given = {m.id for m in methods_of("bfm", authors=tmp_path)} - {*ids["bfm"]}
     assert given == {"authors_weights", "zhao_weights"}
-    (tmp_path / recipes.MOBILEFACE_FILE).touch()
+    (tmp_path / recipes.MOBILEFACE_FILES["bfm"][0]).touch()
     given = {m.id for m in methods_of("bfm", authors=tmp_path, model="bfm2009")}
     assert "mobileface_weights" in given
     assert all(method.build for method in METHODS.values() if method.tracks)
