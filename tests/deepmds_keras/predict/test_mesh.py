@@ -67,7 +67,8 @@ def test_distances_from_the_true_surface_are_less_than_those_of_the_mean_head(mo
     data = SHARED / "ict-facekit"
     if model == "ict" and not data.exists():
         pytest.skip("no ICT-FaceKit in ../shared")
-    exact, disturbed, lifted, detected = measure(load_model(model, data), 6)
+    rows = measure(load_model(model, data), 6)
+    exact, disturbed, lifted, detected = ([*row.values()] for row in rows)
     for _, mean, mesh, _ in (exact, disturbed, lifted):
         assert mesh < mean
     assert exact[2] < 0.85 * exact[1]

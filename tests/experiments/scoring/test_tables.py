@@ -61,14 +61,14 @@ def test_csv_to_the_letter(metrics, tmp_path):
 
 
 def test_every_method_has_every_metric_and_every_empty_cell_a_reason(table):
-    methods = ["mean_shape", "linear", "zhao", "aldrian", "mobileface", "ours"]
+    methods = ["own_constant", "linear", "zhao", "aldrian_authors", "mobileface", "ours"]
     cells = [*zip(table["method"], table["metric"], strict=True)]
     columns = [metric.id for metric in metrics_of("bfm")]
     assert columns[:2] == ["depth_corr", "mse"], "the paper's first, in its order"
     assert cells == [(method, metric) for method in methods for metric in columns]
     assert (table.loc[table["mean"].isna(), "note"] != "").all()
     reasons = table[table["mean"].isna()].groupby("method")["note"].first()
-    assert reasons["aldrian"].startswith("not part of this experiment")
+    assert reasons["aldrian_authors"].startswith("not part of this experiment")
     root_of_each_subset = table.set_index(["method", "metric"]).loc[("ours", "rmse_mm")]
     assert (root_of_each_subset["mean"], root_of_each_subset["n_subsets"]) == (2.5, 2)
 
@@ -142,9 +142,10 @@ def test_tables_of_a_run_are_printed_with_their_folders(table, tmp_path, capsys)
         write_csv(run.experiment_results(name) / "table.csv", table)
     print_tables(run)
     shown = capsys.readouterr().out
-    assert shown.count("Deep-MDS ") == 4, "two blocks of each"
+    assert shown.count("\nDeep-MDS ") == 4, "two blocks of each"
     assert shown.index("the model fitted to the photos") < shown.index("against the true landmarks")
-    assert shown.splitlines()[-2:] == [
+    assert shown.splitlines()[-2].startswith("MSE in 10⁻⁵: Deep-MDS ")
+    assert shown.splitlines()[-4:-2] == [
         f"Tables, figures and manifest: {run.experiment_results(name)}/" for name in names
     ]
 
