@@ -99,7 +99,7 @@ _ROWS = (
         id=OWN_CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
         description="no method: what Deep-MDS makes of another face's view (the paper's trivial "
         "case, that the method only outputs one specific solution)",
-        colour="#BFA6A0", marker="_", drawn=False,
+        colour="#BFA6A0", marker="h", drawn=False,
     ),
     Method(
         id="linear", title="Linear", tracks=_ALL,
@@ -202,7 +202,7 @@ _ROWS = (
         description="MobileFace with the authors' own weights, nothing trained here",
         inputs="images", build=recipes.mobileface_weights, of_model="bfm2009",
         authors=recipes.MOBILEFACE_FILES, switch="MOBILEFACE", onednn=True,
-        colour="#B79BD0", marker="1", drawn=False, complexity="O(n k)",
+        colour="#B79BD0", marker="P", drawn=False, complexity="O(n k)",
     ),
     Method(
         id="true_landmarks", title="True landmarks",

@@ -57,7 +57,7 @@ def _plain(value: object) -> str:
 
 def tex(string: str) -> str:
     """Text with LaTeX's special characters escaped, and ±, × and powers as mathematics."""
-    powers = re.split(rf"\^(\d)|([{_SUPERSCRIPTS}]+)", string)
+    powers = re.split(rf"\^(-?\d+)|([{_SUPERSCRIPTS}]+)", string)
     plain, raised = powers[::3], zip(powers[1::3], powers[2::3], strict=True)
     escaped = ["".join(_CHARACTERS.get(c, c) for c in part) for part in plain]
     exponents = [f"$^{{{a or b.translate(_AS_DIGITS)}}}$" for a, b in raised]

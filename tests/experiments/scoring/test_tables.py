@@ -93,6 +93,7 @@ def test_latex_to_the_letter(table):
     assert "MobileFace: needs images: not part of this experiment yet." in below
     assert "2 random subsets of 500 test faces" in below
     assert "".join(lines).count("{") == "".join(lines).count("}")
+    assert tex("(x10^-4)") == "(x10$^{-4}$)"
     assert tex("50 % of a_b ± n^2 > −10⁻³") == (
         r"50 \% of a\_b $\pm$ n$^{2}$ \textgreater{} $-$10$^{-3}$"
     )
