@@ -3,7 +3,11 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce-bfm reproduce-flame reproduce-celeba ablation audit report bench stream seeds pretrained lifting witness check dag pictures openhead real-faces surface footprint test nightly lint clean
+# Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
+TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
+           pretrained lifting witness check report
+.PHONY: help setup $(TARGETS) dag pictures openhead real-faces surface footprint test nightly lint \
+        clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -79,7 +83,7 @@ lifting: ## the lifting network against the limit, on hard views: results/<model
 witness: ## the authors' weights on faces about the mean they hold: results/witness/   [AUTHORS=dir]   (50 min)
 check: ## whether results/<model>/bfm/table.csv is as committed, within what seeds allow
 report: ## all results of the model on one page: results/<model>/report/report.md
-reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds pretrained lifting witness check report: | $(READY)
+$(TARGETS): | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
 
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)

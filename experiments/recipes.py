@@ -245,15 +245,13 @@ def zhao_weights(run: Run):
     """Zhao's net with the authors' weights, which on the FLAME track return metres."""
     import keras
 
-    from deepmds_keras.baselines.zhao import Zhao, build_zhao_net, normalise_view
-    from deepmds_keras.weights import read_keras2_weights
+    from deepmds_keras.baselines.zhao import Zhao, normalise_view
 
     model = Zhao(len(load_scheme(run.scheme)))
-    net = model.network_ = build_zhao_net(model.n_landmarks)
-    read_keras2_weights(net, Path(run.authors, *ZHAO_FILES[run.track]))
+    model.load_released(Path(run.authors, *ZHAO_FILES[run.track]))
     if run.track == "flame":
         mean, _ = load_landmark_model(run)
-        metres = normalise_view(mean[None, :, :2])[1].item() / 1000
+        metres, net = normalise_view(mean[None, :, :2])[1].item() / 1000, model.network_
         model.network_ = keras.Model(net.input, net.output / metres, name=net.name)
     return model
 
@@ -287,14 +285,10 @@ def mobileface(run: Run):
 
 def mobileface_weights(run: Run):
     """MobileFace with the authors' weights, which find coefficients of the Basel model of 2009."""
-    from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
-    from deepmds_keras.weights import read_keras2_weights
+    from deepmds_keras.baselines.mobileface import MobileFace
 
-    mean, basis = load_landmark_model(run)
-    model = MobileFace(mean, basis, None)
-    model.network_ = build_mobileface_net(len(basis))
-    read_keras2_weights(model.network_, Path(run.authors, *MOBILEFACE_FILES[run.track]))
-    return model
+    model = MobileFace(*load_landmark_model(run), None)
+    return model.load_released(Path(run.authors, *MOBILEFACE_FILES[run.track]))
 
 
 def mobileface_data(run: Run) -> tuple:

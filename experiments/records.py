@@ -268,16 +268,17 @@ def _processor() -> str:
 def _commit() -> str | None:
     """Commit of the code, with a `+` if files that git knows were changed since, but by runs."""
     try:
-        commit = _git("rev-parse", "--short=12", "HEAD")
-        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
+        commit = git("rev-parse", "--short=12", "HEAD")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit + "+" * bool(changed)
 
 
-def _git(*arguments: str) -> str:
+def git(*arguments: str, folder: Path = _ROOT) -> str:
+    """What git prints; raises OSError or CalledProcessError where it fails."""
     return subprocess.run(
-        ["git", *arguments], capture_output=True, text=True, check=True, cwd=_ROOT
+        ["git", *arguments], capture_output=True, text=True, check=True, cwd=folder
     ).stdout.strip()
 
 

@@ -12,6 +12,7 @@ from data_gen.views import PROTOCOLS
 from deepmds_keras.errors import InputError
 from experiments.presets import PRESETS, Preset
 
+_FEW = 3  # seeds
 EVALUATORS = ("paper", "released")
 MOBILEFACES = ("cosine", "paper")
 # The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
@@ -90,6 +91,11 @@ class Run:
     def n_seeds(self) -> int:
         """Of `make seeds`."""
         return self.seeds or self.preset.n_seeds
+
+    @property
+    def few_seeds(self) -> range:
+        """Of studies in which much is trained."""
+        return range(self.seed, self.seed + min(_FEW, self.preset.n_seeds))
 
     @property
     def streamed_faces(self) -> int:

@@ -7,19 +7,22 @@ from typing import Self
 
 import keras
 import numpy as np
+import tensorflow as tf
+from keras import layers
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.checks import check_fitted
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable
-from deepmds_keras.training import restore_network, steps_per_call, train_by_epoch
+from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
+from deepmds_keras.weights import read_keras2_weights
 
 
 class NetworkMethod(BaseEstimator):
     """An estimator of one network, which is trained by epochs with a checkpoint after each.
 
-    A subclass has `_build(seed)`, and `fit` that begins with `_compiled` and ends with `_train`,
-    which takes `checkpoint` and `progress`, as `train_by_epoch`.
+    A subclass has `_build(seed)`, and `fit` that begins with `_compiled` and ends with `_train`, or
+    `_train_on_arrays`, which take `checkpoint` and `progress`, as `train_by_epoch`.
 
     Attributes:
         network_: Trained `keras.Model`.
@@ -34,6 +37,13 @@ class NetworkMethod(BaseEstimator):
         """
         network = self._build()
         self.history_ = restore_network(network, checkpoint, self._label())
+        self.network_ = network
+        return self
+
+    def load_released(self, path: str | Path) -> Self:
+        """Take the authors' weights, a Keras 2 file; errors as of `read_keras2_weights`."""
+        network = self._build()
+        read_keras2_weights(network, path)
         self.network_ = network
         return self
 
@@ -57,9 +67,40 @@ class NetworkMethod(BaseEstimator):
         self.network_ = network
         return self
 
+    def _train_on_arrays(self, network, inputs, targets, **training) -> Self:
+        """`_train` on `(n, …)` float32 of all faces, by mean squared errors."""
+        n, steps, batch = len(inputs), self.steps_per_epoch, self.batch_size
+
+        def batches(epoch: int) -> tf.data.Dataset:
+            faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
+            return tf.data.Dataset.from_tensor_slices((inputs[faces], targets[faces]))
+
+        def inference() -> float:
+            return float(np.mean((forward(network, inputs) - targets) ** 2))
+
+        return self._train(network, batches, {"faces": n}, inference, **training)
+
     def _label(self) -> dict:
         """All that the network depends on besides arrays."""
         return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
+
+
+def dense_network(
+    name: str, n_inputs: int, sizes: dict[str, tuple[int, str | None]], seed: int
+) -> keras.Model:
+    """Dense layers one after the other, from `(n, n_inputs)` numbers of a view.
+
+    Args:
+        name: Of the network.
+        n_inputs: Numbers of a view.
+        sizes: Units and activation of each layer, by its name.
+        seed: Of the initial weights.
+    """
+    view = x = keras.Input((n_inputs,), name="view")
+    for number, (layer, (units, activation)) in enumerate(sizes.items()):
+        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
+        x = layers.Dense(units, activation, kernel_initializer=initial, name=layer)(x)
+    return keras.Model(view, x, name=name)
 
 
 def check_shape(array: np.ndarray, name: str, shape: tuple[int, ...]) -> None:

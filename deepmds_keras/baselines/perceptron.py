@@ -6,14 +6,12 @@ from dataclasses import KW_ONLY, dataclass
 
 import keras
 import numpy as np
-import tensorflow as tf
-from keras import layers
 
 from deepmds_keras.alignment import centre, rms_radius
-from deepmds_keras.baselines.networks import NetworkMethod
+from deepmds_keras.baselines.networks import NetworkMethod, dense_network
 from deepmds_keras.checks import check_faces, check_n_landmarks, check_views_and_shapes
 from deepmds_keras.networks import forward
-from deepmds_keras.training import Recipe, face_order
+from deepmds_keras.training import Recipe
 
 _UNIT = 0.01  # of what the network returns, in which faces differ by about 1
 
@@ -55,20 +53,12 @@ class Perceptron(NetworkMethod):
                 of another run.
         """
         views, shapes = check_views_and_shapes(views, shapes)
-        n, steps, batch = len(shapes), self.steps_per_epoch, self.batch_size
-        views, shapes = self._flat(views), np.float32(shapes).reshape(n, -1) / _UNIT
-        recipe = Recipe(self.epochs, steps, "cosine", self.learning_rate)
-        network = self._compiled(recipe.optimizer(steps), "mse")
+        check_faces(views, "views", 2, self.n_landmarks)
+        views, shapes = _flat(views), np.float32(shapes).reshape(len(shapes), -1) / _UNIT
+        recipe = Recipe(self.epochs, schedule="cosine", learning_rate=self.learning_rate)
+        network = self._compiled(recipe.optimizer(self.steps_per_epoch), "mse")
         network.layers[-1].bias.assign(shapes.mean(0))
-
-        def batches(epoch: int) -> tf.data.Dataset:
-            faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
-            return tf.data.Dataset.from_tensor_slices((views[faces], shapes[faces]))
-
-        def inference() -> float:
-            return float(np.mean((forward(network, views) - shapes) ** 2))
-
-        return self._train(network, batches, {"faces": n}, inference, **training)
+        return self._train_on_arrays(network, views, shapes, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 3)` shapes of `(n, L, 2)` views, in the frame and unit of the training.
@@ -77,19 +67,17 @@ class Perceptron(NetworkMethod):
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.
         """
         network = self._trained()
-        return _UNIT * forward(network, self._flat(views)).reshape(-1, self.n_landmarks, 3)
-
-    def _flat(self, views: np.ndarray) -> np.ndarray:
-        views = check_faces(views, "views", 2, self.n_landmarks)
-        scaled = centre(views) / rms_radius(views)[:, None, None]
-        return np.float32(scaled).reshape(len(views), -1)
+        views = _flat(check_faces(views, "views", 2, self.n_landmarks))
+        return _UNIT * forward(network, views).reshape(-1, self.n_landmarks, 3)
 
     def _build(self, seed: int = 0) -> keras.Model:
         check_n_landmarks(self.n_landmarks)
-        view = x = keras.Input((2 * self.n_landmarks,), name="view")
-        sizes = {"hidden_1": self.units, "hidden_2": self.units, "shape": 3 * self.n_landmarks}
-        for number, (name, units) in enumerate(sizes.items()):
-            initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-            activation = None if name == "shape" else "relu"
-            x = layers.Dense(units, activation, kernel_initializer=initial, name=name)(x)
-        return keras.Model(view, x, name=f"perceptron_{self.n_landmarks}")
+        sizes = dict.fromkeys(("hidden_1", "hidden_2"), (self.units, "relu"))
+        sizes["shape"] = 3 * self.n_landmarks, None
+        name = f"perceptron_{self.n_landmarks}"
+        return dense_network(name, 2 * self.n_landmarks, sizes, seed)
+
+
+def _flat(views: np.ndarray) -> np.ndarray:
+    scaled = centre(views) / rms_radius(views)[:, None, None]
+    return np.float32(scaled).reshape(len(views), -1)

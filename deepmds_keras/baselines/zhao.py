@@ -6,14 +6,11 @@ from dataclasses import KW_ONLY, dataclass
 
 import keras
 import numpy as np
-import tensorflow as tf
-from keras import layers
 
-from deepmds_keras.baselines.networks import NetworkMethod
+from deepmds_keras.baselines.networks import NetworkMethod, dense_network
 from deepmds_keras.checks import check_faces, check_n_landmarks
 from deepmds_keras.errors import check_choice
 from deepmds_keras.networks import forward
-from deepmds_keras.training import face_order
 
 
 @dataclass(eq=False, repr=False)
@@ -66,18 +63,9 @@ class Zhao(NetworkMethod):
         views, size = normalise_view(points[..., :2])
         views = np.float32(views).reshape(len(points), -1)
         depths = np.float32(centred[..., 2] / size[..., 0])
-        n, steps, batch = len(points), self.steps_per_epoch, self.batch_size
         options = {"class_name": self.optimizer, "config": {"learning_rate": self.learning_rate}}
         network = self._compiled(keras.optimizers.get(options), "mse")
-
-        def batches(epoch: int) -> tf.data.Dataset:
-            faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
-            return tf.data.Dataset.from_tensor_slices((views[faces], depths[faces]))
-
-        def inference() -> float:
-            return float(np.mean((forward(network, views) - depths) ** 2))
-
-        return self._train(network, batches, {"faces": n}, inference, **training)
+        return self._train_on_arrays(network, views, depths, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         """Shapes in the camera's frame.
@@ -114,13 +102,10 @@ def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
         InputError: No whole number of landmarks, or fewer than 3.
     """
     check_n_landmarks(n_landmarks)
-    view = x = keras.Input((2 * n_landmarks,), name="view")
-    names = [*(f"hidden_{number}" for number in range(1, 6)), "depth"]
-    for number, name in enumerate(names):
-        units = n_landmarks if name == "depth" else 2 * n_landmarks
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        x = layers.Dense(units, "tanh", kernel_initializer=initial, name=name)(x)
-    return keras.Model(view, x, name=f"zhao_{n_landmarks}")
+    width = 2 * n_landmarks
+    sizes = {f"hidden_{number}": (width, "tanh") for number in range(1, 6)}
+    sizes["depth"] = n_landmarks, "tanh"
+    return dense_network(f"zhao_{n_landmarks}", width, sizes, seed)
 
 
 def normalise_view(views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

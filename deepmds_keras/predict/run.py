@@ -94,7 +94,7 @@ def run(
     if skipped:
         print(f"skipped: {printable(list_skipped(skipped))}")
     _note_without_effect(paths, settings)
-    if any(path.parent.resolve() == out.resolve() for path in paths):
+    if out.resolve() in {folder.resolve() for folder in {path.parent for path in paths}}:
         raise InputError(f"{out} must not be a folder of sources. Name another (--out).")
     named = [*zip(paths, name_sources(paths), strict=True)]
     todo = [pair for pair in named if overwrite or not _is_done(out, *pair)]
@@ -213,7 +213,7 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     """What `_process` returns of each source, as soon as it is there."""
     # Videos one by one, after the others; they, and the paper's networks, use all processes.
     videos = [pair for pair in todo if kind_of(pair[0]) == "video"]
-    others = [pair for pair in todo if pair not in videos]
+    others = [pair for pair in todo if kind_of(pair[0]) != "video"]
     model = settings["model"] or DEFAULT
     family = model if model in FAMILIES else load_model(model).family
     jobs = cpu_count() if jobs == -1 else jobs

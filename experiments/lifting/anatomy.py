@@ -23,7 +23,7 @@ from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.contenders import limit
 from experiments.lifting.pair_nets import dissimilarities
-from experiments.lifting.train import LIFTING, seeds
+from experiments.lifting.train import LIFTING
 from experiments.lifting.train_pairs import autoencoder, views_of_pairs
 from experiments.lifting.variants import VARIANTS, anatomy_file
 from experiments.lifting.views import Views
@@ -34,7 +34,7 @@ from experiments.scoring.numbers import power
 from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.studies.seed import recalibrate_batchnorm
-from experiments.studies.study_results import grid, write_results
+from experiments.studies.study_results import grid, mean_error, write_results
 
 STEPS = {
     "mean_shape": "Mean shape",
@@ -74,7 +74,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
     train = load_faces(run, "train")
     for name, variant in VARIANTS.items():
         net = keras.saving.load_model(anatomy_file(run, name, seed), compile=False)
-        encoder = autoencoder(run, variant)
+        encoder = autoencoder(run, variant.frontal, variant.schedule)
         yield name, dissimilarities(net, views_of_pairs(variant, test, encoder), test.views)
         if name == "cosine":
             true = views_of_pairs(VARIANTS["true_frontal"], test, encoder)
@@ -92,7 +92,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
 
 
 def measure(run: Run) -> pd.DataFrame:
-    """Error of every step: `step, embedding, seed, mse, sem`, with its standard error over faces.
+    """Error of every step: `step, embedding, seed`, and of the faces `mse, sem, n_faces`.
 
     What depends on no seed has that of the run.
     """
@@ -100,8 +100,7 @@ def measure(run: Run) -> pd.DataFrame:
     rows = []
 
     def add(step: str, embedding: str, seed: int, errors: np.ndarray) -> None:
-        row = {"step": step, "embedding": embedding, "seed": seed, "mse": errors.mean()}
-        rows.append(row | {"sem": errors.std(ddof=1) / len(errors) ** 0.5})
+        rows.append({"step": step, "embedding": embedding, "seed": seed} | mean_error(errors))
 
     def embedded(step: str, distances: np.ndarray, seed: int) -> None:
         distances = np.abs(distances)  # as in `DeepMDS.predict`
@@ -111,7 +110,7 @@ def measure(run: Run) -> pd.DataFrame:
 
     mean_shape = load(run, "mean_shape").predict(test.views)
     add("mean_shape", "none", run.seed, score(mean_shape, test).mse)
-    for seed in Bar(seeds(run), desc="anatomy", unit="seed"):
+    for seed in Bar(run.few_seeds, desc="anatomy", unit="seed"):
         for step, distances in matrices(run, test, seed):
             embedded(step, distances, seed)
     embedded("true_distances", pairwise_distances(test.shapes), run.seed)

@@ -10,6 +10,7 @@ flat prior on translation and scale. The view cannot tell draws from it apart.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,8 +67,13 @@ class Contenders:
         """The same by a dense network."""
         return self._regress(perceptron(self._run), faces)
 
+    @cached_property
+    def _filled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Views and shapes of the training, normalised; nothing is missing."""
+        return normalise(self.fill(self._train.views)), normalise(self._train.shapes)
+
     def _regress(self, model, faces: Views) -> np.ndarray:
-        model.fit(normalise(self.fill(self._train.views)), normalise(self._train.shapes))
+        model.fit(*self._filled)
         return model.predict(normalise(self.fill(faces.views)))
 
     def aldrian(self, faces: Views) -> np.ndarray:

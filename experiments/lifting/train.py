@@ -18,7 +18,7 @@ from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
-SEEDS, SEEDED = 3, "hard_1"  # the condition for which lifting is trained from so many seeds
+SEEDED = "hard_1"  # the condition for which lifting is trained from several seeds
 DEEP_MDS, LIFTING = "ours_stable", "lifting"
 TRANSFERRED = (DEEP_MDS, LIFTING)
 TRANSFER_SCHEME, BOTH = "ibug51", "both"
@@ -46,14 +46,9 @@ def transfer_name(method: str, faces: str) -> str:
     return f"transfer-{method}" + f"-{BOTH}" * (faces == BOTH)
 
 
-def seeds(run: Run) -> range:
-    """Seeds of what is trained from several."""
-    return range(run.seed, run.seed + min(SEEDS, run.preset.n_seeds))
-
-
 def hard_seeds(run: Run, condition: Condition) -> range:
     """Seeds from which lifting is trained for a condition."""
-    return seeds(run)[: None if condition.id == SEEDED else 1]
+    return run.few_seeds[: None if condition.id == SEEDED else 1]
 
 
 def hard_file(run: Run, method: str, condition: Condition, seed: int) -> Path:

@@ -5,6 +5,7 @@ Nets that see the autoencoder's views see those of the run's: seeds are of what 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import keras
@@ -43,15 +44,16 @@ def main(run: Run, name: str) -> None:
     else:
         variant = VARIANTS[method]
         net = PairNet(variant, preset.dissimilarity_epochs, preset.dissimilarity_steps, seed)
-        pairs = views_of_pairs(variant, train, autoencoder(run, variant))
+        pairs = views_of_pairs(variant, train, autoencoder(run, variant.frontal, variant.schedule))
         network = fit(net, pairs, train.views, train.shapes, checkpoint=checkpoint)
     network.save(anatomy_file(run, method, seed))
 
 
-def autoencoder(run: Run, variant: Variant) -> Callable[[np.ndarray], np.ndarray]:
-    """What computes the views `(n, L, 2)` that pairs of a variant are of, from views."""
-    if variant.frontal != "side":
-        return load(run, "ours" if variant.schedule == "constant" else DEEP_MDS).frontalise
+@functools.cache
+def autoencoder(run: Run, frontal: str, schedule: str) -> Callable[[np.ndarray], np.ndarray]:
+    """What computes the views `(n, L, 2)` that pairs of a `Variant` are of, from views."""
+    if frontal != "side":
+        return load(run, "ours" if schedule == "constant" else DEEP_MDS).frontalise
     file = anatomy_file(run, SIDE_AUTOENCODER, run.seed)
     network = keras.saving.load_model(file, compile=False)
     return lambda views: forward(network, views.reshape(len(views), -1)).reshape(views.shape)

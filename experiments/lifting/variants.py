@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.lifting.train import LIFTING, seeds
+from experiments.lifting.train import LIFTING
 from experiments.run import Run
 
 SIDE_AUTOENCODER = "side_autoencoder"
@@ -57,7 +57,7 @@ VARIANTS = {
 
 def anatomy_trainings(run: Run) -> list[str]:
     """Names of what is trained: a method and a seed, the slow ones first."""
-    names = [f"{method}-seed{seed}" for method in (LIFTING, *VARIANTS) for seed in seeds(run)]
+    names = [f"{method}-seed{seed}" for method in (LIFTING, *VARIANTS) for seed in run.few_seeds]
     return [f"{SIDE_AUTOENCODER}-seed{run.seed}", *names]
 
 

@@ -57,6 +57,12 @@ def power(unit: float) -> str:
     return "10" + str(round(math.log10(unit))).translate(_SUPERSCRIPTS)
 
 
+def turned(angle: float) -> str:
+    """Whole degrees with their sign, but for 0: +45°."""
+    degrees = round(angle)
+    return minus(f"{degrees:+d}°" if degrees else "0°")
+
+
 def minus(text: str) -> str:
     """With true minus signs."""
     return text.replace("-", "−")

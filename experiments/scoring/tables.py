@@ -124,17 +124,14 @@ def wilcoxon_tests(
     """
     from deepmds_keras.metrics import wilcoxon_table  # scipy.stats takes a while to import
 
-    samples = []
+    samples, tables = [], {"subsets": metrics.dropna(subset="subset"), "seeds": seeds}
     for metric in (metric.id for metric in METRICS.values() if metric.in_paper):
-        rows = metrics[(metrics["metric"] == metric) & metrics["subset"].notna()]
-        subsets = rows.pivot(index="subset", columns="method", values="value")
-        methods = [method for method in METHODS if method in subsets]
-        samples.append(("subsets", metric, {m: subsets[m].to_numpy() for m in methods}))
-        if seeds is not None:
-            rows = seeds[seeds["metric"] == metric]
-            trained = rows.pivot(index="seed", columns="method", values="value")
-            names = [method for method in METHODS if method in trained]
-            samples.append(("seeds", metric, {m: trained[m].to_numpy() for m in names}))
+        for over, table in tables.items():
+            if table is not None:
+                rows = table[table["metric"] == metric]
+                values = rows.pivot(index=over.removesuffix("s"), columns="method", values="value")
+                methods = [method for method in METHODS if method in values]
+                samples.append((over, metric, {m: values[m].to_numpy() for m in methods}))
     samples += [("faces", metric, dict(values)) for metric, values in per_face.items()]
     tests = []
     for over, metric, values in samples:

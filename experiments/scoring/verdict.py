@@ -12,6 +12,7 @@ import pandas as pd
 from deepmds_keras.errors import InputError
 from experiments.methods import OWN_CONSTANT
 from experiments.published import unit_of
+from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
 
@@ -22,7 +23,7 @@ _TOLERANCE = 0.15
 
 def verdict(run: Run) -> list[str]:
     """Lines on the paper's method: its error, the paper's, and those of constant answers."""
-    rows, unit = _errors(_fresh(run)), unit_of(run.track, "mse")
+    rows, unit = _fresh(run), unit_of(run.track, "mse")
     ours, constant, mean = (
         _cell(rows, method, unit) for method in ("ours", OWN_CONSTANT, "mean_shape")
     )
@@ -33,7 +34,7 @@ def verdict(run: Run) -> list[str]:
     ]
     if run.preset.caution:
         return [*lines, f"Not compared with the committed run: {run.preset.caution}."]
-    off = differences(run)
+    off = _differences(rows, _committed(run))
     if off is None:
         return [*lines, "There is no committed run to compare with."]
     if off.empty:
@@ -41,17 +42,15 @@ def verdict(run: Run) -> list[str]:
     return [*lines, f"It differs from the committed run, see make check: {', '.join(off.index)}."]
 
 
-def differences(run: Run) -> pd.DataFrame | None:
-    """Rows of the table whose error is not the committed one; None where none is committed.
+def _differences(here: pd.DataFrame, there: pd.DataFrame | None) -> pd.DataFrame | None:
+    """Methods whose error is not the committed one; None where none is committed.
 
     Returns:
         `here, low, high` by method: the error, and what the committed run allows, the range of its
         seeds or, of one training, its error, widened by `_TOLERANCE`.
     """
-    fresh, committed = _fresh(run), _committed(run)
-    if committed is None:
+    if there is None:
         return None
-    here, there = _errors(fresh), _errors(committed)
     ends = there.reindex(columns=["lowest", "highest"])
     allowed = pd.DataFrame(
         {
@@ -69,7 +68,7 @@ def check(run: Run) -> None:
     Raises:
         InputError: One of the two is not there.
     """
-    off = differences(run)
+    off = _differences(_fresh(run), _committed(run))
     if off is None:
         raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")
     if len(off):
@@ -94,18 +93,18 @@ def _table(run: Run) -> Path:
 def _fresh(run: Run) -> pd.DataFrame:
     if not _table(run).is_file():
         raise InputError(f"{_table(run)} must be there. Run make reproduce-{run.track}.")
-    return pd.read_csv(_table(run))
+    return _errors(_table(run))
 
 
 def _committed(run: Run) -> pd.DataFrame | None:
     path = _table(run)
-    words = ["git", "show", f"HEAD:./{path.name}"]
     try:
-        shown = subprocess.run(words, cwd=path.parent, capture_output=True, text=True, check=True)
+        return _errors(io.StringIO(git("show", f"HEAD:./{path.name}", folder=path.parent)))
     except (OSError, subprocess.CalledProcessError):
         return None
-    return pd.read_csv(io.StringIO(shown.stdout))
 
 
-def _errors(table: pd.DataFrame) -> pd.DataFrame:
+def _errors(file: Path | io.StringIO) -> pd.DataFrame:
+    """Rows of a table with the MSE, by method."""
+    table = pd.read_csv(file)
     return table[table["metric"] == "mse"].set_index("method")

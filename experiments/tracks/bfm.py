@@ -15,6 +15,7 @@ from experiments.inputs import Faces, load_faces
 from experiments.recipes import mobileface_file
 from experiments.records import clear_results
 from experiments.run import Run
+from experiments.scoring.numbers import turned
 from experiments.scoring.parameters import write_parameter_table
 from experiments.scoring.scores import metrics_by_seed
 from experiments.tracks.results import Evaluation, load_histories, median_face, predicted_shapes
@@ -64,7 +65,8 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
         options = {"beside": {"zhao": "zhao_frontal"}}
         options["notes"] = dict.fromkeys((*ZHAO, TRUE_DEPTH), _RELEASED_NOTE)
     elif "zhao_frontal" in shapes:  # whose score by that evaluator is what the paper prints
-        shapes[AS_AUTHORS] = as_released(shapes, test.shapes)["zhao_frontal"]
+        scored = as_released({"zhao_frontal": shapes["zhao_frontal"]}, test.shapes)
+        shapes[AS_AUTHORS] = scored["zhao_frontal"]
         options |= {"beside": {"zhao": AS_AUTHORS}, "notes": {AS_AUTHORS: _RELEASED_NOTE}}
     return [Evaluation(run, run.evaluation, test, shapes, descriptions, **options)]
 
@@ -89,13 +91,13 @@ def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:
     """One face for each kind of view: the one whose error is the median of its kind."""
     perspective = test.cameras.projection == PROJECTIONS.index("perspective")
     kinds = {
-        f"orthographic\nyaw {yaw:+g}°": ~perspective & (test.cameras.yaw == yaw)
+        f"orthographic\nyaw {turned(yaw)}": ~perspective & (test.cameras.yaw == yaw)
         for yaw in np.unique(test.cameras.yaw[~perspective])
     }
     kinds["perspective"] = perspective
     kinds = {title: np.flatnonzero(members) for title, members in kinds.items() if members.any()}
     faces = [median_face(members, mse) for members in kinds.values()]
-    return [title.replace("+0°", "0°").replace("-", "−") for title in kinds], np.array(faces)
+    return [*kinds], np.array(faces)
 
 
 def main(run: Run, *methods: str) -> dict:

@@ -11,6 +11,7 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.figures.ground_truth import fits
 from experiments.inputs import Faces
 from experiments.run import Run
+from experiments.scoring.numbers import turned
 from experiments.tracks.found_faces import USED
 from experiments.tracks.photos import photos
 from experiments.tracks.results import Evaluation, evaluate_both, median_face, write_results
@@ -39,8 +40,7 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
     """Write the figures; with the true landmarks known, that of the fit has its errors."""
     run, test, table = evaluation.run, evaluation.test, load_photos(evaluation.run)
     faces = shown_faces(test, evaluation.scores["ours"].mse)
-    titles = [f"yaw {round(yaw):+d}°".replace("+0", "0") for yaw in test.cameras.yaw[faces]]
-    titles = [title.replace("-", "−") for title in titles]
+    titles = [f"yaw {turned(yaw)}" for yaw in test.cameras.yaw[faces]]
     evaluation.draw_faces("celeba", faces, titles, photos=True)
     evaluation.draw_renders("photos")
 

@@ -34,16 +34,12 @@ def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
     """
     import h5py  # here, since whoever plans steps reads this module too
 
-    from deepmds_keras.baselines.zhao import build_zhao_net, normalise_view
-    from deepmds_keras.networks import forward
-    from deepmds_keras.weights import read_keras2_weights
+    from deepmds_keras.baselines.zhao import Zhao, normalise_view
 
     with h5py.File(autoencoder) as file:
         frontal = file[_LAST_BIAS][()].reshape(1, -1, 2).astype(float)
-    net = build_zhao_net(frontal.shape[1])
-    read_keras2_weights(net, depth_net)
-    view, size = normalise_view(frontal)
-    depth = forward(net, np.float32(view).reshape(1, -1))[0] * size.item()
+    shape = Zhao(frontal.shape[1]).load_released(depth_net).predict(frontal)[0]
+    depth = shape[:, 2] * normalise_view(frontal)[1].item()
     mean = np.column_stack([frontal[0], depth + 1 - depth.max()])
     corners = mean[_EYE_CORNERS]
     shift = corners[:, 0].mean()

@@ -21,13 +21,11 @@ from experiments.streams import Stream
 from experiments.witness.bfm_mean import MEAN, SCHEME, about_mean
 
 SCALES = (0.8, 1.25, 2.0)
-_SEEDS = 3
 
 
 def trainings(run: Run) -> list[str]:
     """Names of the trainings: scale and seed."""
-    seeds = range(run.seed, run.seed + min(_SEEDS, run.preset.n_seeds))
-    return [f"{scale:g}-seed{seed}" for scale in SCALES for seed in seeds]
+    return [f"{scale:g}-seed{seed}" for scale in SCALES for seed in run.few_seeds]
 
 
 def trained_file(run: Run, name: str) -> Path:

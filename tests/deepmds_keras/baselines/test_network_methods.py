@@ -22,7 +22,6 @@ from deepmds_keras.baselines.ringnet import (
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
 from deepmds_keras.metrics import mse
 from deepmds_keras.networks import count_trainable
-from deepmds_keras.weights import read_keras2_weights
 
 RELEASED = SHARED / "released" / "bfm"
 K, E, L, SIZE = 4, 2, 12, 32
@@ -149,8 +148,7 @@ def test_the_authors_mobileface_gives_what_it_gave(monkeypatch):
     monkeypatch.undo()
     oracle = np.load(RELEASED / "oracle.npz")
     model = MobileFace(np.zeros((199, 3)), np.eye(199)[..., None] * np.ones(3), np.eye(199))
-    model.network_ = build_mobileface_net()
-    read_keras2_weights(model.network_, RELEASED / "deep_mobileface_occ.h5")
+    model.load_released(RELEASED / "deep_mobileface_occ.h5")
     raw = np.asarray(model.network_(oracle["images"], training=False))
     assert np.abs(raw - oracle["mobileface_raw"]).max() < 1e-4
     # Through uint8, the images differ by half a grey level.
