@@ -6,7 +6,7 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
            pretrained lifting witness check report
-.PHONY: help setup $(TARGETS) dag pictures openhead real-faces surface footprint test nightly lint \
+.PHONY: help setup $(TARGETS) dag docs pictures openhead real-faces surface footprint test nightly lint \
         clean
 
 PYTHON ?= python3
@@ -89,6 +89,9 @@ $(TARGETS): | $(READY)
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)
 	@$(PY) -m experiments.make $(TARGET) DAG=build/dag.svg $(VALUES)
 
+docs: | $(READY) ## README.md and docs/, anew from their templates and the results   (5 s)
+	@$(PY) -m docs.make_docs
+
 pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
 	@$(PY) -m docs.make_pictures
 
@@ -111,9 +114,10 @@ test: | $(READY) ## the tests, but for what takes long                (5 min)
 nightly: | $(READY) ## all tests: kills, full disks, damaged files
 	KILLS=6 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-lint: | $(READY) ## ruff
+lint: | $(READY) ## ruff, and mypy on the public interface
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m mypy --warn-unused-ignores tests/interface.py
 
 clean: ## delete arrays and weights; results stay
 	rm -rf build .snakemake .pytest_cache .ruff_cache

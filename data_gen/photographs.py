@@ -172,7 +172,7 @@ KINDS = tuple(_PAINTERS)
 
 
 def _grid(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the pixels, `(size, size)` each, 0 to 1."""
+    """Places x and y of the pixels, `(size, size)` each, 0 to 1."""
     y, x = (np.indices((size, size), np.float32) + 0.5) / size
     return x, y
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def check_images(images: np.ndarray, image_size: int) -> np.ndarray:
     return images
 
 
-def check_fitted(estimator, attribute: str, setters: str = "fit"):
+def check_fitted(estimator: object, attribute: str, setters: str = "fit") -> Any:
     """The attribute that `fit`, or another of `setters`, sets.
 
     Raises:

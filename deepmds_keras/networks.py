@@ -76,7 +76,7 @@ def build_dissimilarity_net(
     return keras.Model(pair, distance, name=f"{name}_chain_{n_layers}x{units}")
 
 
-def distance_layers(dense: Callable, pair, units: int):
+def distance_layers(dense: Callable, pair: keras.KerasTensor, units: int) -> keras.KerasTensor:
     """Layers of the dissimilarity net: from `(P, F)` features of pairs to distances, `(P, 1)`."""
     x = dense(pair, units, "hidden_1")
     second = x = dense(x, units, "hidden_2")
@@ -119,7 +119,7 @@ def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 1
     return forward(lambda batch, **mode: network(scale_images(batch), **mode), images, batch_size)
 
 
-def scale_images(images):
+def scale_images(images: np.ndarray | keras.KerasTensor) -> keras.KerasTensor:
     """[0, 255] → [-1, 1]."""
     return ops.cast(images, "float32") / 127.5 - 1
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from deepmds_keras.errors import InputError, check_choice
@@ -33,7 +35,7 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
     return proximities(views[..., first, :], views[..., second, :], variant)
 
 
-def proximities(first, second, variant: str, xp=np):
+def proximities(first: np.ndarray, second: np.ndarray, variant: str, xp: Any = np) -> np.ndarray:
     """Features of the pairs `first[k], second[k]`: `(..., P, 2)` twice → `(..., P, F)`.
 
     Args:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import keras
 import numpy as np
@@ -152,7 +153,9 @@ def train_dissimilarity_net(
     return model, train_by_epoch(model, batches, label, inference, **training)
 
 
-def pairs_of_faces(frontal, shapes, ends, variant: str, xp=np):
+def pairs_of_faces(
+    frontal: np.ndarray, shapes: np.ndarray, ends: tuple, variant: str, xp: Any = np
+) -> tuple[np.ndarray, np.ndarray]:
     """Features `(…, P, F)` and distances `(…, P, 1)` of pairs of landmarks, for the net.
 
     Views are `(…, L, 2)`, shapes `(…, L, 3)`. `ends` are the numbers, `(P,)`, of the first landmark
@@ -162,7 +165,9 @@ def pairs_of_faces(frontal, shapes, ends, variant: str, xp=np):
     return features_and_distances(*both, variant, xp)
 
 
-def features_and_distances(views, points, variant: str, xp=np):
+def features_and_distances(
+    views: tuple, points: tuple, variant: str, xp: Any = np
+) -> tuple[np.ndarray, np.ndarray]:
     """`pairs_of_faces` of views and points that are picked already, `(first, second)` each."""
     squares = xp.square(points[0] - points[1])
     return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))

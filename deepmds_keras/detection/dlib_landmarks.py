@@ -28,7 +28,7 @@ _DEBIAN_FOLDER = Path("/usr/share/dlib")
 
 
 def find_shape_predictor() -> Path:
-    """dlib's 68-landmark model, in the package face_recognition_models or of Debian's libdlib-data.
+    """The 68-landmark model, in the package face_recognition_models or of Debian's libdlib-data.
 
     Raises:
         InputError: There is neither.
@@ -100,7 +100,7 @@ class DlibLandmarks:
         return np.array(faces, float).reshape(-1, N_LANDMARKS, 2) + 0.5
 
     def _boxes(self, image: np.ndarray, scale: float):
-        """dlib's rectangles about the faces of an image that is searched at another scale."""
+        """Rectangles about the faces of an image that is searched at another scale."""
         size = tuple(round(scale * side) for side in image.shape[1::-1])
         small = Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)
         x, y = np.divide(image.shape[1::-1], size)

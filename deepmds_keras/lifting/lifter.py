@@ -169,12 +169,24 @@ class LandmarkLifter:
 
     @overload
     def predict(
-        self, views: np.ndarray, *, return_std: Literal[False] = ..., **options: Any
+        self,
+        views: np.ndarray,
+        *,
+        landmark_sd: float | np.ndarray | None = ...,
+        visible: np.ndarray | None = ...,
+        return_std: Literal[False] = ...,
+        check_orientation: bool = ...,
     ) -> np.ndarray: ...
 
     @overload
     def predict(
-        self, views: np.ndarray, *, return_std: Literal[True], **options: Any
+        self,
+        views: np.ndarray,
+        *,
+        landmark_sd: float | np.ndarray | None = ...,
+        visible: np.ndarray | None = ...,
+        return_std: Literal[True],
+        check_orientation: bool = ...,
     ) -> tuple[np.ndarray, np.ndarray]: ...
 
     def predict(

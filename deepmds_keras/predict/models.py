@@ -71,7 +71,13 @@ class PaperNetworks:
         self.n_landmarks = self._networks.n_landmarks
         self.centred = self._networks.centre_views
 
-    def predict(self, views, landmark_sd=None, jobs=1, progress=None):
+    def predict(
+        self,
+        views: np.ndarray,
+        landmark_sd: np.ndarray | None = None,
+        jobs: int = 1,
+        progress: Callable[[int], object] | None = None,
+    ) -> tuple[np.ndarray, None, HeadPose]:
         """As of `Lifting`, but that no landmark may be missing; s.d. are neither read nor given."""
         if np.isnan(views).any():
             raise InputError(

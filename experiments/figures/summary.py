@@ -60,9 +60,7 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
 
 
 def _draw_rows(axes: Axes, rows: pd.DataFrame) -> None:
-    """Draw a row per method: filled, our mean with its s.d., or our median and range over seeds;
-    hollow, the published mean.
-    """
+    """Draw a row per method: ours filled, with s.d. or range over seeds; the published hollow."""
     for y, row in enumerate(rows.itertuples()):
         style = {"color": colour(row.Index), "marker": marker(row.Index), "linestyle": "none"}
         axes.plot(row.paper_mean, y, **style, ms=6.5, mfc="none", mew=0.9)
