@@ -6,7 +6,7 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
            pretrained lifting witness check report
-.PHONY: help setup $(TARGETS) dag docs pictures openhead real-faces surface footprint test nightly lint \
+.PHONY: help setup $(TARGETS) all-results dag docs pictures openhead real-faces surface footprint test nightly lint \
         clean
 
 PYTHON ?= python3
@@ -85,6 +85,23 @@ check: ## whether results/<model>/bfm/table.csv is as committed, within what see
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
+
+# What is done is skipped, so the same command goes on after a stop. Paths without spaces.
+GIVEN := AUTHORS=$(AUTHORS) SFM=$(SFM)
+all-results: | $(READY) ## all of results/, on both open models   DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz   (10 h)
+	@for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
+	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
+	      'reproduce-bfm PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba ablation \
+	      'seeds SEEDS=10' 'audit SEEDS=10' 'lifting DATA=$(DATA)'; do \
+	    $(MAKE) --no-print-directory DATA= $$model $(GIVEN) $$target; \
+	  done; \
+	done; \
+	for target in pretrained 'real-faces REAL=$(REAL)' surface witness bench footprint; do \
+	  $(MAKE) --no-print-directory DATA=$(DATA) $(GIVEN) $$target; \
+	done; \
+	for target in stream report 'report MODEL=ict DATA=$(DATA)' docs; do \
+	  $(MAKE) --no-print-directory DATA= $$target; \
+	done
 
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)
 	@$(PY) -m experiments.make $(TARGET) DAG=build/dag.svg $(VALUES)

@@ -25,7 +25,7 @@ from experiments.lifting.contenders import limit
 from experiments.lifting.pair_nets import dissimilarities
 from experiments.lifting.train import LIFTING
 from experiments.lifting.train_pairs import autoencoder, views_of_pairs
-from experiments.lifting.variants import VARIANTS, anatomy_file
+from experiments.lifting.variants import STEPS, VARIANTS, anatomy_file
 from experiments.lifting.views import Views
 from experiments.methods import load, predict
 from experiments.progress import Bar
@@ -36,23 +36,6 @@ from experiments.streams import Stream
 from experiments.studies.seed import recalibrate_batchnorm
 from experiments.studies.study_results import grid, mean_error, write_results
 
-STEPS = {
-    "mean_shape": "Mean shape",
-    "constant": "Deep-MDS, constant rate",
-    "recalibrated": "… statistics of batch normalisation computed again",
-    "cosine": "Deep-MDS, cosine schedule (A)",
-    "side": "A on views from the side",
-    "not_rescaled": "A without the second min-max",
-    "true_frontal_tested": "A tested on true frontal views",
-    "true_frontal": "A trained and tested on true frontal views",
-    "wide": "A with 64 units for 20 (B)",
-    "shuffled": "B with shuffled mini-batches (C)",
-    "landmarks_known": "C that knows which landmarks it sees (D)",
-    "whole_view": "D that also sees the whole view",
-    "lifting": "The distances of the lifting network",
-    "true_distances": "The true distances",
-    "limit": "Approximate lower bound: with the face model and the camera known",
-}
 _DRAWN = {
     "mean_shape": "mean shape", "constant": "constant rate", "cosine": "A: cosine schedule",
     "true_frontal": "A on true frontal views", "wide": "B: A with 64 units",

@@ -54,6 +54,25 @@ VARIANTS = {
     "whole_view": replace(_KNOWN, whole_view=True),
 }
 
+# Rows of its table.
+STEPS = {
+    "mean_shape": "Mean shape",
+    "constant": "Deep-MDS, constant rate",
+    "recalibrated": "… statistics of batch normalisation computed again",
+    "cosine": "Deep-MDS, cosine schedule (A)",
+    "side": "A on views from the side",
+    "not_rescaled": "A without the second min-max",
+    "true_frontal_tested": "A tested on true frontal views",
+    "true_frontal": "A trained and tested on true frontal views",
+    "wide": "A with 64 units for 20 (B)",
+    "shuffled": "B with shuffled mini-batches (C)",
+    "landmarks_known": "C that knows which landmarks it sees (D)",
+    "whole_view": "D that also sees the whole view",
+    "lifting": "The distances of the lifting network",
+    "true_distances": "The true distances",
+    "limit": "Approximate lower bound: with the face model and the camera known",
+}
+
 
 def anatomy_trainings(run: Run) -> list[str]:
     """Names of what is trained: a method and a seed, the slow ones first."""

@@ -1,0 +1,157 @@
+"""Write README.md and pages of docs/ from their templates and the results: `make docs`.
+
+A template is the page, with `{{ … }}` where a number or table of the results belongs:
+`docs/templates/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where no unit is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from deepmds_keras.files import write_bytes
+from experiments.face_models import TITLES
+from experiments.lifting.variants import STEPS
+from experiments.methods import METHODS, title
+from experiments.scoring.numbers import NOTHING, power
+
+ROOT = Path(__file__).parents[1]
+TEMPLATES = Path(__file__).with_name("templates")
+_DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+class Results:
+    """Numbers of a folder of results, as the pages have them."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def csv(self, *names: str) -> pd.DataFrame:
+        """Tables of results, one below the other; `model` is the first folder of each."""
+        read = [pd.read_csv(self._folder / name) for name in names]
+        named = zip(names, read, strict=True)
+        return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in named)
+
+    def rows(self, folder: str) -> pd.DataFrame:
+        """Mean squared errors of a folder's table, by method."""
+        return self.csv(f"{folder}/table.csv").query("metric == 'mse'").set_index("method")
+
+    def mse(self, folder: str, method: str, column: str = "mean", form: str = ".2f") -> str:
+        """The error of a method in one of the paper's tables."""
+        return f"{self.rows(folder).loc[method, column] / 1e-4:{form}}"
+
+    def seeds(self, folder: str, method: str = "ours") -> str:
+        """Median of the errors over seeds, and their range."""
+        row = self.rows(folder).loc[method]
+        return "{:.2f} ({:.2f} to {:.2f})".format(*row[["median", "min", "max"]] / 1e-4)
+
+    def audit(
+        self, model: str, name: str, form: str = ".2f", *, unit: float = 1.0, interval: bool = False
+    ) -> str:
+        """A number of the audit, with its 95 % interval if wanted."""
+        row = self.csv(f"{model}/audit/numbers.csv").set_index("number").loc[name]
+        value, low, high = (f"{row[key] / unit:{form}}" for key in ("value", "low", "high"))
+        return f"{value} [{low}, {high}]" if interval else value
+
+    def errors(
+        self, unit: float, paper: str, columns: Mapping[str, str], methods: Iterable[str]
+    ) -> str:
+        """The paper's errors beside ours, a row a method, a column a folder (by its head)."""
+        tables = [self.rows(folder) for folder in columns.values()]
+        rows = [[f"MSE, in {power(unit)}", paper, *columns]]
+        for method in methods:
+            known = [table.loc[method] if method in table.index else None for table in tables]
+            printed = [row["paper_mean"] for row in known if row is not None]
+            if any(row is not None and pd.notna(row["mean"]) for row in known):
+                quoted = f"{printed[0] / unit:g}" if pd.notna(printed[0]) else NOTHING
+                rows.append([title(method), quoted, *(_error(row, unit) for row in known)])
+        return grid(rows)
+
+
+def pivot(
+    table: pd.DataFrame, corner: str, columns: Mapping, by: list[str], *,
+    value: str = "mse", row: str = "method", unit: float = 1.0, names: Mapping | None = None,
+) -> str:  # fmt: skip
+    """Numbers (`value`) of a table of results by its columns `row` and `by`, in a unit.
+
+    Args:
+        table: Results.
+        corner: Head of the first column.
+        columns: Heads of the others, by the values of `by`.
+        by, value, row, unit: See above.
+        names: Of the rows, in order; None are the titles of methods.
+    """
+    cells = table.pivot_table(value, row, by)[[*columns]].dropna(how="all") / unit
+    names = names or {method: title(method) for method in METHODS}
+    rows = [[names[key], *map(_three, cells.loc[key])] for key in names if key in cells.index]
+    return grid([[corner, *columns.values()], *rows])
+
+
+def grid(rows: Iterable[Iterable[object]]) -> str:
+    """A table in Markdown, the first row its head."""
+    head, *rows = [[str(cell) for cell in row] for row in rows]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+
+
+def words(share: str | float) -> str:
+    """How many of ten a share is."""
+    return _DIGITS[round(10 * float(share))]
+
+
+def two(value: float) -> str:
+    """Two significant digits."""
+    return f"{float(f'{value:.2g}'):,g}"
+
+
+def span(values: pd.Series) -> str:
+    """The range of numbers, or the one that they all are."""
+    return " to ".join(dict.fromkeys(f"{value:.2f}" for value in (values.min(), values.max())))
+
+
+def _three(value: float) -> str:
+    if pd.isna(value):
+        return NOTHING
+    return f"{value:,.0f}" if value >= 1000 else "0" if value < 1e-6 else f"{value:.3g}"
+
+
+def _error(row: pd.Series | None, unit: float) -> str:
+    """An error; of several seeds their median and range."""
+    if row is None or pd.isna(row["mean"]):
+        return NOTHING
+    if row.get("n_seeds", 0) > 1:
+        return "{:.2g} ({:.2g} to {:.2g})".format(*row[["median", "lowest", "highest"]] / unit)
+    return f"{row['mean'] / unit:.2g}"
+
+
+def pages(root: Path = ROOT) -> dict[str, str]:
+    """Text of every page that has a template, by its path; `root` holds the folder of results."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+    )
+    results = Results(root / "results")
+    names = ("csv", "rows", "mse", "seeds", "audit", "errors")
+    environment.globals |= {name: getattr(results, name) for name in names}
+    environment.globals |= {"pivot": pivot, "span": span, "two": two, "words": words}
+    environment.globals |= {"title": title, "models": TITLES, "steps": STEPS}
+    names = [name.removesuffix(".j2") for name in environment.list_templates()]
+    places = {name: name if name == "README.md" else f"docs/{name}" for name in names}
+    return {
+        place: environment.get_template(f"{name}.j2").render() for name, place in places.items()
+    }
+
+
+def main() -> None:
+    """Write all of them."""
+    for place, text in pages().items():
+        write_bytes(ROOT / place, text.encode())
+        print(place)
+
+
+if __name__ == "__main__":
+    main()
