@@ -53,7 +53,7 @@ _MODULES = ("baselines", "metrics")
 _KERAS = ("h5py", "keras", "sklearn", "tensorflow")  # what the extra of that name brings
 
 __all__ = ["InputError", "MissingPackageError", *_HOME, *_MODULES]
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 
 def __getattr__(name):

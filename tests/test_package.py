@@ -9,7 +9,8 @@ import pytest
 from places import ROOT
 
 pytestmark = pytest.mark.slow
-PHOTO = ROOT / "docs" / "pictures" / "portraits.jpg"
+PICTURES = ROOT / "docs" / "pictures"
+PHOTO = PICTURES / "portraits.jpg"
 PYTHONS = ("python3.11", "python3.12", "python3.13")
 
 
@@ -61,8 +62,9 @@ def test_twine_finds_nothing_wrong(tools, files):
 def test_the_wheel_alone_predicts(files, tmp_path, python):
     programs = environment(python, tmp_path / "venv", f"{files[0]}[dlib]")
     deepmds = str(programs / "deepmds")
-    said = run(deepmds, "predict", str(PHOTO), "--out", "out", "--view", cwd=tmp_path)
-    assert "3 faces" in said
+    photos = [str(PHOTO), str(PICTURES / "astronaut.jpg")]
+    said = run(deepmds, "predict", *photos, "--out", "out", "--view", cwd=tmp_path)
+    assert "portraits.jpg: 3 faces" in said and "astronaut.jpg: 1 face " in said
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"portraits.csv", "portraits.png", "portraits.html"} <= names
 
