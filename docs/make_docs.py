@@ -1,7 +1,8 @@
 """Write README.md and pages of docs/ from their templates and the results: `make docs`.
 
 A template is the page, with `{{ … }}` where a number or table of the results belongs:
-`docs/templates/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where no unit is named.
+`docs/templates/docs/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where no unit is
+named.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from experiments.methods import METHODS, title
 from experiments.scoring.numbers import NOTHING, power
 
 ROOT = Path(__file__).parents[1]
-TEMPLATES = Path(__file__).with_name("templates")
 _DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -31,9 +31,8 @@ class Results:
 
     def csv(self, *names: str) -> pd.DataFrame:
         """Tables of results, one below the other; `model` is the first folder of each."""
-        read = [pd.read_csv(self._folder / name) for name in names]
-        named = zip(names, read, strict=True)
-        return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in named)
+        read = [(name, pd.read_csv(self._folder / name)) for name in names]
+        return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in read)
 
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""
@@ -78,10 +77,7 @@ def pivot(
     """Numbers (`value`) of a table of results by its columns `row` and `by`, in a unit.
 
     Args:
-        table: Results.
-        corner: Head of the first column.
-        columns: Heads of the others, by the values of `by`.
-        by, value, row, unit: See above.
+        corner, columns: Head of the first column, and of the others by the values of `by`.
         names: Of the rows, in order; None are the titles of methods.
     """
     cells = table.pivot_table(value, row, by)[[*columns]].dropna(how="all") / unit
@@ -129,21 +125,16 @@ def _error(row: pd.Series | None, unit: float) -> str:
 def pages(root: Path = ROOT) -> dict[str, str]:
     """Text of every page that has a template, by its path; `root` holds the folder of results."""
     environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        undefined=StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-    )
+        loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
+        keep_trailing_newline=True, trim_blocks=True,
+    )  # fmt: skip
     results = Results(root / "results")
-    names = ("csv", "rows", "mse", "seeds", "audit", "errors")
-    environment.globals |= {name: getattr(results, name) for name in names}
+    for name in ("csv", "rows", "mse", "seeds", "audit", "errors"):
+        environment.globals[name] = getattr(results, name)
     environment.globals |= {"pivot": pivot, "span": span, "two": two, "words": words}
     environment.globals |= {"title": title, "models": TITLES, "steps": STEPS}
-    names = [name.removesuffix(".j2") for name in environment.list_templates()]
-    places = {name: name if name == "README.md" else f"docs/{name}" for name in names}
-    return {
-        place: environment.get_template(f"{name}.j2").render() for name, place in places.items()
-    }
+    names = environment.list_templates()
+    return {name.removesuffix(".j2"): environment.get_template(name).render() for name in names}
 
 
 def main() -> None:
