@@ -126,7 +126,7 @@ footprint: | $(READY) ## size, memory and time of an installation: results/bench
 
 # Two at a time: a step keeps about a core busy.
 test: | $(READY) ## the tests, but for what takes long                (5 min)
-	$(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not slow'
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files
 	KILLS=6 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder

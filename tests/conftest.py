@@ -21,9 +21,18 @@ _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-sta
 
 @pytest.hookimpl(trylast=True)  # once those that are not to run have left
 def pytest_collection_modifyitems(items):
-    """Make the run that several modules read first and read it last, so that nobody waits."""
+    """Make the run that several modules read first, and read it late, so that nobody waits.
+
+    What is short comes last, lest one process works alone at the end.
+    """
     readers = list(dict.fromkeys(i.path for i in items if "whole_bfm" in i.fixturenames))
-    items.sort(key=lambda i: 1 if i.path not in readers else 0 if i.path == readers[0] else 2)
+
+    def place(item) -> int:
+        if item.path in readers:
+            return 0 if item.path == readers[0] else 2
+        return 3 if "experiments" in item.path.parts else 1
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")
@@ -55,7 +64,12 @@ def once(tmp_path_factory):
 @pytest.fixture(scope="session")
 def whole_bfm(once):
     """Folder of the BFM experiment at the smallest size, as `make` leaves it; only to be read."""
-    return once("bfm", lambda folder: runs.ended(runs.command("reproduce-bfm", folder)))
+
+    def build(folder):
+        runs.make("reproduce-bfm", folder)
+        runs.mark_as_done("reproduce-bfm", folder)
+
+    return once("bfm", build)
 
 
 @pytest.fixture(scope="session")

@@ -48,18 +48,22 @@ class Done:
     stderr: str
 
 
-def run(step: str, folder: Path, *arguments: str) -> Done:
-    """Run a step with `build` and `results` in a folder, at the preset `tiny` if none is named."""
+def run(step: str, folder: Path, *arguments: str, command: str = "") -> Done:
+    """Run a step with `build` and `results` in a folder, at the preset `tiny` if none is named.
+
+    Its record says that it was run by the command, if there is one.
+    """
+    environment = ENVIRONMENT | {"EXPERIMENTS_COMMAND": command}
     words = [step, *arguments]
     if "--preset" not in words:
         words += ["--preset", PRESET]
     if step in RENDERING:
-        command = [sys.executable, "-m", "experiments", *words]
-        done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+        called = [sys.executable, "-m", "experiments", *words]
+        done = subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True)
         return Done(done.returncode, done.stdout, done.stderr)
     with tempfile.TemporaryDirectory(prefix="step-") as texts:
         paths = [Path(texts, name) for name in ("stdout", "stderr")]
-        process = _context.Process(target=_fork, args=(words, folder, paths))
+        process = _context.Process(target=_fork, args=(words, folder, paths, environment))
         process.start()
         process.join()
         return Done(process.exitcode, *(path.read_text("utf-8") for path in paths))
@@ -78,10 +82,18 @@ def make(target: str, folder: Path, *variables: str) -> list[list[str]]:
     Returns:
         Words of each step that was run.
     """
-    steps = plan(target, folder, *variables)
+    steps, command = plan(target, folder, *variables), f"make {target} PRESET={PRESET}"
     for words in steps:
-        succeed(words[0], folder, *words[1:])
+        done = run(words[0], folder, *words[1:], command=command)
+        assert done.returncode == 0, done.stderr
     return steps
+
+
+def mark_as_done(target: str, folder: Path, *variables: str) -> None:
+    """Have Snakemake note by which parameters the files of a target were made."""
+    words = [*SNAKEMAKE, target.replace("-", "_"), "--touch", "--forceall", "--quiet", "all"]
+    words += ["--config", f"PRESET={PRESET}", *variables]
+    subprocess.run(words, cwd=folder, env=ENVIRONMENT, check=True, capture_output=True)
 
 
 def plan(target: str, folder: Path, *variables: str) -> list[list[str]]:
@@ -130,11 +142,11 @@ def files_in(folder: Path) -> list[Path]:
     return [path for path in paths if ".snakemake" not in path.parts]
 
 
-def _fork(words: list[str], folder: Path, paths: list[Path]) -> None:
+def _fork(words: list[str], folder: Path, paths: list[Path], environment: dict) -> None:
     """Be `python -m experiments`, in a process that was forked for it."""
     os.chdir(folder)
     os.environ.clear()
-    os.environ.update(ENVIRONMENT)
+    os.environ.update(environment)
     sys.path.insert(0, str(ROOT))
     for number, path in enumerate(paths, 1):
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)

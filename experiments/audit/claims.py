@@ -26,7 +26,6 @@ from experiments.audit.estimates import (
     share_below,
     spread_of_seeds,
 )
-from experiments.audit.shapes import SIMULATIONS
 
 SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
 _CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")
@@ -174,7 +173,7 @@ def _noisy_over(t: Tables, method: str, other: str, percent: float = _MOST_NOISE
 def _false_positives(t: Tables, samplings: str) -> Estimate:
     """Rate at which a test takes methods for different that only chance tells apart."""
     share = t.measured("samplings", "rate", samplings=samplings).value
-    return rate(share, SIMULATIONS, "simulations")
+    return rate(share, t.run.preset.simulations, "simulations")
 
 
 def _least_p_value(n: int, kind: str = "p_value_normal") -> Estimate:

@@ -15,7 +15,6 @@ from experiments.scoring.scores import load_prediction
 from experiments.streams import Stream
 
 LEVEL = 0.05  # of significance
-SIMULATIONS = 500
 SAMPLINGS = (20, 50)  # more than the paper's
 _BIASED = (
     "mean_shape", "linear", "zhao", "aldrian", "mobileface", "ours", "ours_released", "ours_stable",
@@ -118,6 +117,7 @@ def samplings(evidence: Evidence) -> pd.DataFrame:
         sorted({preset.n_subsets, *SAMPLINGS}),
         preset.subset_size,
         evidence.rng(Stream.AUDIT_SIGNIFICANCE),
+        preset.simulations,
     )
     return pd.Series(rates, name="rate").rename_axis("samplings").reset_index()
 
@@ -127,7 +127,7 @@ def false_positives(
     samplings: list[int],
     size: int,
     rng: np.random.Generator,
-    simulations: int = SIMULATIONS,
+    simulations: int,
 ) -> dict[str, float]:
     """Share of cases in which methods that only chance tells apart come out as different.
 
@@ -139,6 +139,7 @@ def false_positives(
         difference: `(n,)` error of one method less that of the other, for each face.
         samplings: Numbers of samplings.
         size: Faces of each, at most n.
+        simulations: Their number.
 
     Returns:
         By number of samplings; and of the test over all faces under `"faces"`.

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import pandas as pd
 import pytest
 import runs
 from filelock import FileLock
@@ -83,6 +84,7 @@ def test_another_variable_runs_what_depends_on_it(whole_bfm, variables, expected
     assert sorted(name.split(" mean_shape linear")[0] for name in planned) == sorted(expected)
 
 
+@pytest.mark.slow
 def test_a_row_that_was_left_out_is_added(copy):
     status, output, _ = ended(runs.command("reproduce-bfm", copy, "MOBILEFACE=no"))
     assert status == 0 and "left out (MOBILEFACE=no)" in output
@@ -113,7 +115,10 @@ def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
     assert other[0] == "tracks.faces"
 
 
-@pytest.mark.parametrize("lost", ["table.csv", "figures/summary.png", "manifest.json"])
+@pytest.mark.parametrize(
+    "lost",
+    [pytest.param("table.csv", marks=pytest.mark.slow), "figures/summary.png", "manifest.json"],
+)
 def test_results_that_were_deleted_are_written_again(copy, lost):
     path = runs.results(copy, "bfm") / lost
     path.unlink()
@@ -139,13 +144,18 @@ def test_the_steps_of_a_target_are_drawn(tmp_path):
     assert drawn.startswith("<?xml") and "ablation" in drawn
 
 
-def test_the_table_of_the_landmark_methods_comes_before_mobileface(whole_bfm):
-    """By the moments at which the steps of a real run began."""
-    started = {
-        name: read_record(runs.work(whole_bfm, "bfm") / f"records/{name}.json")["started"]
-        for name in ("preview", "train-mobileface", "bfm")
-    }
-    assert started["preview"] <= started["train-mobileface"] <= started["bfm"]
+@pytest.mark.slow
+def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_methods(
+    whole_bfm, tmp_path
+):
+    runs.ended(runs.command("reproduce-bfm", tmp_path))
+    records = runs.work(tmp_path, "bfm") / "records"
+    names = ("preview", "train-mobileface", "bfm")
+    started = [read_record(records / f"{name}.json")["started"] for name in names]
+    assert started == sorted(started)
+    tables = [runs.results(folder, "bfm") / "metrics.csv" for folder in (tmp_path, whole_bfm)]
+    errors = [pd.read_csv(table).query("metric == 'mse'") for table in tables]
+    pd.testing.assert_frame_equal(*errors)
 
 
 # Errors.
@@ -178,7 +188,7 @@ def test_unusable_weights_are_named_before_the_long_work(tmp_path):
     process.terminate()
     status, output, errors = ended(process)
     assert status and errors.strip() in ("", "Stopped; the same command goes on from here.")
-    assert "images" not in output
+    assert "Step 10 of" not in output
 
 
 @pytest.mark.parametrize("name", ["records/train-ours.json", "test.npz"])

@@ -118,6 +118,7 @@ def scan(k, angles=None, shoulders=False):
     return scan_of(shape, MODEL.triangles, camera, landmarks, rng, shoulders), landmarks, pixels
 
 
+@pytest.mark.slow
 def test_19_of_20_near_frontal_scans_with_shoulders_are_registered():
     """Either way round. Without the search for the face 6 of these are refused, 4 are wrong."""
     truth, registered = GroundTruth(MODEL), 0

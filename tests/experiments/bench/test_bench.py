@@ -94,6 +94,7 @@ def test_solvers_agree_on_what_trained_networks_predict(whole_bfm, faces, method
     assert_solvers_agree(np.abs(load(run, method).dissimilarities(faces.views)))
 
 
+@pytest.mark.slow
 def test_the_training_that_is_timed_as_ours_is_our_training(faces):
     shapes, steps = np.float32(normalise(faces.landmarks)), 5
     expected, _ = train_dissimilarity_net(shapes[..., :2], shapes, Recipe(1, steps))

@@ -135,6 +135,7 @@ def test_mediapipe_finds_faces_and_the_corrected_list_fits_better(whole_flame):
     assert table["mediapipe_corrected", "mse"] < table["mediapipe", "mse"]
 
 
+@pytest.mark.slow
 def test_the_released_evaluator_scores_the_same_predictions(copy):
     folder = copy("bfm")
     assert step("tracks.bfm", folder, "bfm", *ids("bfm"), evaluator="released").returncode == 0
