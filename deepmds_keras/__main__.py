@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
+from deepmds_keras.command.cli import parse, printable
 from deepmds_keras.errors import InputError
-from deepmds_keras.predict.cli import parse, printable
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
 
@@ -26,17 +26,17 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         command = options.pop("command")
         if command == "evaluate":
-            from deepmds_keras.predict.evaluation import evaluate
+            from deepmds_keras.command.evaluation import evaluate
 
             evaluate(**options)
         elif command == "export":
-            from deepmds_keras.predict.onnx_export import export
+            from deepmds_keras.command.onnx_export import export
 
             export(options["out"], options["model"])
             print(f"{options['model']} → {options['out']}")
         else:
             # Not before: --help and wrong arguments are answered without its many imports.
-            from deepmds_keras.predict.run import run
+            from deepmds_keras.command.run import run
 
             failed = run(**options, stopped=stopped)
         sys.stdout.flush()

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepmds_keras.checks import check_views_and_shapes
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import check_views_and_shapes
 
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 

@@ -11,8 +11,8 @@ import numpy as np
 import tensorflow as tf
 from keras import layers, ops
 
-from deepmds_keras.checks import check_n_landmarks
 from deepmds_keras.errors import check_choice
+from deepmds_keras.landmarks.checks import check_n_landmarks
 from deepmds_keras.proximities import VARIANTS
 
 

@@ -14,11 +14,11 @@ from sklearn.base import BaseEstimator
 from deepmds_keras import networks, training, weights
 from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.camera import front_landmark, resolve_orientation
-from deepmds_keras.checks import check_faces, check_fitted, check_views_and_shapes
 from deepmds_keras.embedding import embed
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.landmarks import load_scheme, scheme_of
+from deepmds_keras.landmarks.checks import check_faces, check_fitted, check_views_and_shapes
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.metrics import explained_share
 from deepmds_keras.proximities import proximities

@@ -14,9 +14,9 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepmds_keras.files import write_bytes
-from experiments.face_models import TITLES
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
+from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import NOTHING, power
 
 ROOT = Path(__file__).parents[1]

@@ -1,6 +1,6 @@
 """`python -m experiments STEP [ITEM …] [options]`: run one step, as `experiments/Snakefile` does.
 
-A step is a module of this package with `main(run, *items)`, such as `tracks.faces`.
+A step is a module of this package with `main(run, *items)`, such as `datasets.faces`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)
 
 def main(arguments: list[str] | None = None) -> None:
     parser = Parser("python -m experiments", description=__doc__)
-    parser.add_argument("step", help="module, such as tracks.faces")
+    parser.add_argument("step", help="module, such as datasets.faces")
     parser.add_argument("items", nargs="*", help="of a step that is done for several, which one")
     parser.add_argument("--record", type=Path, help="file to write the step's record to")
     parser.add_argument("--inputs", type=Path, nargs="*", default=[], help="files it is made from")
@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> None:
         module = f"experiments.{values['step']}"
         if not values["step"].islower() or _spec(module) is None:
             raise InputError(
-                f"STEP must be a module of experiments, such as tracks.faces. Received {module}."
+                f"STEP must be a module of experiments, such as datasets.faces. Received {module}."
             )
         onednn = _is_onednn(values["step"], values["items"])
         alone = onednn or values["step"] not in _TRAININGS

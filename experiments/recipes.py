@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_gen.datasets.dataset import load_dataset
+from deepmds_keras.detection.photos import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.photos import IMAGE_SIZE
 from experiments.inputs import load_faces, load_images, load_landmark_model
 from experiments.progress import EpochBar
 from experiments.run import AUTHORS_FILES, Run

@@ -28,7 +28,7 @@ SNAKEMAKE = (
     "--cores", "2", "--rerun-triggers", "mtime", "params", "input", "--nolock",
 )  # fmt: skip
 RENDERING = {
-    "tracks.images", "tracks.scans", "tracks.rings", "tracks.photos", "tracks.celeba",
+    "datasets.images", "datasets.scans", "datasets.rings", "datasets.photos", "tracks.celeba",
     "tracks.celeba_flame", "pretrained.portraits",
 }  # fmt: skip
 _LIBRARIES = (

@@ -57,7 +57,7 @@ def test_modules_import_only_what_lies_before_them(package):
     assert done == graph.keys(), f"these import each other: {graph.keys() - done}"
 
 
-@pytest.mark.parametrize("package", ["data_gen", "experiments"])
+@pytest.mark.parametrize("package", ["data_gen", "deepmds_keras", "experiments"])
 def test_folders_import_only_what_lies_before_them(package):
     graph = {path.parent.name: set() for path in (ROOT / package).glob("*/*.py")}
     for folder, below in graph.items():
@@ -68,6 +68,13 @@ def test_folders_import_only_what_lies_before_them(package):
     while ready := [f for f in graph if f not in done and graph[f] <= done]:
         done |= {*ready}
     assert done == graph.keys(), f"these import each other: {graph.keys() - done}"
+
+
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_a_folder_is_read_at_a_glance(package):
+    folders = {path.parent for path in (ROOT / package).rglob("*.py")}
+    sizes = {str(folder): len([*folder.glob("[!_]*.py")]) for folder in folders}
+    assert max(sizes.values()) <= 12, sizes
 
 
 def test_only_embedding_imports_mds():

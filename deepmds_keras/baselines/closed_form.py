@@ -10,8 +10,13 @@ from sklearn.linear_model import RidgeCV
 
 from deepmds_keras.alignment import align
 from deepmds_keras.camera import affine_cameras
-from deepmds_keras.checks import check_faces, check_fitted, check_points, check_views_and_shapes
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import (
+    check_faces,
+    check_fitted,
+    check_points,
+    check_views_and_shapes,
+)
 
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB
 _FLAT = 1e-5  # depth of a shape, as a share of its length, that leaves its affine camera open

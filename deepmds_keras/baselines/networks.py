@@ -11,8 +11,8 @@ import tensorflow as tf
 from keras import layers
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.checks import check_fitted
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import check_fitted
 from deepmds_keras.networks import count_trainable, forward
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
 from deepmds_keras.weights import read_keras2_weights

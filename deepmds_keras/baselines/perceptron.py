@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmds_keras.alignment import centre, rms_radius
 from deepmds_keras.baselines.networks import NetworkMethod, dense_network
-from deepmds_keras.checks import check_faces, check_n_landmarks, check_views_and_shapes
+from deepmds_keras.landmarks.checks import check_faces, check_n_landmarks, check_views_and_shapes
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe
 

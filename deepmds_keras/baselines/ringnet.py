@@ -10,8 +10,8 @@ import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.baselines.networks import NetworkMethod, check_shape, draw_kernels
-from deepmds_keras.checks import check_images, check_points
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import check_images, check_points
 from deepmds_keras.networks import forward_images
 from deepmds_keras.training import face_order, image_batches
 from deepmds_keras.weights import Stream

@@ -8,8 +8,8 @@ import keras
 import numpy as np
 
 from deepmds_keras.baselines.networks import NetworkMethod, dense_network
-from deepmds_keras.checks import check_faces, check_n_landmarks
 from deepmds_keras.errors import check_choice
+from deepmds_keras.landmarks.checks import check_faces, check_n_landmarks
 from deepmds_keras.networks import forward
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from deepmds_keras.detection.photos import check_photo
 from deepmds_keras.errors import InputError, brief, needs
-from deepmds_keras.photos import check_photo
 
 N_LANDMARKS = 68
 # What the detector needs grows with the image: at 64 million pixels 3.5 s and 1.1 GB, and four

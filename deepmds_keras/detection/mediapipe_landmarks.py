@@ -18,10 +18,10 @@ from threading import Lock, RLock
 
 import numpy as np
 
+from deepmds_keras.detection.photos import check_photo
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER
-from deepmds_keras.photos import check_photo
 
 N_POINTS = 468
 _GRAPH = "modules/face_landmark/face_landmark_front_cpu.binarypb"

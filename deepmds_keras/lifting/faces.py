@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.alignment import centre, normalise
-from deepmds_keras.checks import check_faces
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import check_faces
 from deepmds_keras.lifting.views import LEAST_VISIBLE, prepare_views, standardise
 from deepmds_keras.weights import Stream
 

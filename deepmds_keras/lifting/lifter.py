@@ -15,9 +15,9 @@ import numpy as np
 
 from deepmds_keras import weights
 from deepmds_keras.camera import HeadPose
-from deepmds_keras.checks import check_fitted
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.landmarks.checks import check_fitted
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces

@@ -14,9 +14,8 @@ from tqdm import tqdm
 from deepmds_keras.detection import DETECTORS, Find, describe_detector, to_ibug
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert
-from deepmds_keras.predict.faces import Detections, FrameRef
+from deepmds_keras.predict.faces import Detections, FrameRef, name_faces
 from deepmds_keras.predict.models import target_scheme
-from deepmds_keras.predict.sources import name_faces
 from deepmds_keras.predict.videos import Video
 
 _TURNS = (0, 1, 3, 2)  # quarters to the left; of what is equally good the first is taken

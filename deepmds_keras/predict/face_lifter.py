@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from deepmds_keras.detection import DETECTORS, default_detector
+from deepmds_keras.detection.photos import check_photo, in_colour, open_photo
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.photos import check_photo, in_colour, open_photo
 from deepmds_keras.predict.detection import find_in_photo, find_in_video
 from deepmds_keras.predict.estimation import check_interocular, estimate
-from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.faces import Detections, Face, name_faces
 from deepmds_keras.predict.landmark_files import find_unusable
 from deepmds_keras.predict.models import target_scheme
-from deepmds_keras.predict.sources import name_faces
 from deepmds_keras.predict.videos import Frame, Video
 
 if TYPE_CHECKING:

@@ -162,6 +162,13 @@ class Face:
         return replace(self, **_nan(vars(self)), name=name, pose=pose, notes=notes)
 
 
+def name_faces(name: str, n: int) -> list[str]:
+    """Names of the n faces of one source: its own, or with numbers from 1 if there are several."""
+    if n == 1:
+        return [name]
+    return [f"{name}-{i:0{len(str(n))}d}" for i in range(1, n + 1)]
+
+
 def _nan(values: Mapping) -> dict:
     """The numbers among them, all NaN."""
     kinds = (float, np.ndarray)

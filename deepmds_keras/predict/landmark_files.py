@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.checks import find_faults
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import map_npy
 from deepmds_keras.landmarks import face_sizes, load_scheme, said_sizes
+from deepmds_keras.landmarks.checks import find_faults
 from deepmds_keras.lifting.views import LEAST_VISIBLE
 
 _FRACTION = 2  # at most, of the width or height of an image; a face may reach beyond it

@@ -13,10 +13,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
+from deepmds_keras.detection.photos import MIN_SIDE
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.photos import MIN_SIDE
 from deepmds_keras.predict.faces import Face
 
 _MAX_PIXELS = 64_000_000  # twice those of 8K

@@ -51,7 +51,7 @@ def ground_truth(
     """Photo, scan and landmarks of some scans; below, the error of the truth by landmark.
 
     Args:
-        scans: Table of `tracks.scans`: `fitted`, `landmarks` and perhaps `truth`, `(n, L, 3)`
+        scans: Table of `datasets.scans`: `fitted`, `landmarks` and perhaps `truth`, `(n, L, 3)`
             millimetres, and `example_points`, `(k, m, 3)`, in one frame. Without the truth there
             are no errors.
         shown: `(k,)` faces that are drawn, a column each.

@@ -26,7 +26,6 @@ from deepmds_keras.alignment import align, centre, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Linear, MeanShape
 from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.metrics import mse
-from experiments.face_models import TITLES
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
 from experiments.lifting.surrey import Surrey
@@ -43,6 +42,7 @@ from experiments.methods import title
 from experiments.progress import Bar
 from experiments.recipes import perceptron
 from experiments.run import Run
+from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
 from experiments.studies.study_results import grid, mean_error, write_results

@@ -18,7 +18,6 @@ from deepmds_keras.detection import detector_sd, to_ibug
 from deepmds_keras.landmarks import convert
 from deepmds_keras.metrics import mse
 from deepmds_keras.weights import PRETRAINED
-from experiments.face_models import TITLES
 from experiments.lifting.train import load_network
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
@@ -26,6 +25,7 @@ from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
 from experiments.recipes import perceptron
 from experiments.run import Run
+from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
 from experiments.studies.study_results import grid, mean_error, write_results

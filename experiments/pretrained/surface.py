@@ -27,8 +27,8 @@ from data_gen.views import (
 from deepmds_keras.alignment import align, procrustes
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.predict.mesh import FILE, fit_surfaces, surface_landmarks
-from experiments.face_models import TITLES
 from experiments.run import Run
+from experiments.scoring.face_models import TITLES
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 

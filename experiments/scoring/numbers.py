@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from experiments.published import as_printed
+from experiments.scoring.published import as_printed
 
 NOTHING = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

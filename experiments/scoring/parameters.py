@@ -6,12 +6,12 @@ import pandas as pd
 
 from experiments.inputs import load_landmark_model
 from experiments.methods import METHODS, title
-from experiments.metrics import METRICS
-from experiments.published import printed
 from experiments.records import write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
+from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING
+from experiments.scoring.published import printed
 
 _LEGEND = (
     "Paper: quoted from Kamyab and Azimifar. Total: with the moving "

@@ -14,9 +14,9 @@ from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from experiments.inputs import Faces
-from experiments.metrics import METRICS, Metric
 from experiments.records import load_record
 from experiments.run import Run
+from experiments.scoring.metrics import METRICS, Metric
 from experiments.streams import Stream
 
 

@@ -10,10 +10,10 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, rows_of_paper, title
-from experiments.metrics import METRICS, metrics_of
-from experiments.published import published
 from experiments.records import write_csv, write_text
 from experiments.run import Run
+from experiments.scoring.metrics import METRICS, metrics_of
+from experiments.scoring.published import published
 from experiments.scoring.typesetting import latex, text
 from experiments.scoring.verdict import verdict
 

@@ -10,11 +10,11 @@ import pandas as pd
 
 from deepmds_keras.landmarks import load_scheme
 from experiments.methods import rows_of_paper, title
-from experiments.metrics import METRICS, Metric, metrics_of
-from experiments.published import paper_table, unit_of
 from experiments.run import SCHEMES
 from experiments.scoring.latex import tabular, tex
+from experiments.scoring.metrics import METRICS, Metric, metrics_of
 from experiments.scoring.numbers import NOTHING, as_quoted, between, plus_minus, power, rounded
+from experiments.scoring.published import paper_table, unit_of
 
 _WIDTH = 96  # characters of a line of the terminal
 

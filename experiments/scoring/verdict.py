@@ -11,10 +11,10 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 from experiments.methods import OWN_CONSTANT
-from experiments.published import unit_of
 from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
+from experiments.scoring.published import unit_of
 
 # Part of an error by which that of another processor may differ: over ten seeds those of Deep-MDS
 # with a cosine schedule, which differ less than at a constant rate, have about that range.

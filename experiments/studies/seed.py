@@ -11,8 +11,8 @@ import numpy as np
 from deepmds_keras.networks import forward
 from experiments.inputs import Faces, load_faces
 from experiments.methods import DEEP_MDS, OWN_CONSTANT, constant_answers, load
-from experiments.metrics import METRICS
 from experiments.run import Run
+from experiments.scoring.metrics import METRICS
 from experiments.scoring.scores import load_prediction, score
 
 _SCORES = ("mse", "mse_mm2", "depth_corr", "reflection_rate")

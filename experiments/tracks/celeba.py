@@ -8,19 +8,19 @@ import numpy as np
 
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
+from experiments.datasets.found_faces import USED
+from experiments.datasets.photos import photos
 from experiments.figures.ground_truth import fits
 from experiments.inputs import Faces
 from experiments.run import Run
 from experiments.scoring.numbers import turned
-from experiments.tracks.found_faces import USED
-from experiments.tracks.photos import photos
 from experiments.tracks.results import Evaluation, evaluate_both, median_face, write_results
 
 _YAWS = (-18.0, 0.0, 18.0)  # degrees: a face about each is shown
 
 
 def load_photos(run: Run) -> dict[str, np.ndarray]:
-    """Table of the photos, as `tracks.photos` writes it."""
+    """Table of the photos, as `datasets.photos` writes it."""
     return read_arrays(run.work / "photos.npz")[0]
 
 

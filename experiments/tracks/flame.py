@@ -9,13 +9,13 @@ import pandas as pd
 
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
+from experiments.datasets.found_faces import USED
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import Panel, error_lines, mean_errors
 from experiments.figures.ground_truth import ground_truth
 from experiments.recipes import ringnet_file
 from experiments.run import Run
 from experiments.scoring.scores import Scores
-from experiments.tracks.found_faces import USED
 from experiments.tracks.results import (
     Evaluation,
     evaluate_both,
@@ -28,7 +28,7 @@ _SHOWN_FACES = 4
 
 
 def load_scans(run: Run) -> dict[str, np.ndarray]:
-    """Table of the scans, as `tracks.scans` writes it."""
+    """Table of the scans, as `datasets.scans` writes it."""
     return read_arrays(run.work / "scans.npz")[0]
 
 

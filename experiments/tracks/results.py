@@ -15,7 +15,6 @@ from data_gen.photographs import crop
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.weights import checkpoint_files
-from experiments.face_models import TITLES
 from experiments.figures import style
 from experiments.figures.errors import error_per_landmark
 from experiments.figures.qualitative import qualitative, renders
@@ -24,6 +23,7 @@ from experiments.inputs import Faces, image_files, load_faces
 from experiments.methods import DEEP_MDS, METHODS, OWN_CONSTANT, constant_answers, notes
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
+from experiments.scoring.face_models import TITLES
 from experiments.scoring.scores import (
     Scores,
     evaluate,

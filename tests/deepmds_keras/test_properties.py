@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from deepmds_keras import InputError, align, embed, metrics, normalise
 from deepmds_keras.alignment import centre, is_mirrored, unit
 from deepmds_keras.camera import resolve_orientation
-from deepmds_keras.checks import check_points
+from deepmds_keras.landmarks.checks import check_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -74,7 +74,8 @@ def test_a_second_call_prints_the_table_and_does_nothing(copy):
         (["MOBILEFACE=paper"],
          ["tracks.train mobileface", "tracks.predict mobileface", "tracks.bfm"]),
         (["SEEDS=2"],
-         ["tracks.faces", *(f"tracks.train {m}" for m in ("ours", "ours_released", "ours_stable")),
+         ["datasets.faces",
+          *(f"tracks.train {m}" for m in ("ours", "ours_released", "ours_stable")),
           *(f"tracks.predict {m}" for m in ("mean_shape", "ours", "ours_released", "ours_stable")),
           "studies.seed", "studies.seed", "tracks.bfm"]),
     ],
@@ -110,9 +111,9 @@ def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
     done = [*runs.SNAKEMAKE, str(outputs[0].relative_to(tmp_path)), "--touch", "--forceall"]
     done += ["--quiet", "all", "--config", "PRESET=tiny", *given]
     subprocess.run(done, cwd=tmp_path, env=runs.ENVIRONMENT, check=True)
-    assert "tracks.faces" not in names(runs.plan("reproduce-bfm", tmp_path, *given))
+    assert "datasets.faces" not in names(runs.plan("reproduce-bfm", tmp_path, *given))
     other = names(runs.plan("reproduce-bfm", tmp_path, given[0], f"DATA={tmp_path}/b.mat"))
-    assert other[0] == "tracks.faces"
+    assert other[0] == "datasets.faces"
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_ctrl_c_ends_all_within_seconds_and_the_command_goes_on(tmp_path):
     at_work = subprocess.run(["pgrep", "-g", str(process.pid)], capture_output=True)
     assert at_work.stdout == b""
     left = names(runs.plan("reproduce-bfm", tmp_path, "MOBILEFACE=no"))
-    assert "tracks.faces" not in left and "tracks.train ours" in left
+    assert "datasets.faces" not in left and "tracks.train ours" in left
 
 
 # Records and manifests.
@@ -239,8 +240,8 @@ def test_a_manifest_lists_the_steps_behind_a_table_and_what_was_written(whole_bf
     folder = runs.results(whole_bfm, "bfm")
     manifest = read_manifest(folder)
     steps = [step["step"] for step in manifest["steps"]]
-    assert steps[0] == "tracks.faces" and steps[-1].startswith("tracks.bfm ")
-    assert {"tracks.train ours", "tracks.predict ours", "tracks.images"} <= {*steps}
+    assert steps[0] == "datasets.faces" and steps[-1].startswith("tracks.bfm ")
+    assert {"tracks.train ours", "tracks.predict ours", "datasets.images"} <= {*steps}
     assert manifest["command"] == "make reproduce-bfm PRESET=tiny"
     assert len(commits_of(manifest)) == 1
     for step in steps_of(manifest):

@@ -21,7 +21,7 @@ from experiments.scoring.tables import write_tables
 PARSER = MarkdownIt("commonmark", {"html": True}).enable("table")
 MODELS = [path.parent.name for path in sorted((committed() / "results").glob("*/bfm"))]
 STEP = {
-    "step": "tracks.faces", "preset": vars(SMOKE), "started": "2026-01-02T03:04:05+00:00",
+    "step": "datasets.faces", "preset": vars(SMOKE), "started": "2026-01-02T03:04:05+00:00",
     "seconds": 75.0, "peak_memory_mb": 3000, "commit": "0123456789ab", "python": "3.11.7",
     "platform": "Linux", "processor": "A", "packages": {"numpy": "2.4"},
     "photos": {"used": 4853, "no face found": 147}, "times": {"ours": {"ms_per_face": 1.0}},

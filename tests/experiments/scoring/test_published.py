@@ -8,9 +8,9 @@ import pytest
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
-from experiments.metrics import METRICS
-from experiments.published import PUBLISHED, printed, published
+from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import as_quoted
+from experiments.scoring.published import PUBLISHED, printed, published
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from deepmds_keras import normalise
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import write_arrays
 from experiments.inputs import Faces
-from experiments.metrics import METRICS, Metric
 from experiments.presets import SMOKE
 from experiments.records import write_record
 from experiments.report.report import cells, markdown_table
 from experiments.run import Run
+from experiments.scoring.metrics import METRICS, Metric
 from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import (
     evaluate,

@@ -5,13 +5,13 @@ import pandas as pd
 import pytest
 
 from deepmds_keras.errors import InputError
-from experiments.metrics import metrics_of
 from experiments.presets import SMOKE
 from experiments.progress import duration
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.scoring import parameters
 from experiments.scoring.latex import plain_tabular, tex
+from experiments.scoring.metrics import metrics_of
 from experiments.scoring.numbers import as_quoted, plus_minus, scientific
 from experiments.scoring.tables import print_tables, summarise, write_tables
 from experiments.scoring.typesetting import latex, text

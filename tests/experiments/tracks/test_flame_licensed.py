@@ -105,7 +105,7 @@ def folder(tmp_path_factory, scans):
 
 
 def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
-    done = run("tracks.frames", folder)
+    done = run("datasets.frames", folder)
     assert done.returncode == 0, done.stderr
     assert "1 meshes skipped" in done.stdout
     work = work_of(folder)
@@ -120,7 +120,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
 
 def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     work = work_of(folder)
-    done = run("tracks.scans", folder)
+    done = run("datasets.scans", folder)
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
     assert index.read_text().count(",yes,") == N_SCANS
@@ -134,11 +134,11 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
 
     chosen = folder / "chosen.csv"
     chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
-    done = run("tracks.scans", folder, "--casia-index", str(chosen))
+    done = run("datasets.scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
     with np.load(work / "scans.npz", allow_pickle=False) as found:
         assert [*found["name"]] == ["001-001", "001-003", "001-004"]
-    refused = run("tracks.scans", folder, "--casia-index", "/nowhere.csv")
+    refused = run("datasets.scans", folder, "--casia-index", "/nowhere.csv")
     assert refused.returncode == 2
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
 
@@ -166,7 +166,7 @@ def test_a_data_set_that_is_missing_is_named(folder, tmp_path):
     (tmp_path / "data").mkdir()
     for name in ("generic_model.pkl", "flame_static_embedding.pkl"):
         os.link(folder / "data" / name, tmp_path / "data" / name)
-    for step, dataset in (("tracks.frames", "COMA"), ("tracks.scans", "CASIA")):
+    for step, dataset in (("datasets.frames", "COMA"), ("datasets.scans", "CASIA")):
         refused = run(step, tmp_path)
         assert refused.returncode == 2
         assert f"{dataset}= must be the folder of" in refused.stderr.splitlines()[-1]

@@ -211,7 +211,7 @@ def test_every_image_shows_its_face_whichever_process_draws_it(copy):
     images = runs.work(folder, "bfm") / "images/test"
     drawn = np.load(images / "0000.npy")
     (images / "0000.npy").unlink()  # as of a step that was killed
-    assert step("tracks.images", folder, "bfm").returncode == 0
+    assert step("datasets.images", folder, "bfm").returncode == 0
     assert np.array_equal(np.load(images / "0000.npy"), drawn)
     assert drawn.std((1, 2, 3)).min() > 10
 
@@ -224,7 +224,7 @@ def test_views_are_centred_in_training_and_in_test_but_not_by_the_released_proto
     work = runs.work(whole_flame, "flame")
     for part in ("train", "test"):
         assert np.abs(load_dataset(work / f"{part}.npz").views.mean(1)).max() < 1e-3
-    assert step("tracks.frames", tmp_path, "flame", protocol="released").returncode == 0
+    assert step("datasets.frames", tmp_path, "flame", protocol="released").returncode == 0
     released = replace(Run(), track="flame", preset=TINY, protocol="released").work
     views = load_dataset(tmp_path / released / "train.npz").views
     assert np.abs(views.mean(1)).max() > 5  # mm
@@ -316,14 +316,14 @@ def test_celeba_as_distributed_takes_the_place_of_the_stand_in(copy, apart):
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("tracks.photos", {"data": "."}, "img_align_celeba"),
-        ("tracks.scans", {"model": "bfm2009"}, "DATA= must be the file of bfm2009"),
+        ("datasets.photos", {"data": "."}, "img_align_celeba"),
+        ("datasets.scans", {"model": "bfm2009"}, "DATA= must be the file of bfm2009"),
         ("tracks.celeba_flame", {"tf_flame": "."}, "_lmks.npy"),
-        ("tracks.faces", {"model": "bfm2017", "data": __file__}, "test_tracks.py"),
+        ("datasets.faces", {"model": "bfm2017", "data": __file__}, "test_tracks.py"),
     ],
 )
 def test_data_that_cannot_be_used_ends_with_one_line(tmp_path, name, options, message):
-    track = {"tracks.photos": "celeba", "tracks.faces": "bfm"}.get(name, "flame")
+    track = {"datasets.photos": "celeba", "datasets.faces": "bfm"}.get(name, "flame")
     done = step(name, tmp_path, track, **options)
     assert done.returncode == 2 and message in done.stderr
     assert "Traceback" not in done.stderr and not [*tmp_path.rglob("*.npz")]

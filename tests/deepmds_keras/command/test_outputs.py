@@ -10,10 +10,10 @@ import pytest
 
 from deepmds_keras import __version__
 from deepmds_keras.camera import head_pose
+from deepmds_keras.command.outputs import FORMATS, MESH_FORMATS, output_files, write_output
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.mesh import fit_surfaces, surface_landmarks, surface_triangles
-from deepmds_keras.predict.outputs import FORMATS, MESH_FORMATS, output_files, write_output
 
 MODEL = {"name": "deepmds-bfm72", "trained_on": "20,000 faces of the open head"}
 ODD = 'ä "x",#1%s\n'

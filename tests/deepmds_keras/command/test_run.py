@@ -17,6 +17,7 @@ from writers.heads import drawn_heads
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras.__main__ import main
+from deepmds_keras.command import run
 from deepmds_keras.detection import (
     DETECTORS,
     Detector,
@@ -25,7 +26,7 @@ from deepmds_keras.detection import (
     mediapipe_landmarks,
 )
 from deepmds_keras.landmarks import convert, load_scheme
-from deepmds_keras.predict import detection, run
+from deepmds_keras.predict import detection
 from deepmds_keras.predict.landmark_files import read_landmarks
 
 ALL = "csv,json,npz,ply,obj"
@@ -314,7 +315,7 @@ def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):
 
 def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
     points = save(tmp_path / "a.npy", landmarks)
-    code = "import sys; from pathlib import Path; from deepmds_keras.predict.run import _locked\n"
+    code = "import sys; from pathlib import Path; from deepmds_keras.command.run import _locked\n"
     code += "with _locked(Path(sys.argv[1])): print('locked', flush=True); input()"
     other = subprocess.Popen(
         [sys.executable, "-c", code, tmp_path / "out"],

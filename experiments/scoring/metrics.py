@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.published import published
+from experiments.scoring.published import published
 
 _NOT_LATEX = ("terminal",)
 

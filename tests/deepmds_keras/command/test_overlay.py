@@ -9,8 +9,8 @@ import pytest
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.alignment import normalise
 from deepmds_keras.camera import head_pose
+from deepmds_keras.command.overlay import cut_out, overlay, write_overlay
 from deepmds_keras.predict.faces import Face
-from deepmds_keras.predict.overlay import cut_out, overlay, write_overlay
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from deepmds_keras import InputError
-from deepmds_keras.photos import check_photo, open_photo
+from deepmds_keras.detection.photos import check_photo, open_photo
 
 RAMP = np.uint8(np.linspace(0, 255, 64))
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from deepmds_keras import InputError
-from deepmds_keras.predict.sources import find_sources, list_skipped, name_faces, name_sources
+from deepmds_keras.command.sources import find_sources, list_skipped, name_sources
+from deepmds_keras.predict.faces import name_faces
 
 
 def touched(folder, *names):

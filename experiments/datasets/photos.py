@@ -18,13 +18,13 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.edge_fitting import EdgeFitter
 from data_gen.photographs import crop
 from data_gen.renderer import MARGIN
+from deepmds_keras.detection.photos import IMAGE_SIZE
 from deepmds_keras.errors import InputError
-from deepmds_keras.photos import IMAGE_SIZE
+from experiments.datasets.found_faces import find_faces
 from experiments.inputs import face_model
 from experiments.records import listing, resumable
 from experiments.run import Run
 from experiments.streams import Stream
-from experiments.tracks.found_faces import find_faces
 
 _PHOTOS_PER_PIECE = 100
 

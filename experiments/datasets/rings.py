@@ -6,10 +6,10 @@ import numpy as np
 
 from data_gen.datasets.dataset import make_rings, save_dataset
 from deepmds_keras.files import write_arrays
+from experiments.datasets.images import make_images
 from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream
-from experiments.tracks.images import make_images
 
 _N_IDENTITY = 100  # leading components that RingNet estimates, as many as the published one
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 
-PUBLISHED = Path(__file__).parents[1] / "results" / "published" / "published.csv"
+PUBLISHED = Path(__file__).parents[2] / "results" / "published" / "published.csv"
 
 # What the paper says of an experiment: its table and where else the text gives a number for it.
 SOURCES = {

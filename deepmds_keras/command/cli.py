@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from deepmds_keras import __version__
+from deepmds_keras.command.outputs import FORMATS
 from deepmds_keras.detection import DETECTORS, default_detector
 from deepmds_keras.landmarks import said_sizes
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES
-from deepmds_keras.predict.outputs import FORMATS
 from deepmds_keras.predict.videos import tell_tracks
 
 _DESCRIPTION = """\

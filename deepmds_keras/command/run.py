@@ -15,12 +15,22 @@ import numpy as np
 from joblib import Parallel, cpu_count, delayed
 from tqdm import tqdm
 
+from deepmds_keras.command.cli import fault_of, lines_about, printable
+from deepmds_keras.command.outputs import MESH_FORMATS, output_files, write_output
+from deepmds_keras.command.overlay import write_overlay
+from deepmds_keras.command.page import write_page
+from deepmds_keras.command.sources import (
+    LOCK,
+    find_sources,
+    kind_of,
+    list_skipped,
+    name_sources,
+)
 from deepmds_keras.detection import DETECTORS
+from deepmds_keras.detection.photos import open_photo
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.photos import open_photo
-from deepmds_keras.predict.cli import fault_of, lines_about, printable
 from deepmds_keras.predict.detection import (
     find_in_photo,
     find_in_video,
@@ -29,7 +39,7 @@ from deepmds_keras.predict.detection import (
     smooth_over_time,
 )
 from deepmds_keras.predict.estimation import estimate
-from deepmds_keras.predict.faces import Detections, Face
+from deepmds_keras.predict.faces import Detections, Face, name_faces
 from deepmds_keras.predict.landmark_files import read_faces
 from deepmds_keras.predict.models import (
     DEFAULT,
@@ -38,17 +48,6 @@ from deepmds_keras.predict.models import (
     load_model,
     name_for,
     target_scheme,
-)
-from deepmds_keras.predict.outputs import MESH_FORMATS, output_files, write_output
-from deepmds_keras.predict.overlay import write_overlay
-from deepmds_keras.predict.page import write_page
-from deepmds_keras.predict.sources import (
-    LOCK,
-    find_sources,
-    kind_of,
-    list_skipped,
-    name_faces,
-    name_sources,
 )
 from deepmds_keras.predict.videos import portraits, read_stills, write_landmark_video
 

@@ -10,7 +10,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views import in_camera_frame, sample_expressive, sample_perspective_cameras
 from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
-from deepmds_keras.predict.evaluation import evaluate, read_truth
+from deepmds_keras.command.evaluation import evaluate, read_truth
 
 
 @pytest.fixture(scope="module")

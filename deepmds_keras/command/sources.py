@@ -87,13 +87,6 @@ def name_sources(sources: Sequence[Path]) -> list[str]:
     return names
 
 
-def name_faces(name: str, n: int) -> list[str]:
-    """Names of the n faces of one source: its own, or with numbers from 1 if there are several."""
-    if n == 1:
-        return [name]
-    return [f"{name}-{i:0{len(str(n))}d}" for i in range(1, n + 1)]
-
-
 def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str]) -> list[Path]:
     """Photos by name, those of a folder before those within; what cannot be read is appended."""
 

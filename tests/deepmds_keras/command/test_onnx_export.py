@@ -13,10 +13,10 @@ from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter
 from deepmds_keras.__main__ import main
 from deepmds_keras.alignment import normalise
+from deepmds_keras.command.onnx_export import export
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.network import SIZES, initial_weights
-from deepmds_keras.predict.onnx_export import export
 
 onnx = pytest.importorskip("onnx", reason="onnx is an extra")
 runtime = pytest.importorskip("onnxruntime", reason="onnxruntime has no wheel for Python 3.10")

@@ -11,9 +11,9 @@ from pages import drawn
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.alignment import normalise
 from deepmds_keras.camera import head_pose
+from deepmds_keras.command.overlay import cut_out
+from deepmds_keras.command.page import json_in_html, write_page
 from deepmds_keras.predict.faces import Face
-from deepmds_keras.predict.overlay import cut_out
-from deepmds_keras.predict.page import json_in_html, write_page
 
 PHONE = {
     "viewport": {"width": 390, "height": 844},

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras import __version__
+from deepmds_keras.command.outputs import AXES, SCALE
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme, scheme_of
@@ -15,7 +16,6 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.network import SIZES, UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
 from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
-from deepmds_keras.predict.outputs import AXES, SCALE
 from deepmds_keras.weights import PRETRAINED
 
 _OPSET, _IR_VERSION = 18, 8  # of the end of 2022, which runtimes in use read

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras import __version__
+from deepmds_keras.command.outputs import AXES, SCALE
+from deepmds_keras.command.overlay import cut_out
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.mesh import fit_surfaces, surface_triangles
-from deepmds_keras.predict.outputs import AXES, SCALE
-from deepmds_keras.predict.overlay import cut_out
 
 _FOLDER = Path(__file__).parent
 _DIGITS = {"mm": 2}  # after the point; of what is normalised more
