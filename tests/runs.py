@@ -69,9 +69,9 @@ def run(step: str, folder: Path, *arguments: str, command: str = "") -> Done:
         return Done(process.exitcode, *(path.read_text("utf-8") for path in paths))
 
 
-def succeed(step: str, folder: Path, *arguments: str) -> str:
+def succeed(step: str, folder: Path, *arguments: str, command: str = "") -> str:
     """Run a step that is to succeed, and return what it printed."""
-    done = run(step, folder, *arguments)
+    done = run(step, folder, *arguments, command=command)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -82,30 +82,20 @@ def make(target: str, folder: Path, *variables: str) -> list[list[str]]:
     Returns:
         Words of each step that was run.
     """
-    steps, command = plan(target, folder, *variables), f"make {target} PRESET={PRESET}"
+    steps, command = plan(target, folder, *variables), ["make", target, *_with_preset(variables)]
     for words in steps:
-        done = run(words[0], folder, *words[1:], command=command)
-        assert done.returncode == 0, done.stderr
+        succeed(words[0], folder, *words[1:], command=" ".join(command))
     return steps
 
 
 def mark_as_done(target: str, folder: Path, *variables: str) -> None:
     """Have Snakemake note by which parameters the files of a target were made."""
-    words = [*SNAKEMAKE, target.replace("-", "_"), "--touch", "--forceall", "--quiet", "all"]
-    words += ["--config", f"PRESET={PRESET}", *variables]
-    subprocess.run(words, cwd=folder, env=ENVIRONMENT, check=True, capture_output=True)
+    _snakemake(target, folder, variables, "--touch", "--forceall", "--quiet", "all")
 
 
 def plan(target: str, folder: Path, *variables: str) -> list[list[str]]:
     """Words of each step that Snakemake would run for a target, in order."""
-    if not any(variable.startswith("PRESET=") for variable in variables):
-        variables = (*variables, f"PRESET={PRESET}")
-    words = [*SNAKEMAKE, target.replace("-", "_"), "--dry-run", "--printshellcmds"]
-    done = subprocess.run(
-        [*words, "--config", *variables],
-        cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = _snakemake(target, folder, variables, "--dry-run", "--printshellcmds")
     lines = [line for line in done.stderr.splitlines() + done.stdout.splitlines()]
     steps = (line.partition(" -m experiments ")[2] for line in lines)
     return [shlex.split(words) for words in steps if words]
@@ -140,6 +130,20 @@ def files_in(folder: Path) -> list[Path]:
     """Files but those with temporary names, and Snakemake's."""
     paths = (path for path in folder.rglob("[!.]*") if path.is_file())
     return [path for path in paths if ".snakemake" not in path.parts]
+
+
+def _snakemake(target: str, folder: Path, variables: tuple[str, ...], *options: str):
+    """Run Snakemake on a target; it is to succeed."""
+    words = [*SNAKEMAKE, target.replace("-", "_"), *options, "--config", *_with_preset(variables)]
+    done = subprocess.run(words, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def _with_preset(variables: tuple[str, ...]) -> tuple[str, ...]:
+    """Variables of `make`, with the preset of the tests if they name none."""
+    named = any(variable.startswith("PRESET=") for variable in variables)
+    return variables if named else (*variables, f"PRESET={PRESET}")
 
 
 def _fork(words: list[str], folder: Path, paths: list[Path], environment: dict) -> None:

@@ -51,7 +51,7 @@ def test_true_distances_give_the_shape_in_its_size_on_its_principal_axes():
 
 @pytest.mark.parametrize("solver", ["numba", "sklearn"])
 def test_batch_equals_one_by_one_equals_two_jobs(solver):
-    distances, done = noisy(clouds(4, 12)), []
+    distances, done = noisy(clouds(4)), []
     many = np.concatenate([distances] * 40)  # more than one task
     together = embed(many, solver=solver, progress=done.append)
     assert sum(done) == 160

@@ -24,7 +24,7 @@ from experiments.records import load_record, read_record
 from experiments.run import Run
 
 KILLS = int(os.environ.get("KILLS", 4))
-FLIPS = 5 * int(os.environ.get("FUZZ", 1))  # in each file
+FLIPS = 20 * int(os.environ.get("FUZZ", 1))  # in each file
 QUIET = {"stdout": subprocess.DEVNULL}
 FLAME = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
 
