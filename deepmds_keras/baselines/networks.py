@@ -86,7 +86,11 @@ class NetworkMethod(BaseEstimator):
 
 
 def dense_network(
-    name: str, n_inputs: int, sizes: dict[str, tuple[int, str | None]], seed: int
+    name: str,
+    n_inputs: int,
+    sizes: dict[str, tuple[int, str | None]],
+    seed: int,
+    standardised: bool = False,
 ) -> keras.Model:
     """Dense layers one after the other, from `(n, n_inputs)` numbers of a view.
 
@@ -95,8 +99,14 @@ def dense_network(
         n_inputs: Numbers of a view.
         sizes: Units and activation of each layer, by its name.
         seed: Of the initial weights.
+        standardised: Whether the numbers are divided by their spread first, in a layer
+            `"standardised"`, whose weights are their mean and variance and are not trained.
     """
     view = x = keras.Input((n_inputs,), name="view")
+    if standardised:
+        x = layers.BatchNormalization(
+            center=False, scale=False, epsilon=1e-8, trainable=False, name="standardised"
+        )(view)
     for number, (layer, (units, activation)) in enumerate(sizes.items()):
         initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
         x = layers.Dense(units, activation, kernel_initializer=initial, name=layer)(x)

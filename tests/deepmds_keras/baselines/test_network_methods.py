@@ -11,7 +11,7 @@ from sklearn.base import clone
 from deepmds_keras import InputError
 from deepmds_keras.alignment import align
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
-from deepmds_keras.baselines.perceptron import Perceptron
+from deepmds_keras.baselines.perceptron import Perceptron, _flat
 from deepmds_keras.baselines.ringnet import (
     RingNet,
     RingNetLoss,
@@ -102,7 +102,8 @@ def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
             np.testing.assert_array_equal(a.numpy(), b.numpy())
         np.testing.assert_array_equal(model.predict(inputs), whole.predict(inputs))
     other = untrained(method, seed=5)[0]
-    assert not np.array_equal(other._build(5).get_weights()[0], other._build(0).get_weights()[0])
+    kernels = [other._build(seed).trainable_weights[0].numpy() for seed in (5, 0)]
+    assert not np.array_equal(*kernels)
     with pytest.raises(InputError, match="net.npz is of another run"):
         other.fit(*data, checkpoint=path)
 
@@ -141,6 +142,9 @@ def test_perceptron_learns_shapes_whatever_scale_and_place_and_has_as_many_param
     errors = [((shapes - data[1]) ** 2).mean() for shapes in (predicted, data[1].mean(0))]
     assert errors[0] < 0.2 * errors[1]
     assert count_trainable(Perceptron()._build()) == 25_536
+    standardised = model.network_.get_layer("standardised")(_flat(VIEWS)).numpy()
+    np.testing.assert_allclose(standardised.mean(0), 0, atol=1e-4)
+    np.testing.assert_allclose(standardised.std(0), 1, atol=1e-3)
 
 
 @pytest.mark.skipif(not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent")
