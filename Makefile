@@ -70,12 +70,12 @@ $(READY): setup.cfg constraints.txt
 	@touch $@
 
 # What each is made of, and in which order, is in experiments/Snakefile.
-reproduce-bfm: ## the paper's BFM table, ours beside it   (28 min; 10 with MOBILEFACE=no)
-reproduce-flame: ## the paper's CASIA-3D table, ours beside it   (21 min; 10 with RINGNET=no)
-reproduce-celeba: ## the paper's CelebA table, ours beside it   (6 min after reproduce-bfm)
+reproduce-bfm: ## the paper's BFM table next to ours   (28 min; 10 with MOBILEFACE=no)
+reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with RINGNET=no)
+reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
 ablation: ## the method with a part changed, over five seeds   (40 min after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
-bench: ## speed beside the authors' implementation: results/bench/
+bench: ## speed against the authors' implementation: results/bench/
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
@@ -106,10 +106,10 @@ all-results: | $(READY) ## all of results/, on both open models   DATA=ICT-FaceK
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)
 	@$(PY) -m experiments.make $(TARGET) DAG=build/dag.svg $(VALUES)
 
-docs: | $(READY) ## README.md and docs/, anew from their templates and the results   (5 s)
+docs: | $(READY) ## README.md and docs/ from their templates and the results   (5 s)
 	@$(PY) -m docs.make_docs
 
-pictures: | $(READY) ## the pictures of docs/, anew from the head model   (20 s)
+pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)

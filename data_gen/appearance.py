@@ -24,7 +24,7 @@ _SCLERA, _PUPIL, _TEETH = (
 )
 _LIP_RED = np.array([0.88, 0.62, 0.62])  # what lips keep of each channel of the skin, at the most
 _IRIS_MM, _PUPIL_MM, _BROW_MM, _LID_MM = 5.9, 2.2, 3.6, 1.6
-_EAR, _EAR_MM = np.array([0.0, 0.0, -16.0]), 26.0  # middle, from the jaw line beside it; radius
+_EAR, _EAR_MM = np.array([0.0, 0.0, -16.0]), 26.0  # middle, from the jaw line near it; radius
 _MOTTLE, _N_WAVES, _WAVE_MM = 0.03, 6, 60.0
 _SOURCES = ("skin", "lips", "brow", "lid", "hair", "sclera", "iris", "pupil", "teeth")
 _CAVITY, _CAVITY_MM = np.array([58, 24, 24]) / 255, 5.0  # so far behind the lips it begins

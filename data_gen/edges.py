@@ -201,8 +201,8 @@ class Surface:
         cells = np.int64((points[:, :2] - low) / self._cell)
         depth = np.full(cells.max(0) + 4, -np.inf, np.float32)
         np.maximum.at(depth, tuple(cells.T), points[:, 2])
-        beside = np.int64((middles[:, :2] + 2 * self._cell * normals - low) / self._cell)
-        seen = depth[tuple(beside.T)] < middles[:, 2] - _STEP
+        outside = np.int64((middles[:, :2] + 2 * self._cell * normals - low) / self._cell)
+        seen = depth[tuple(outside.T)] < middles[:, 2] - _STEP
         edges, lengths = edges[seen], lengths[seen]
         return OccludingEdges(
             points=shape[edges].mean(1, dtype=float),

@@ -131,8 +131,8 @@ def _room(size: int, rng: np.random.Generator) -> np.ndarray:
     across, along = _turned(size, np.deg2rad(rng.normal(0, 2.5)))
     for _ in range(rng.integers(3, 8)):
         centre, half = rng.uniform(0, 1, 2), rng.uniform(0.03, 0.35, 2)
-        beside, above = np.abs(across - centre[0]), np.abs(along - centre[1])
-        inside = np.minimum(half[0] - beside, half[1] - above)
+        sideways, above = np.abs(across - centre[0]), np.abs(along - centre[1])
+        inside = np.minimum(half[0] - sideways, half[1] - above)
         frame, filling = _colours(2, rng)
         picture[inside > 0] = frame
         width = rng.uniform(0.005, 0.04)

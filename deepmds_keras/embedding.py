@@ -66,7 +66,7 @@ def embed(
             f"n_components must be 1 to {matrices.shape[-1]}, the number of landmarks. "
             f"Received {n_components}."
         )
-    # Compiled code runs beside other threads: nothing has to be sent to another process.
+    # Compiled code releases the lock of the interpreter: nothing has to be sent to another process.
     step, prefer = (32, None) if solve is sklearn_mds else (128, "threads")
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
@@ -243,7 +243,7 @@ def _lanczos(matrices, count):
     squared_norms = np.einsum("nij,nij->n", matrices, matrices)
     norms = np.sqrt(squared_norms)
     basis = np.zeros((n, _STEPS + 1, size))
-    diagonal, beside = np.empty((n, _STEPS)), np.empty((n, _STEPS))
+    diagonal, off_diagonal = np.empty((n, _STEPS)), np.empty((n, _STEPS))
     # A start that no symmetry of a face leaves as it is: its Krylov space would miss eigenvectors.
     start = matrices @ np.random.default_rng(0).standard_normal(size)
     basis[:, 0] = _unit(start, _ROUNDING * norms)[0]
@@ -253,18 +253,18 @@ def _lanczos(matrices, count):
         known = basis[:, : step + 1]
         for _ in range(2):  # once would leave rounding errors that grow
             image -= np.swapaxes(known, 1, 2) @ (known @ image)
-        basis[:, step + 1], beside[:, step] = _unit(image[..., 0], _ROUNDING * norms)
+        basis[:, step + 1], off_diagonal[:, step] = _unit(image[..., 0], _ROUNDING * norms)
     reduced, steps = np.zeros((n, _STEPS, _STEPS)), np.arange(_STEPS)
     reduced[:, steps, steps] = diagonal
-    reduced[:, steps[1:], steps[:-1]] = beside[:, :-1]
+    reduced[:, steps[1:], steps[:-1]] = off_diagonal[:, :-1]
     values, vectors = np.linalg.eigh(reduced)  # reads the lower triangle only
     values, vectors = values[:, ::-1], vectors[..., ::-1]
-    last = beside[:, -1]
+    last = off_diagonal[:, -1]
     residuals = last * np.abs(vectors[:, -1, :count]).max(1)
     # In this basis, completed, the matrix is the reduced one, a rest, and `last` to couple them.
     # Without the coupling no other eigenvalue exceeds the next Ritz value or the norm of the rest,
     # and the coupling adds no more than itself (Weyl's inequality).
-    rest = squared_norms - np.square(diagonal).sum(1) - 2 * np.square(beside).sum(1)
+    rest = squared_norms - np.square(diagonal).sum(1) - 2 * np.square(off_diagonal).sum(1)
     others = np.maximum(values[:, count], np.sqrt(np.maximum(rest, 0))) + last
     proven = (residuals <= _RESIDUAL * norms) & (others < values[:, count - 1])
     vectors = np.swapaxes(basis[:, :-1], 1, 2) @ vectors[..., :count]

@@ -249,7 +249,7 @@ def restore_network(
 def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
     if received != needed:
         raise InputError(
-            f"{checkpoint} is of another run; delete it to train anew. "
+            f"{checkpoint} is of another run; delete it to train again. "
             f"Received {received}, needed {needed}."
         )
 

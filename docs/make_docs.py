@@ -58,7 +58,7 @@ class Results:
     def errors(
         self, unit: float, paper: str, columns: Mapping[str, str], methods: Iterable[str]
     ) -> str:
-        """The paper's errors beside ours, a row a method, a column a folder (by its head)."""
+        """The paper's errors next to ours, a row a method, a column a folder (by its head)."""
         tables = [self.rows(folder) for folder in columns.values()]
         rows = [[f"MSE, in {power(unit)}", paper, *columns]]
         for method in methods:

@@ -28,7 +28,7 @@ from experiments.run import Run, check_authors, run_of_variables
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
 _PATIENCE = 3  # seconds that steps have to end after Ctrl-C
-# Code is no trigger: a comment is no reason to train anew.
+# Code is no trigger: a comment is no reason to train again.
 _OPTIONS = (
     "--rerun-triggers", "mtime", "params", "input", "--rerun-incomplete", "--nolock",
 )  # fmt: skip
@@ -126,7 +126,7 @@ def _plan(command: list[str]) -> None:
 
 
 def _run(command: list[str], made_by: str) -> None:
-    """Run Snakemake in a session of its own, so that Ctrl-C ends all of it within seconds."""
+    """Run Snakemake in a separate session, so that Ctrl-C ends all of it within seconds."""
     variables = {PARENT: str(os.getpid()), "EXPERIMENTS_COMMAND": made_by}
     process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 

@@ -271,7 +271,7 @@ _ROWS = (
     ),
     Method(
         id="lifting", title="Lifting", tracks=_ALL,
-        description="ours, beside the paper: a network that solves for the camera and the shape",
+        description="our method, not the paper's: a network that solves for camera and shape",
         build=recipes.lifting, data=recipes.faces,
         checkpoint=partial(Run.network_file, name="lifting-checkpoint"),
         restore=recipes.load_lifting,
@@ -310,10 +310,10 @@ def title(method_id: str) -> str:
     return method_of(method_id).title
 
 
-def rows_of_paper(beside: Mapping[str, str] = {}) -> dict[str, str]:
-    """Method of the paper to the row that its numbers stand beside: `Method.paper`, or `beside`."""
+def rows_of_paper(paper_rows: Mapping[str, str] = {}) -> dict[str, str]:
+    """Method of the paper to the row that its numbers are compared with."""
     rows = {method.paper: method.id for method in METHODS.values() if method.paper}
-    return rows | dict(beside)
+    return rows | dict(paper_rows)
 
 
 def methods_of(

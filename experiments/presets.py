@@ -40,7 +40,7 @@ class Preset:
         bench_faces, bench_released_faces: Faces on which `make bench` times ours, a fifth for the
             slower ways, and the released way.
         bench_steps: Training steps that it times.
-        bench_passes: Times that it takes a time anew after the first pass; 0 keeps that one's.
+        bench_passes: Repetitions of each measurement after the first; 0 keeps the first.
         test_portraits: Photos of each open face model on which `make pretrained` measures
             detectors and methods.
         shipped_steps: Mini-batches of the lifters that ship.

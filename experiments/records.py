@@ -1,4 +1,4 @@
-"""What steps write beside their arrays: records, manifests of results, tables and text.
+"""What steps write in addition to their arrays: records, manifests of results, tables and text.
 
 A record says how one step was made when it ran: by which commit, on which machine, from which
 files. The manifest of a folder of results lists the records of all steps behind it.
@@ -244,7 +244,7 @@ def resumable(folder: Path, inputs: Iterable[Path] = (), **parameters) -> Path:
 
 @functools.cache
 def environment() -> dict:
-    """Commit of the code, versions and processor: what numbers depend on beside the inputs."""
+    """Commit of the code, versions and processor: what numbers depend on besides the inputs."""
     versions = {d.name.replace("_", "-"): d.version for d in distributions()}
     return {
         "commit": _commit(),

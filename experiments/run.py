@@ -169,7 +169,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"error: {message}\n")
 
 
-OPTIONS = {own.name: own for own in fields(Run) if own.metadata}
+OPTIONS = {option.name: option for option in fields(Run) if option.metadata}
 # Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
 _SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
 _PATHS = (
@@ -179,11 +179,11 @@ _PATHS = (
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `Run` to a parser."""
-    for name, own in OPTIONS.items():
-        default = own.default.name if isinstance(own.default, Preset) else own.default
+    for name, option in OPTIONS.items():
+        default = option.default.name if isinstance(option.default, Preset) else option.default
         flag = f"--{name.replace('_', '-')}"
-        metavar = None if "choices" in own.metadata else name.upper()
-        parser.add_argument(flag, default=default, metavar=metavar, **own.metadata)
+        metavar = None if "choices" in option.metadata else name.upper()
+        parser.add_argument(flag, default=default, metavar=metavar, **option.metadata)
 
 
 def options_of(run: Run, without: Collection[str] = ()) -> list[str]:

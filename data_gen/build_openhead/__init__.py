@@ -1,1 +1,1 @@
-"""Builds `data_gen/assets/openhead.npz`, see LICENSE-openhead.md beside it."""
+"""Builds `data_gen/assets/openhead.npz`, see LICENSE-openhead.md in that folder."""

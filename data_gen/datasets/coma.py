@@ -35,7 +35,7 @@ def find_meshes(root: str | Path) -> list[Path]:
     Raises:
         InputError: No mesh where one is expected.
     """
-    # macOS leaves ._NAME.ply beside NAME.ply.
+    # macOS leaves ._NAME.ply next to NAME.ply.
     meshes = sorted(p for p in Path(root).glob("*/*/*.ply") if not p.name.startswith("."))
     if not meshes:
         raise InputError(

@@ -14,7 +14,7 @@ from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import atomic_write, map_npy, sha256_of
 
 FACES_PER_FILE = 500
-_LANDMARKS = "-landmarks"  # in the name of the file beside one of images
+_LANDMARKS = "-landmarks"  # in the name of the file that belongs to one of images
 
 
 def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:

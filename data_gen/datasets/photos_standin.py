@@ -56,7 +56,7 @@ _FRAMED = "ibug68"
 YAW, PITCH, ROLL = 60.0, 25.0, 25.0  # uniform, to either side, degrees
 _PORTRAIT_FIELD_OF_VIEW = (3.0, 25.0)
 _MARGIN = (1.5, 2.5)  # side of a photo, in sizes of the landmarks' box: faces of 130 to 210 pixels
-_OFF_CENTRE = 0.3  # of the room beside that box
+_OFF_CENTRE = 0.3  # of the margin around that box
 
 
 @dataclass(frozen=True, eq=False)

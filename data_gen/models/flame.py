@@ -237,7 +237,7 @@ def _jaw(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def find_embedding(path: str | Path) -> Path:
-    """The landmarks' file: itself, within a folder, beside a file, or up to two folders above.
+    """The landmarks' file: itself, within a folder, next to a file, or up to two folders above.
 
     Raises:
         InputError: There is none.

@@ -22,7 +22,7 @@ _BLENDSHAPES, _MAPPING = "expression_blendshapes_3448.bin", "ibug_to_sfm.txt"
 _TOPOLOGY, _CONTOUR = "sfm_3448_edge_topology.json", "sfm_model_contours.json"
 
 
-_IMAGE = 512  # pixels of a side of the image that eos is told of
+_IMAGE = 512  # pixels, width and height of the image that eos is given
 
 
 def surrey_file(path: str | Path) -> Path:

@@ -59,7 +59,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, default=("csv",), metavar="LIST",
-        help=f"some of {', '.join(FORMATS)}, beside the picture (default: csv)")  # fmt: skip
+        help=f"some of {', '.join(FORMATS)}, besides the picture (default: csv)")  # fmt: skip
     add("--overwrite", action="store_true",
         help="redo sources that are done, and replace files that are in the way")  # fmt: skip
     add("--force", dest="overwrite", action="store_true", help=argparse.SUPPRESS)
@@ -103,7 +103,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         "evaluate",
         help="the error of lifting on true 3D landmarks of yours",
         description="Lifts the x and y of true 3D landmarks, and says how far the shapes lie from "
-        "these, by yaw, beside the mean shape and eos: a table and a figure.",
+        "these, by yaw, against the mean shape and eos: a table and a figure.",
     )
     add = evaluate.add_argument
     add("truth", metavar="TRUTH",

@@ -35,7 +35,7 @@ def evaluate(
     out: str | Path = "deepmds-evaluation",
     overwrite: bool = False,
 ) -> list[dict]:
-    """Score lifting on true 3D landmarks, beside the mean shape and eos; print and write a table.
+    """Score lifting on true 3D landmarks, against the mean shape and eos; print and write a table.
 
     A face's error is the mean square of its coordinates after a similarity, in squared distances of
     the outer corners of the eyes. It is of the landmarks without the jaw line, whose depth schemes
@@ -44,7 +44,7 @@ def evaluate(
     Args:
         truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or `.csv` with a landmark a row: columns `x`,
             `y`, `z` and, of several faces, `face`. Faces as the camera sees them, in any unit;
-            which way y and z grow is told from the faces.
+            the directions of y and z are inferred from the faces.
         landmarks: File of the 2D landmarks to lift; None takes the x and y of the truth.
         y_up: y grows upwards in `landmarks`.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).

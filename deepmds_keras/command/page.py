@@ -1,4 +1,4 @@
-"""One self-contained HTML page of 3D faces that can be turned, each beside its photo."""
+"""One self-contained HTML page of 3D faces that can be turned, each next to its photo."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
 
 
 def _picture(face: Face, photo: np.ndarray | None) -> dict:
-    """Picture beside the shape; in its pixels the landmarks, and the shape as the head turns."""
+    """Picture next to the shape; in its pixels the landmarks, and the shape as the head turns."""
     if photo is None:
         low, extent = face.landmarks.min(0), np.ptp(face.landmarks, axis=0)
         scale, jpeg = _BARE_SIDE / extent.max(), None

@@ -42,7 +42,7 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
 
 
 def find_faults(points: np.ndarray) -> dict[int, str]:
-    """Faces of `(n, L, d)` points from whose landmarks no shape can be told.
+    """Faces of `(n, L, d)` points from whose landmarks no shape can be estimated.
 
     Returns:
         For each such face, 0-based, why: NaN or infinity, landmarks that all coincide or (in two

@@ -1,4 +1,4 @@
-"""Which way is up in landmarks: axes that are flipped are told from a face that leans or turns."""
+"""Direction of y in landmarks: distinguishes flipped axes from a face that leans or turns."""
 
 from __future__ import annotations
 

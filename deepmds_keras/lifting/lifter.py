@@ -24,8 +24,8 @@ from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces
 from deepmds_keras.lifting.network import SIZES, UNIT, check_weights, initial_weights, lift
 from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
 
-# What `predict` takes errors of landmarks to be where it is not told, in r.m.s. radii of the view:
-# of 51 or 72 landmarks about 1 % of the distance between the outer corners of the eyes.
+# Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view: of
+# 51 or 72 landmarks about 1 % of the distance between the outer corners of the eyes.
 DEFAULT_SD = 0.025
 _CHUNK = 250  # faces at a time, whose arrays stay in the cache
 _SETTERS = "fit, load or pretrained"
@@ -66,7 +66,7 @@ class LandmarkLifter:
             up to it is drawn, then the landmarks.
         noise: Largest standard deviation of errors that are added to the landmarks in training,
             in units of the root mean square radius of the view; for each face one up to it is
-            drawn, and told to the network.
+            drawn, and given to the network as input.
         seed: Of weights, order of the faces, missing landmarks and noise.
 
     Attributes:

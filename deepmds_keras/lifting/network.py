@@ -16,7 +16,7 @@ from deepmds_keras.lifting.equations import (
 from deepmds_keras.weights import Stream
 
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
-_N_STATE = 8  # what the hidden units see beside the code
+_N_STATE = 8  # inputs of the hidden units besides the code
 _LEAST_VARIANCE = 1e-8
 # At most one in eight views in training has less. The learnt correction knows nothing far below;
 # from a view that the basis meets exactly, as that of the mean face, it would go astray.
@@ -124,8 +124,8 @@ def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x)
         views: `(n, 2, L)` centred views of unit root mean square radius, 0 where not visible.
         visible: `(n, L)` 1 or 0.
         sd: `(n, L)` standard deviation of the errors of a coordinate, in the unit of the views.
-        stop_gradient: Applied to what the standard deviation is told from, so that to learn it
-            leaves the shapes as they are.
+        stop_gradient: Applied to the inputs of the standard deviation, so that learning it
+            does not change the shapes.
     """
     mean, basis = weights["mean"], weights["basis"] * UNIT
     n_landmarks = mean.shape[1]

@@ -264,7 +264,7 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
 
 
 def _check_faces(landmarks: np.ndarray) -> None:
-    """Refuse faces from which no shape can be told; those without any landmark are gaps."""
+    """Refuse faces from which no shape can be estimated; those without any landmark are gaps."""
     if len(landmarks) and np.isnan(landmarks).all():
         raise InputError("landmarks must not all be missing. Received nothing but NaN.")
     for face, fault in find_unusable(landmarks).items():

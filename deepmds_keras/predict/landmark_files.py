@@ -106,7 +106,7 @@ def read_faces(
 
 
 def find_unusable(points: np.ndarray) -> dict[int, str]:
-    """Why no shape can be told from faces of `(n, L, 2)`, of which landmarks may be missing (NaN).
+    """Why no shape can be estimated from faces `(n, L, 2)`; NaN are missing landmarks.
 
     Returns:
         By face, 0-based and ascending; a face without any landmark is a gap, and none of them.

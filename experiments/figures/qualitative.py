@@ -34,7 +34,7 @@ _SHEET_COLUMNS = 6
 _SHEET_INCHES = 0.6  # 96 pixels, those of the image, at the resolution of `style.save`
 _PHOTO_INCHES, _PHOTO_HEAD = 1.15, 0.42
 _HALF = 0.58  # half the height of a panel of shapes, of theirs
-_ASPECT = 1.45  # width of a face's front and side view beside each other, per height
+_ASPECT = 1.45  # width of a face's front and side view next to each other, per height
 
 
 @styled

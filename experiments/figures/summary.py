@@ -1,4 +1,4 @@
-"""The headline figure, every method beside the paper's number, and the spread over seeds."""
+"""The headline figure, every method next to the paper's number, and the spread over seeds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`; NaN
             where there is no number. Over seeds `n_seeds`, `median`, `lowest` and `highest`, if it
             has them.
-        experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
+        experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
     """
     n_landmarks = len(load_scheme(SCHEMES[experiment]).numbers)
     methods = table["method"].unique()

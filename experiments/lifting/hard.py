@@ -33,11 +33,11 @@ _ABOUT = (
     "seeds it is the mean."
 )
 _FILLED = "missing coordinates are put where a regression on those that are seen expects them"
-_TOLD = "told the noise together with what its camera cannot express of the perspective"
+_GIVEN = "given the noise together with what its camera cannot express of the perspective"
 NOTES = {
     **dict.fromkeys(_REGRESSIONS, f"trained for each column; {_FILLED}"),
-    "aldrian": f"{_TOLD}; {_FILLED}",
-    "model_fit": _TOLD,
+    "aldrian": f"{_GIVEN}; {_FILLED}",
+    "model_fit": _GIVEN,
     DEEP_MDS: "trained for each column; it has no way to leave a landmark out",
     LIFTING: "trained for each column, for all with missing landmarks once, on views that miss "
     f"up to {MOST_MISSING:.0%}",

@@ -86,7 +86,7 @@ class Result:
 
     @property
     def track(self) -> str | None:
-        """Which of the paper's tables of methods it stands beside, if any."""
+        """The paper's table that it is compared with, if any."""
         track = self.base.split("-")[0]
         return track if track in SCHEMES and "table.csv" in self.manifest["files"] else None
 

@@ -134,7 +134,7 @@ def evaluate(
         run: The run.
         test: Test faces.
         shapes: Method to `(n, L, 3)` predictions; NaN for a face that it did not find.
-        descriptions: Method to the description beside its predictions.
+        descriptions: Method to the description stored with its predictions.
 
     Returns:
         Long table as in `metrics.csv`, and scores by method.

@@ -33,18 +33,18 @@ def summarise(
     notes: Mapping[str, str],
     *,
     subset_size: int,
-    beside: Mapping[str, str] = {},
+    paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
-    """Mean and standard deviation over subsets of every method and metric, beside the paper's.
+    """Mean and standard deviation over subsets of every method and metric, next to the paper's.
 
     Args:
         metrics: `method`, `metric`, `subset` (empty where a number is of no subset), `value`.
-        experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
+        experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
         notes: Method to what a reader must know of it; for one that was not run, why not.
         subset_size: Test faces in a subset.
-        beside: Method of the paper to the one that its numbers stand beside, where that is another
-            than `METHODS` says.
+        paper_rows: Method of the paper to the one that its numbers are compared with, where that is
+            another than `METHODS` says.
         seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, of methods that
             were trained from several.
 
@@ -61,7 +61,7 @@ def summarise(
     measured = metrics.groupby(_KEYS)["value"].agg(mean="mean", std="std", n_subsets="count")
     # Of what is measured once, such as a time, the subset is empty.
     measured["n_subsets"] = metrics.groupby(_KEYS)["subset"].count()
-    rows = rows_of_paper(beside)
+    rows = rows_of_paper(paper_rows)
     quoted = quoted.assign(method=quoted["method"].map(rows)).set_index(_KEYS)
     present = {*metrics["method"], *quoted.index.get_level_values("method"), *notes}
     for method in sorted(present):
@@ -89,21 +89,21 @@ def write_tables(
     subset_size: int,
     notes: Mapping[str, str],
     per_face: Mapping[str, Mapping[str, np.ndarray]],
-    beside: Mapping[str, str] = {},
+    paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
     """Write `table.csv`, `table.tex` and `wilcoxon.csv`.
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, experiment, subset_size, notes, beside, seeds: As for `summarise`.
+        metrics, experiment, subset_size, notes, paper_rows, seeds: As for `summarise`.
         per_face: Metric to method to `(n,)`, of all test faces in one order.
 
     Returns:
         What `table.csv` holds.
     """
     table = summarise(
-        metrics, experiment, notes, subset_size=subset_size, beside=beside, seeds=seeds
+        metrics, experiment, notes, subset_size=subset_size, paper_rows=paper_rows, seeds=seeds
     )
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))

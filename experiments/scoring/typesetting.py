@@ -24,7 +24,7 @@ def text(table: pd.DataFrame, experiment: str) -> str:
 
     Args:
         table: As from `tables.summarise`.
-        experiment: `"bfm"`, `"celeba"` or `"flame"`: which of the paper's tables it stands beside.
+        experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
 
     Raises:
         InputError: Unknown experiment.
@@ -54,16 +54,16 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
 
 
 def paper_layout(
-    table: pd.DataFrame, experiment: str, faces: str, beside: Mapping[str, str] = {}
+    table: pd.DataFrame, experiment: str, faces: str, paper_rows: Mapping[str, str] = {}
 ) -> str:
     r"""The paper's own table as a LaTeX `table`: in each cell its number and, after /, ours.
 
     Args:
         table, experiment: As for `text`.
         faces: Of what the numbers here are.
-        beside: As for `tables.summarise`.
+        paper_rows: As for `tables.summarise`.
     """
-    shown, rows = cells(table, experiment, "latex"), rows_of_paper(beside)
+    shown, rows = cells(table, experiment, "latex"), rows_of_paper(paper_rows)
     quoted = paper_table(experiment)
     ours = [
         shown.loc[title(rows[cell.method]), (head_of(METRICS[cell.metric], experiment), "here")]
@@ -116,7 +116,7 @@ def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
         for n, size in subsets.itertuples(index=False)
     ]
     sentences += [
-        f"Seeds: median [lowest, highest] of {n:.0f} trainings, each on faces of its own, over all "
+        f"Seeds: median [lowest, highest] of {n:.0f} trainings, each on its own faces, over all "
         "test faces."
         for n in (table["n_seeds"].dropna().unique() if "n_seeds" in table else ())
     ]

@@ -1,4 +1,4 @@
-"""Last step of the BFM track: the paper's table with ours beside it, and figures."""
+"""Last step of the BFM track: the paper's table next to ours, and figures."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
     if run.evaluator == "released":
         shapes = as_released(shapes, test.shapes)
         # The authors give the net frontal views: the paper's number belongs to that row.
-        options = {"beside": {"zhao": "zhao_frontal"}}
+        options = {"paper_rows": {"zhao": "zhao_frontal"}}
         options["notes"] = dict.fromkeys((*ZHAO, TRUE_DEPTH), _RELEASED_NOTE)
     elif "zhao_frontal" in shapes:  # whose score by that evaluator is what the paper prints
         scored = as_released({"zhao_frontal": shapes["zhao_frontal"]}, test.shapes)
         shapes[AS_AUTHORS] = scored["zhao_frontal"]
-        options |= {"beside": {"zhao": AS_AUTHORS}, "notes": {AS_AUTHORS: _RELEASED_NOTE}}
+        options |= {"paper_rows": {"zhao": AS_AUTHORS}, "notes": {AS_AUTHORS: _RELEASED_NOTE}}
     return [Evaluation(run, run.evaluation, test, shapes, descriptions, **options)]
 
 

@@ -49,8 +49,8 @@ class Evaluation:
         name: Of the folder of results.
         test: Test faces, with that truth.
         shapes, descriptions: Predictions by method, as for `scores.evaluate`.
-        notes: On methods, beside those of their rows.
-        beside, seeds: As for `tables.summarise`.
+        notes: On methods, in addition to those of their rows.
+        paper_rows, seeds: As for `tables.summarise`.
     """
 
     run: Run
@@ -59,7 +59,7 @@ class Evaluation:
     shapes: dict[str, np.ndarray]
     descriptions: dict[str, dict]
     notes: Mapping[str, str] = field(default_factory=dict)
-    beside: Mapping[str, str] = field(default_factory=dict)
+    paper_rows: Mapping[str, str] = field(default_factory=dict)
     seeds: pd.DataFrame | None = None
 
     @cached_property
@@ -94,7 +94,7 @@ class Evaluation:
             "experiment": self.run.track,
             "subset_size": self.run.preset.subset_size,
             "notes": notes(self.run, detected) | dict(self.notes),
-            "beside": self.beside,
+            "paper_rows": self.paper_rows,
             "seeds": self.seeds,
         }
 
@@ -104,7 +104,7 @@ class Evaluation:
         write_csv(self.folder / "metrics.csv", self.metrics)
         values = per_face(self.scores)
         table = write_tables(self.folder, self.metrics, per_face=values, **self.table_options)
-        layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.beside)
+        layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self.folder / "table_paper.tex", layout)
         self.save(summary(table, self.run.track), "summary")
 
@@ -117,7 +117,7 @@ class Evaluation:
     ) -> None:
         """Write the figures of some faces with each method, and of the errors by landmark.
 
-        Methods that are not `pictured` have a figure of their own, whose name ends with `_others`.
+        Methods that are not `pictured` have a separate figure, whose name ends with `_others`.
 
         Args:
             name: Of the first figure.
