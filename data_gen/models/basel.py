@@ -12,11 +12,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from scipy.spatial import KDTree
 
 from data_gen.landmarks import known_landmarks, load_basel_anchors, load_vertices
 from data_gen.models.array_files import read_mat
-from data_gen.models.landmark_transfer import MIN_ANCHORS, transfer_landmarks
 from data_gen.models.morphable_model import MorphableModel, model_of
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.errors import InputError, brief
@@ -77,6 +75,8 @@ def load_bfm2017(path: str | Path, name: str = "bfm2017") -> MorphableModel:
     Raises:
         InputError: The file is missing, damaged, of another format, or its sizes disagree.
     """
+    from data_gen.models.landmark_transfer import MIN_ANCHORS, transfer_landmarks  # slow to load
+
     file = Path(path)
     try:
         with h5py.File(file, "r") as h5:
@@ -158,6 +158,8 @@ def _named_anchors(h5: h5py.File, shape: tuple[int, int]) -> dict[int, int]:
     """
     if _LANDMARKS not in h5:
         return {}
+    from scipy.spatial import KDTree  # slow to load, and other models do without
+
     # One string, the first of an array of strings, or an array of characters.
     text = np.asarray(h5[_LANDMARKS][()])
     text = text.tobytes() if text.dtype.kind in "iu" else text.ravel()[0]

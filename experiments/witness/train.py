@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
@@ -16,7 +15,6 @@ from experiments.inputs import Faces, as_seen
 from experiments.methods import predict
 from experiments.records import resumable, write_csv
 from experiments.run import Run
-from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.witness.bfm_mean import MEAN, SCHEME, about_mean
 
@@ -34,6 +32,10 @@ def trained_file(run: Run, name: str) -> Path:
 
 
 def main(run: Run, name: str) -> None:
+    import pandas as pd  # slow to load, and the Snakefile only asks for the names
+
+    from experiments.scoring.scores import score
+
     scale, _, seed = name.partition("-seed")
     seeded = replace(run, seed=int(seed))
     model = about_mean(load_model(run.model, run.data, SCHEME), float(scale))
