@@ -16,6 +16,7 @@ import runs
 from filelock import FileLock
 from places import ROOT
 
+from experiments import make
 from experiments.__main__ import main
 from experiments.records import commits_of, read_manifest, read_record, steps_of, write_record
 from experiments.run import AUTHORS_FILES, options_of, run_of_variables
@@ -179,12 +180,16 @@ def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_me
         ),
     ],
 )
-def test_a_wrong_variable_is_one_line(tmp_path, target, variables, message):
-    status, _, errors = ended(runs.command(target, tmp_path, *variables))
-    assert status == 2
+def test_a_wrong_variable_is_one_line(tmp_path, monkeypatch, capsys, target, variables, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended_by:
+        make.main([target, *variables])
+    errors = capsys.readouterr().err
+    assert ended_by.value.code == 2
     assert errors.startswith("error: ") and message in errors and errors.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_unusable_weights_are_named_before_the_long_work(tmp_path):
     process = runs.command("reproduce-bfm", tmp_path, weights(tmp_path / "authors", b"no weights"))
     assert "AE_occ2orth_BFM.h5 must be a Keras 2 weight file" in process.stderr.readline()
