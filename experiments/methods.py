@@ -371,7 +371,9 @@ def load(run: Run, method_id: str):
             return model.restore(checkpoint)
         return method.restore(run, model, checkpoint)
     except InputError as error:
-        raise InputError(f"{error} make reproduce-{run.track} trains it.") from None
+        record = run.record_file(f"train-{method_id}")
+        once = f", once {record} is deleted" if record.exists() else ""
+        raise InputError(f"{error} make reproduce-{run.track} trains it{once}.") from None
 
 
 def predict(model, inputs, **options) -> np.ndarray:

@@ -67,7 +67,7 @@ def test_a_row_is_all_that_a_method_needs(folder, monkeypatch):
 
 
 def test_loading_never_trains(folder):
-    """The error names the target of `make`."""
+    """The error names the target of `make`, and the record that keeps it from training."""
     run = Run(preset=TINY, jobs=1)
     files = [path for path in run.work.rglob("*.npz") if path.parent.name != "predictions"]
     before = {path: path.stat().st_mtime_ns for path in files}
@@ -79,7 +79,9 @@ def test_loading_never_trains(folder):
     for networks in (run.networks, run.work / "mobileface"):
         shutil.rmtree(networks)
     for method in trained:
-        with pytest.raises(InputError, match=r"does not exist.*make reproduce-bfm"):
+        with pytest.raises(
+            InputError, match=r"does not exist.*make reproduce-bfm.*json is deleted"
+        ):
             load(run, method)
     assert not run.networks.exists()
 
