@@ -371,7 +371,7 @@ def load(run: Run, method_id: str):
             return model.restore(checkpoint)
         return method.restore(run, model, checkpoint)
     except InputError as error:
-        record = run.record_file(f"train-{method_id}")
+        record = run.record_file(f"train-{method.trained}")
         once = f", once {record} is deleted" if record.exists() else ""
         raise InputError(f"{error} make reproduce-{run.track} trains it{once}.") from None
 
