@@ -99,7 +99,7 @@ def dense_network(
         n_inputs: Numbers of a view.
         sizes: Units and activation of each layer, by its name.
         seed: Of the initial weights.
-        standardised: Whether the numbers are divided by their spread first, in a layer
+        standardised: Whether the numbers are centred and divided by their s.d. first, in a layer
             `"standardised"`, whose weights are their mean and variance and are not trained.
     """
     view = x = keras.Input((n_inputs,), name="view")
