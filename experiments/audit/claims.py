@@ -136,11 +136,9 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             | {"with_over_without_connection": connected / t.variant("no_short_connection")}
         ),
         "perspective-views": {
-            "text_max": t.measured("perspective", "max"),
-            "text_rms": t.measured("perspective", "rms"),
-            # The angle of MATLAB's viewmtx enters its fourth row, by which the released generator
-            # never divides: before that division it only shifts the whole view.
-            "released_max": point(0),
+            "text_max": t.measured("perspective", "max", views="text"),
+            "text_rms": t.measured("perspective", "rms", views="text"),
+            "released_max": t.measured("perspective", "max", views="released"),
         },
         "distance-rank": {"rank_less_dimensions": _rank_less_dimensions(t)},
         "parameters-ours": {
