@@ -10,8 +10,7 @@ import subprocess
 import sys
 
 import pytest
-from documents import FOLDER, PAGES, text_of
-from places import ROOT, SHARED
+from places import ROOT, SHARED, committed
 
 from data_gen.models import basel, flame
 from data_gen.models.registry import FILES, MODELS, load_model
@@ -25,10 +24,14 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
+from docs.make_docs import pages
 from experiments.presets import FULL, PRESETS
 from experiments.recipes import MOBILEFACE_RATES
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
+FOLDER = committed().resolve()
+PAGES = [FOLDER / "README.md", *sorted((FOLDER / "docs").glob("*.md"))]
+MADE = pages(FOLDER)
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
@@ -36,6 +39,11 @@ _MATH = re.compile(r"\$`[^`]*`\$")
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _OTHER_COMMANDS = ("apt ", "git ", "make ", "pip ", "python")
 _CHOICES = {"MODEL": MODELS, "PROTOCOL": PROTOCOLS, "EVALUATOR": EVALUATORS, "PRESET": PRESETS}
+
+
+def text_of(name):
+    """A page on one line, as a reader sees it."""
+    return " ".join((FOLDER / name).read_text(encoding="utf-8").split())
 
 
 def prose_of(page):
@@ -78,6 +86,11 @@ def names_in(path):
         targets = node.targets if isinstance(node, ast.Assign) else []
         names |= {target.id for target in targets if isinstance(target, ast.Name)}
     return names
+
+
+@pytest.mark.parametrize("page", MADE)
+def test_make_docs_would_change_nothing(page):
+    assert (FOLDER / page).read_text(encoding="utf-8") == MADE[page]
 
 
 # Links, paths, names

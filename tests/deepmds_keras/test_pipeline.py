@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
-from sklearn.model_selection import cross_val_score
 from writers.keras2 import write_keras2
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
-from deepmds_keras import DeepMDS, InputError, LandmarkLifter, align, metrics, normalise
+from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
 from deepmds_keras.alignment import is_mirrored
 from deepmds_keras.baselines.zhao import build_zhao_net
 from deepmds_keras.files import read_arrays, write_arrays
@@ -57,12 +56,6 @@ def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces
 def test_the_score_is_the_share_of_the_variance_explained(shipped, faces):
     expected = metrics.explained_share(shipped.predict(faces.views), faces.landmarks)
     assert shipped.score(faces.views, faces.landmarks) == expected
-
-
-@pytest.mark.slow
-def test_a_lifter_that_is_cross_validated_explains_a_share(faces):
-    scores = cross_val_score(LandmarkLifter(72, steps=100), faces.views, faces.landmarks, cv=2)
-    assert (scores > 0).all()
 
 
 def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped, faces):

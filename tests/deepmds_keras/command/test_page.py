@@ -1,12 +1,14 @@
 """The page of 3D faces in a real browser: it is drawn, turns, and loads and runs nothing else."""
 
+import base64
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pages import drawn
+from PIL import Image
 
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.alignment import normalise
@@ -62,6 +64,20 @@ def page_of(tmp_path, visit):
         return visit(path, **(STILL | options))
 
     return page_of
+
+
+def drawn(page, which=0):
+    """What a canvas shows, `(H, W, 4)`, once what was asked of it is drawn."""
+    canvas = page.locator("canvas").nth(which)
+    canvas.scroll_into_view_if_needed()
+    encoded = canvas.evaluate(
+        """async (canvas) => {
+          for (let k = 0; k < 4; k += 1) await new Promise(requestAnimationFrame);
+          return canvas.toDataURL();
+        }"""
+    )
+    png = io.BytesIO(base64.b64decode(encoded.partition(",")[2]))
+    return np.asarray(Image.open(png).convert("RGBA"))
 
 
 def coloured(image, colour):

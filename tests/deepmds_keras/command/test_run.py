@@ -2,10 +2,8 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pandas as pd
@@ -346,24 +344,6 @@ def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
     assert predict(points)[0] == 0
 
 
-@pytest.mark.slow
-def test_ctrl_c_loses_nothing_that_is_done(tmp_path, landmarks):
-    files = [save(tmp_path / f"{i:03d}.npy", landmarks) for i in range(300)]
-    out = tmp_path / "out"
-    arguments = command_line("predict", *files, "--out", out, "--jobs", 1)
-    started = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    while not (out / "003.png").exists() and started.poll() is None:
-        time.sleep(0.01)
-    started.send_signal(signal.SIGINT)
-    errors = started.communicate()[1].decode()
-    assert started.returncode == 130, errors
-    assert errors.endswith("Stopped. The same command goes on from here.\n")
-    done = {path.stem for path in out.glob("*.png")}
-    assert 3 <= len(done) < 300 and done <= {path.stem for path in out.glob("*.csv")}
-    rest = subprocess.run(arguments, capture_output=True, text=True)
-    assert (rest.returncode, len([*out.glob("*.png")])) == (0, 300), rest.stderr
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_a_full_output_gets_one_line(tmp_path, landmarks):
     points = save(tmp_path / "a.npy", landmarks)
@@ -406,19 +386,6 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     status, _, (line,) = predict(tmp_path / "photo.png", points)
     assert status == 1 and "1 photos or videos cannot be used. " in line
     assert (tmp_path / "out" / "a.csv").is_file()
-
-
-def test_models_that_do_not_fit_are_named(tmp_path, predict, landmarks, capsys):
-    points = save(tmp_path / "a.npy", landmarks)
-    for model, said in (
-        ("openhead", "its name must be one of deepmds-bfm72, deepmds-ibug51"),
-        (tmp_path / "none.npz", "none.npz"),
-        (points, "a.npy must be an npz written by save()"),
-        ("deepmds-bfm72", "a.npy must have 72 landmarks a face for the model deepmds-bfm72"),
-    ):
-        status, _, (line,) = predict(points, "--model", model)
-        assert status == 1
-        assert said in line
 
 
 def test_the_export_offers_only_what_it_takes(tmp_path):

@@ -2,11 +2,11 @@
 
 import json
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
-from writers.videos import write_video
 
 from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
@@ -20,7 +20,8 @@ from deepmds_keras.predict.detection import (
 from deepmds_keras.predict.face_lifter import FaceLifter
 from deepmds_keras.predict.videos import Video, write_landmark_video
 
-pytest.importorskip("av")
+av = pytest.importorskip("av")
+CODECS = {".avi": "mpeg4", ".mov": "mpeg4", ".webm": "libvpx"}  # others: libx264
 SIDE = 64
 # 68 points about as those of a face, of 20 pixels.
 FACE = np.random.default_rng(3).uniform(0, 20, (68, 2))
@@ -28,6 +29,33 @@ LARGE = np.random.default_rng(0).uniform(0, 100, (51, 2))
 PLAYLIST = (
     b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n"
 )
+
+
+def write_video(path, images, rotation=0, pixel=None):
+    """The images, 25 a second, in the container of the suffix.
+
+    Args:
+        path: Where; its suffix is one that `deepmds predict` takes.
+        images: Of one size, each `(H, W, 3)` uint8.
+        rotation: Degrees counterclockwise, which is noted for the player only.
+        pixel: Width by height of a pixel.
+    """
+    codec = CODECS.get(path.suffix, "libx264")
+    options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
+    with av.open(str(path), "w", options=options) as output:
+        stream = output.add_stream(codec, rate=25, options={"g": "10"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.bit_rate = "yuv420p", 2_000_000
+        if pixel is not None:
+            stream.codec_context.sample_aspect_ratio = Fraction(pixel)
+        if rotation:
+            if not hasattr(stream, "set_display_rotation"):
+                pytest.skip("this PyAV cannot note a rotation")
+            stream.set_display_rotation(rotation)
+        for image in images:
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(image)))
+        output.mux(stream.encode())
+    return path
 
 
 @pytest.fixture

@@ -17,9 +17,6 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.bench import released_code as released
 from experiments.bench.bench import training, with_ratios
-from experiments.methods import DEEP_MDS, load
-from experiments.presets import TINY
-from experiments.run import Run
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -85,13 +82,6 @@ def assert_solvers_agree(matrices):
 
 def test_solvers_agree_on_what_the_shipped_networks_predict(networks, faces):
     assert_solvers_agree(np.abs(networks.dissimilarities(faces.views)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", DEEP_MDS)
-def test_solvers_agree_on_what_trained_networks_predict(whole_bfm, faces, method):
-    run = Run("openhead", TINY, build=whole_bfm / "build")
-    assert_solvers_agree(np.abs(load(run, method).dissimilarities(faces.views)))
 
 
 @pytest.mark.slow
