@@ -63,15 +63,19 @@ def _ringnet_note(run: Run, detected: np.ndarray) -> str:
     )
 
 
+def _errors_note(run: Run, detected: np.ndarray) -> str:
+    if run.track != "flame":
+        return ""
+    return (
+        "trained on landmarks with errors of a s.d. of up to "
+        f"{100 * recipes.LANDMARK_NOISE:g} % of a view's r.m.s. radius, since a detector finds "
+        "those of the test"
+    )
+
+
 def _lifting_note(run: Run, detected: np.ndarray) -> str:
     note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
-    if run.track == "flame":
-        note += (
-            ", with errors added to the landmarks, of a s.d. of up to "
-            f"{100 * recipes.LIFTING_NOISE:g} % of a view's r.m.s. radius, since a detector finds "
-            "those of the test; other methods learn from exact ones"
-        )
-    return note
+    return "; ".join(filter(None, (note, _errors_note(run, detected))))
 
 
 def _mediapipe_note(run: Run, detected: np.ndarray) -> str:
@@ -104,21 +108,21 @@ _ROWS = (
     Method(
         id="linear", title="Linear", tracks=_ALL,
         description="ridge regression from the view to the shape, on the same views",
-        build=recipes.linear, data=recipes.faces, pictured=False,
+        build=recipes.linear, data=recipes.faces_with_errors, note=_errors_note, pictured=False,
         colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
         id="linear_upright", title="Linear, views upright", tracks=_ALL,
         description="ridge regression on views that are turned upright in their plane first",
-        build=partial(recipes.linear, upright=True), data=recipes.faces,
-        colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
+        build=partial(recipes.linear, upright=True), data=recipes.faces_with_errors,
+        note=_errors_note, colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
     ),
     Method(
         id="perceptron", title="Dense network", tracks=_ALL,
         description="a plain network of two hidden layers, of as many parameters as lifting",
-        build=recipes.perceptron, data=recipes.faces,
+        build=recipes.perceptron, data=recipes.faces_with_errors,
         checkpoint=partial(Run.network_file, name="perceptron"),
-        colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
+        note=_errors_note, colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
     ),
     Method(
         id="linear_detections", title="Linear, trained on detections",
@@ -261,6 +265,14 @@ _ROWS = (
         id="ours_stable", title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
         colour="#8C1C13", marker="p", gallery=True, pictured=False, mapped=("bfm",),
+    ),
+    Method(
+        id="ours_with_errors", title="Deep-MDS, errors in training", tracks=("flame",),
+        description="the method with a decaying learning rate, on landmarks with errors like a "
+        "detector's",
+        build=partial(recipes.deep_mds, variant="paper", schedule="cosine"),
+        data=recipes.faces_with_errors, checkpoint=recipes.networks_with_errors,
+        restore=recipes.restore_deep_mds, note=_errors_note, drawn=False,
     ),
     Method(
         id="authors_weights", title="Deep-MDS, authors' weights", tracks=_ALL,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_gen.datasets.dataset import load_dataset
+from deepmds_keras.alignment import normalise, rms_radius
 from deepmds_keras.detection.photos import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
@@ -16,6 +17,7 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.inputs import load_faces, load_images, load_landmark_model
 from experiments.progress import EpochBar
 from experiments.run import AUTHORS_FILES, Run
+from experiments.streams import Stream
 
 if TYPE_CHECKING:
     import keras
@@ -23,9 +25,9 @@ if TYPE_CHECKING:
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
-# Largest s.d. of the errors from which the lifting network learns what a detector does, in r.m.s.
-# radii of a view. Half of it, which it then expects, is 5 % of the interocular distance.
-LIFTING_NOISE = 0.2
+# Largest s.d. of the errors in training that stand for a detector's, in r.m.s. radii of a view.
+# Half of it, which the lifting network then expects, is 5 % of the interocular distance.
+LANDMARK_NOISE = 0.2
 # Of MobileFace by its schedule. With a cosine 0.002 and 30,000 steps come within 5 % of the error
 # of the 100,000 constant steps at 0.001 that the authors' code makes; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
@@ -79,6 +81,21 @@ def faces(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Views `(n, L, 2)` and shapes `(n, L, 3)` of the training faces, normalised."""
     train = load_faces(run, "train")
     return train.views, train.shapes
+
+
+def faces_with_errors(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """`faces`; on the FLAME track with errors of the landmarks, since a detector finds the test's.
+
+    Each face has errors of one s.d. up to `LANDMARK_NOISE`, as the lifting network draws them.
+    """
+    import numpy as np
+
+    views, shapes = faces(run)
+    if run.track != "flame":
+        return views, shapes
+    rng = np.random.default_rng([run.seed, Stream.LANDMARK_ERRORS])
+    sd = LANDMARK_NOISE * rng.random(len(views)) * rms_radius(views)
+    return normalise(views + sd[:, None, None] * rng.standard_normal(views.shape)), shapes
 
 
 def posed_faces(run: Run) -> tuple[np.ndarray]:
@@ -172,6 +189,11 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
     return model.restore(checkpoint, load_faces(run, "train").shapes)
 
 
+def networks_with_errors(run: Run) -> Path:
+    """Folder of the networks that learn from landmarks with errors."""
+    return run.networks / "with-errors"
+
+
 def authors_weights(run: Run):
     """The authors' released networks."""
     from deepmds_keras.pipeline import DeepMDS
@@ -194,15 +216,15 @@ def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -
 def lifting(run: Run):
     """The small lifting network.
 
-    On the FLAME track test views are what a detector finds, those in training exact: errors are
-    added, else it takes any for a trait of the face.
+    On the FLAME track errors are added in training, as in `faces_with_errors`, but others in each
+    mini-batch.
     """
     from deepmds_keras.lifting.lifter import LandmarkLifter
 
     return LandmarkLifter(
         len(load_scheme(run.scheme)),
         steps=run.preset.lifting_steps,
-        noise=LIFTING_NOISE if run.track == "flame" else 0.0,
+        noise=LANDMARK_NOISE if run.track == "flame" else 0.0,
         seed=run.seed,
     )
 
@@ -215,7 +237,7 @@ def lifting_file(run: Run) -> Path:
 def load_lifting(run: Run, model, checkpoint: Path):
     lifter = type(model).load(lifting_file(run))
     if run.track == "flame":  # views in the test are off by more than good landmarks
-        lifter.default_sd_ = LIFTING_NOISE / 2
+        lifter.default_sd_ = LANDMARK_NOISE / 2
     return lifter
 
 

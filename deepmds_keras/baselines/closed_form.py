@@ -69,7 +69,7 @@ class Linear(BaseEstimator):
         n_landmarks_: L.
     """
 
-    alphas: tuple[float, ...] = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+    alphas: tuple[float, ...] = tuple(10.0**k for k in range(-9, 3))
     upright: bool = False
 
     def fit(self, views: np.ndarray, shapes: np.ndarray) -> Linear:

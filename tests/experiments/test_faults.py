@@ -1,6 +1,7 @@
 """Commands that are killed or find the disk full: the same command goes on to the same tables.
 
-`KILLS=30 FUZZ=10` (`make nightly`) kills more often and changes ten times as many bytes.
+`KILLS=2 FUZZ=10` (`make nightly`) kills once all processes and once one alone, and changes ten
+times as many bytes.
 """
 
 import csv

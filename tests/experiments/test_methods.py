@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from deepmds_keras import InputError
+from deepmds_keras import InputError, align, normalise
+from deepmds_keras.alignment import rms_radius
 from experiments import recipes
 from experiments.inputs import load_faces
 from experiments.method import Method
@@ -95,6 +96,19 @@ def test_predictions_take_faces_whichever_way_up(whole_bfm, monkeypatch):
         lifter.predict(turned)
     assert np.isfinite(predict(lifter, turned)).all()
     assert np.isfinite(predict(load(run, "mean_shape"), turned)).all()
+
+
+def test_errors_in_training_are_drawn_for_each_face_where_a_detector_finds_those_of_the_test(
+    monkeypatch,
+):
+    views = normalise(np.random.default_rng(0).normal(size=(2000, 51, 2)))
+    monkeypatch.setattr(recipes, "faces", lambda run: (views, views))
+    assert recipes.faces_with_errors(Run(preset=TINY))[0] is views
+    moved, _ = recipes.faces_with_errors(Run(preset=TINY, track="flame"))
+    assert (moved.min((1, 2)) == 0).all() and (moved.max((1, 2)) == 1).all()
+    errors = (align(moved, views) - views).std((1, 2)) / rms_radius(views)
+    assert errors.mean() == pytest.approx(recipes.LANDMARK_NOISE / 2, rel=0.05)
+    assert errors.std() == pytest.approx(recipes.LANDMARK_NOISE / 12**0.5, rel=0.1)
 
 
 def test_methods_that_share_a_network_are_trained_one_after_the_other():

@@ -9,7 +9,6 @@ import runs
 
 from experiments.audit.measure import TOPICS
 
-
 pytestmark = pytest.mark.slow
 
 
