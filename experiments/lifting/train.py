@@ -1,8 +1,4 @@
-"""Step: trains one network of `hard` or `transfer`, by its name, from a checkpoint on.
-
-Of `hard`, lifting sees new faces in every step, and Deep-MDS, which goes over its faces many times,
-as many as in the paper.
-"""
+"""Step: trains one network of `hard` or `transfer`, by its name, from a checkpoint on."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ import numpy as np
 
 from data_gen.models.registry import OPEN, load_model, model_files, open_models
 from data_gen.views import sample_photo_views
-from experiments.lifting.views import CONDITIONS, Condition, sample_training, training_views
+from experiments.lifting.views import CONDITIONS, Condition, training_views
 from experiments.recipes import deep_mds, fit, lifting
 from experiments.records import resumable
 from experiments.run import Run
@@ -89,17 +85,12 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
             return net, (views, shapes), {}
         lifter = lifting(run).set_params(n_landmarks=views.shape[1])
         return lifter, (views, shapes), {"landmark_sd": sd}
-    condition = next(c for c in CONDITIONS if c.training.id == training)
+    faces = training_views(run, next(c for c in CONDITIONS if c.training.id == training))
     if method == DEEP_MDS:
-        faces = training_views(run, condition)
         return deep_mds(run, "paper", "cosine"), (faces.views, faces.shapes), {}
-
-    def sample(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        faces = sample_training(run, condition, n, rng)
-        return faces.views, faces.shapes, faces.sd_mm
-
     options = {"learning_rate": _HARD_RATE, "seed": int(seed.removeprefix("seed"))}
-    return lifting(run).set_params(**options), (sample,), {}
+    lifter = lifting(run).set_params(**options)
+    return lifter, (faces.views, faces.shapes), {"landmark_sd": faces.sd_mm}
 
 
 def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -107,20 +107,14 @@ def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generato
     return Views(identity, shapes, views, sd, cameras)
 
 
-def sample_training(run: Run, condition: Condition, n: int, rng: np.random.Generator) -> Views:
+def training_views(run: Run, condition: Condition) -> Views:
     """Faces to train on for a condition; of each, up to a share of the landmarks is missing."""
-    training = condition.training
-    faces = sample_views(run, training, n, rng)
+    training, rng = condition.training, condition.rng(run, Stream.HARD_TRAINING)
+    faces = sample_views(run, training, run.preset.train_faces, rng)
     if not training.missing:
         return faces
-    share = training.missing * rng.random((n, 1))
+    share = training.missing * rng.random((len(faces), 1))
     return faces.without(rng.random(faces.views.shape[:2]) < share)
-
-
-def training_views(run: Run, condition: Condition) -> Views:
-    """The faces that methods which need them all at once are trained on."""
-    rng = condition.rng(run, Stream.HARD_TRAINING)
-    return sample_training(run, condition, run.preset.train_faces, rng)
 
 
 def hard_views(run: Run, condition: Condition) -> Views:
