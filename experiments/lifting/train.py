@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,11 +86,14 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
             return net, (views, shapes), {}
         lifter = lifting(run).set_params(n_landmarks=views.shape[1])
         return lifter, (views, shapes), {"landmark_sd": sd}
-    faces = training_views(run, next(c for c in CONDITIONS if c.training.id == training))
+    condition = next(c.training for c in CONDITIONS if c.training.id == training)
+    faces = training_views(run, replace(condition, missing=0.0))
     if method == DEEP_MDS:
         return deep_mds(run, "paper", "cosine"), (faces.views, faces.shapes), {}
-    options = {"learning_rate": _HARD_RATE, "seed": int(seed.removeprefix("seed"))}
-    lifter = lifting(run).set_params(**options)
+    # In each mini-batch other landmarks are missing, as many as other methods learn to fill in.
+    lifter = lifting(run).set_params(
+        missing=condition.missing, learning_rate=_HARD_RATE, seed=int(seed.removeprefix("seed"))
+    )
     return lifter, (faces.views, faces.shapes), {"landmark_sd": faces.sd_mm}
 
 
