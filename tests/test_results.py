@@ -9,16 +9,13 @@ from experiments.records import commits_of, read_manifest
 
 RESULTS = committed() / "results"
 FOLDERS = sorted(path.parent.relative_to(RESULTS) for path in RESULTS.rglob("manifest.json"))
-# Trained at 36696352; the dense network, which was mended meanwhile, and the tables are of later
-# commits, between which the code of no other step changed. Until `make all-results` runs again.
-MIXED = {"openhead/bfm", "openhead/bfm-evaluator-released", "openhead/parameters"}
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
 def test_every_table_is_of_one_clean_commit(folder):
     commits = commits_of(read_manifest(RESULTS / folder))
     assert not any(commit.endswith("+") for commit in commits)
-    assert len(commits) == 1 or str(folder) in MIXED
+    assert len(commits) == 1
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
