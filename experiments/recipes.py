@@ -272,7 +272,7 @@ def zhao_weights(run: Run):
     model = Zhao(len(load_scheme(run.scheme)))
     model.load_released(Path(run.authors, *ZHAO_FILES[run.track]))
     if run.track == "flame":
-        mean, _ = load_landmark_model(run)
+        mean = load_dataset(run.work / "train.npz").landmarks.mean(0)
         metres, net = normalise_view(mean[None, :, :2])[1].item() / 1000, model.network_
         model.network_ = keras.Model(net.input, net.output / metres, name=net.name)
     return model

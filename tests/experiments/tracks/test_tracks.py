@@ -16,6 +16,7 @@ from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.methods import methods_of
 from experiments.presets import TINY
+from experiments.recipes import ZHAO_FILES
 from experiments.records import read_manifest, read_record
 from experiments.run import AUTHORS_FILES, SCHEMES, Run
 
@@ -340,6 +341,7 @@ def test_the_authors_weights_have_a_row(copy, track, tmp_path):
     from writers.keras2 import write_keras2
 
     from deepmds_keras import build_autoencoder, build_dissimilarity_net
+    from deepmds_keras.baselines.zhao import build_zhao_net
 
     weights = tmp_path / "weights"
     weights.mkdir()
@@ -347,9 +349,12 @@ def test_the_authors_weights_have_a_row(copy, track, tmp_path):
     nets = build_autoencoder(n, seed=3), build_dissimilarity_net("released", seed=3)
     for name, network in zip(AUTHORS_FILES[track], nets, strict=True):
         write_keras2(weights / name, network)
+    write_keras2(weights / ZHAO_FILES[track][0], build_zhao_net(n, seed=3))
     folder = copy(track)
-    done = step("tracks.predict", folder, track, "authors_weights", authors=weights)
-    assert done.returncode == 0, done.stderr
+    (runs.work(folder, track) / "landmark_model.npz").unlink()  # which only RingNet needs
+    for method in ("authors_weights", "zhao_weights"):
+        done = step("tracks.predict", folder, track, method, authors=weights)
+        assert done.returncode == 0, done.stderr
     few = ["mean_shape", "ours", "linear", "zhao", "authors_weights"]
     done = step("tracks.preview", folder, track, *few, authors=weights)
     assert done.returncode == 0 and "Deep-MDS, authors' weights" in done.stdout
