@@ -26,7 +26,7 @@ from deepmds_keras.networks import count_trainable
 from deepmds_keras.training import Recipe
 from docs.make_docs import pages
 from experiments.presets import FULL, PRESETS
-from experiments.recipes import MOBILEFACE_RATES
+from experiments.recipes import MOBILEFACE_FILES, MOBILEFACE_RATES, ZHAO_FILES
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
 FOLDER = committed().resolve()
@@ -253,7 +253,8 @@ def test_the_table_of_recipes_is_that_of_the_code():
 def test_every_file_name_that_a_loader_looks_for_is_documented():
     data = text_of("docs/data.md")
     candidates = [*flame.EMBEDDINGS, *(name for names in FILES.values() for name in names)]
-    candidates += [name for names in AUTHORS_FILES.values() for name in names]
+    for files in (AUTHORS_FILES, ZHAO_FILES, MOBILEFACE_FILES):
+        candidates += [name for names in files.values() for name in names]
     for candidate in candidates:
         *folders, name = candidate.split("/")
         assert f"`{name}`" in data, name
