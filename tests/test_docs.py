@@ -31,7 +31,7 @@ from experiments.run import AUTHORS_FILES, EVALUATORS
 
 FOLDER = committed().resolve()
 PAGES = [FOLDER / "README.md", *sorted((FOLDER / "docs").glob("*.md"))]
-MADE = pages(FOLDER)
+TEXTS = pages(FOLDER)
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
@@ -88,9 +88,9 @@ def names_in(path):
     return names
 
 
-@pytest.mark.parametrize("page", MADE)
+@pytest.mark.parametrize("page", TEXTS)
 def test_make_docs_would_change_nothing(page):
-    assert (FOLDER / page).read_text(encoding="utf-8") == MADE[page]
+    assert (FOLDER / page).read_text(encoding="utf-8") == TEXTS[page]
 
 
 # Links, paths, names

@@ -23,6 +23,7 @@ from data_gen.views import (
     sample_hard_cameras,
     sample_photo_views,
 )
+from deepmds_keras.errors import InputError
 
 N = 3000
 
@@ -194,3 +195,13 @@ def test_photo_poses_fill_their_ranges_and_no_two_angles_go_together(drawn):
     for values, low, high in ((hard.yaw, -60, 60), (hard.field_of_view[near], 0, 60)):
         spread(values, low, high)
     assert abs(near.mean() - 0.5) < 0.05 and not hard.field_of_view[~near].any()
+
+
+def test_what_cannot_be_drawn_is_named(model):
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="one of paper, released, posed. Received 'new'"):
+        sample_cameras(3, rng, "new")
+    with pytest.raises(InputError, match="scheme must be one of .*ibug51.* Received 'dlib'"):
+        sample_photo_views(model, "dlib", 2, rng)
+    with pytest.raises(InputError, match="expressions must have the names of ARKit's blendshapes"):
+        sample_photo_views(replace(model, expression_names=()), "ibug51", 2, rng)

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.models.openhead import load_openhead
 from data_gen.registration import icp
+from deepmds_keras.errors import InputError
 
 MOTION = Rotation.from_rotvec(np.deg2rad([6, 15, -8])).as_matrix()  # 18 degrees
 SHIFT = np.array([12.0, -7.0, 400.0])
@@ -56,6 +57,18 @@ def test_a_noisy_scan_of_part_of_the_face_with_clutter_is_registered_by_trimming
     assert angle(trimmed.rotation, MOTION) < 1 < angle(untrimmed.rotation, MOTION)
 
 
+def test_a_better_start_needs_fewer_iterations_and_one_from_behind_rests_far_away(face):
+    first = icp(face, move(face), translation=start_of(face), max_iterations=5)
+    assert not first.converged and first.n_iterations == 5 and first.rms > 1e-3
+    rest = icp(face, move(face), rotation=first.rotation, translation=first.translation)
+    whole = icp(face, move(face), translation=start_of(face))
+    assert rest.converged and rest.n_iterations < whole.n_iterations
+    np.testing.assert_allclose(rest.rotation, MOTION, atol=1e-6)
+    behind = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
+    start = move(face).mean(0) - behind @ face.mean(0)
+    assert icp(face, move(face), rotation=behind, translation=start).rms > 1.5
+
+
 def test_a_reflection_is_never_returned(face, rng):
     tilted = face * (1, 1, 0.2)
     for target in (face * (-1, 1, 1), tilted * (1, 1, -1), rng.normal(0, 50, face.shape)):
@@ -71,3 +84,11 @@ def test_a_rest_is_where_the_closest_points_pull_no_farther(face, rng):
     assert result.converged and icp(face, scan, **motion, trim=1.0, max_iterations=1).converged
     distance, _ = KDTree(scan).query(face @ result.rotation.T + result.translation)
     assert result.rms == pytest.approx(np.sqrt((distance**2).mean()), abs=1e-3)
+
+
+@pytest.mark.parametrize("label", ["source", "target"])
+@pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)])
+def test_what_are_no_points_is_refused(rng, label, bad):
+    points = {"source": rng.normal(size=(9, 3)), "target": rng.normal(size=(9, 3))} | {label: bad}
+    with pytest.raises(InputError, match=f"{label} must be at least 3 finite points"):
+        icp(points["source"], points["target"])

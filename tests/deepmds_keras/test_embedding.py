@@ -193,3 +193,11 @@ def test_eigenpairs_are_those_of_eigh_whatever_is_in_the_batch(matrices, count):
     for i in range(len(matrices)):
         alone = leading_eigenpairs(matrices[i : i + 1], count)
         assert np.array_equal(alone[0][0], values[i]) and np.array_equal(alone[1][0], vectors[i])
+
+
+@pytest.mark.parametrize("n_landmarks", [51, 72])
+def test_faces_need_no_full_decomposition(n_landmarks, monkeypatch):
+    sizes, eigh = [], np.linalg.eigh
+    monkeypatch.setattr(np.linalg, "eigh", lambda a: sizes.append(a.shape[-1]) or eigh(a))
+    leading_eigenpairs(gram(noisy(clouds(8, n_landmarks), 0.01)), 3)
+    assert sizes and max(sizes) < 20

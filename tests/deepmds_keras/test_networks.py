@@ -134,7 +134,8 @@ def test_released_variant_sees_self_pairs_too(faces):
 def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, tmp_path):
     path = tmp_path / "checkpoint.npz"
     recipe = Recipe(1, 53, batch_size=8)
-    autoencoder(faces, recipe, checkpoint=path)
+    first = autoencoder(faces, recipe, checkpoint=path)[1]
+    assert autoencoder(faces, recipe, seed=2)[1] != first
     with pytest.raises(InputError, match="checkpoint.npz is of another run; delete it"):
         autoencoder(faces, recipe, checkpoint=path, seed=1)
     path.write_bytes(path.read_bytes()[:1000])

@@ -1,7 +1,6 @@
 """Commands that are killed or find the disk full: the same command goes on to the same tables.
 
-`KILLS=2 FUZZ=10` (`make nightly`) kills once all processes and once one alone, and changes ten
-times as many bytes.
+`KILLS=6 FUZZ=10` (`make nightly`) kills more often and changes ten times as many bytes.
 """
 
 import csv
@@ -203,3 +202,11 @@ def test_every_changed_byte_is_reported_or_changes_nothing(whole_bfm, tmp_path):
         path.write_bytes(whole)
     assert outcomes[".npy", "harmless"] == 0
     assert outcomes[".json", "reported"] > 3 * outcomes[".json", "harmless"]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "3", "null", "[" * 100_000, "\0"])
+def test_what_is_no_record_is_named(tmp_path, text):
+    path = tmp_path / "faces.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"faces\.json must be a record as it was written"):
+        read_record(path)

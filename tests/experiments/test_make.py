@@ -1,10 +1,13 @@
 """`make` runs what is missing or made from other files, and nothing that is there."""
 
+import importlib.util
+import json
 import os
 import resource
 import shutil
 import signal
 import subprocess
+import sys
 import time
 
 import pandas as pd
@@ -14,6 +17,7 @@ from filelock import FileLock
 from places import ROOT
 
 from experiments import make
+from experiments.__main__ import main
 from experiments.records import commits_of, read_manifest, read_record, steps_of, write_record
 from experiments.run import AUTHORS_FILES, options_of, run_of_variables
 
@@ -82,6 +86,15 @@ def test_another_variable_runs_what_depends_on_it(whole_bfm, variables, expected
     assert sorted(name.split(" mean_shape linear")[0] for name in planned) == sorted(expected)
 
 
+@pytest.mark.slow
+def test_a_row_that_was_left_out_is_added(copy):
+    status, output, _ = ended(runs.command("reproduce-bfm", copy, "MOBILEFACE=no"))
+    assert status == 0 and "left out (MOBILEFACE=no)" in output
+    assert names(runs.plan("reproduce-bfm", copy, "MOBILEFACE=no")) == []
+    (step,) = names(runs.plan("reproduce-bfm", copy))
+    assert step.startswith("tracks.bfm ") and " mobileface " in step
+
+
 def test_weights_of_the_authors_run_their_row_and_the_table(whole_bfm, tmp_path):
     planned = names(runs.plan("reproduce-bfm", whole_bfm, weights(tmp_path / "a", b"1")))
     assert planned[0] == "tracks.predict authors_weights"
@@ -106,7 +119,7 @@ def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
 
 @pytest.mark.parametrize(
     "lost",
-    [pytest.param("table.csv", marks=pytest.mark.slow), "figures/summary.png"],
+    [pytest.param("table.csv", marks=pytest.mark.slow), "figures/summary.png", "manifest.json"],
 )
 def test_results_that_were_deleted_are_written_again(copy, lost):
     path = runs.results(copy, "bfm") / lost
@@ -289,3 +302,39 @@ def test_the_makefile_hands_on_every_variable():
 
 
 # A step of one's own.
+
+
+def test_a_new_step_is_a_module_and_a_rule(tmp_path):
+    (tmp_path / "hello.py").write_text(
+        "def main(run, *items):\n"
+        "    folder = run.experiment_results('hello')\n"
+        "    folder.mkdir(parents=True)\n"
+        "    (folder / 'text.txt').write_text(' '.join(items))\n"
+        "    return {'greeted': len(items), 'results': [folder]}\n"
+    )
+    name = "experiments.hello"
+    spec = importlib.util.spec_from_file_location(name, tmp_path / "hello.py")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    before = os.getcwd()
+    os.chdir(tmp_path)
+    try:
+        main(["hello", "a", "b", "--preset", "tiny", "--record", "build/records/hello.json"])
+    finally:
+        os.chdir(before)
+        del sys.modules[name]
+    record = read_record(tmp_path / "build/records/hello.json")
+    assert record["step"] == "hello a b" and record["greeted"] == 2
+    manifest = json.loads((runs.results(tmp_path, "hello") / "manifest.json").read_text())
+    assert [*manifest["files"]] == ["text.txt"]
+    rules = tmp_path / "more.smk"
+    rules.write_text(
+        f"include: {str(ROOT / 'experiments/Snakefile')!r}\n"
+        "rule hello:\n    output: record('bfm', 'hello')\n    shell: step('hello a b')\n"
+    )
+    snakemake = [sys.executable, "-m", "snakemake", "-s", str(rules), "hello", "--cores", "1"]
+    planned = subprocess.run(
+        [*snakemake, "--dry-run", "--printshellcmds", "--config", "PRESET=tiny"],
+        cwd=tmp_path, env=runs.ENVIRONMENT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "-m experiments hello a b --track bfm --seed 0" in planned.stdout + planned.stderr

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import termios
 
+import runs
+
 _BARS = """
 from experiments.progress import Bar, EpochBar
 with Bar(total=3, desc="faces", unit="face", mininterval=0) as bar:
@@ -30,3 +32,14 @@ def test_a_terminal_gets_one():
     os.close(theirs)
     assert b"faces: 100%" in os.read(ours, 10_000)
     os.close(ours)
+
+
+def test_a_reader_that_leaves_ends_a_step_without_a_traceback(whole_bfm):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments", "tracks.preview", "linear", "--preset", "tiny"],
+        cwd=whole_bfm, env=runs.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")

@@ -58,7 +58,7 @@ def write_ict_folder(folder, arrays):
     return folder
 
 
-def write_ict_npz(folder, arrays):
+def write_ict_npz(folder, arrays, **changes):
     """The same compiled, without the vertices that are of no use."""
     mean = np.float32(arrays["mean"])
     number = np.full(N_VERTICES, -1)
@@ -75,5 +75,5 @@ def write_ict_npz(folder, arrays):
         "triangles": faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int32),
         "vertex_index": KEPT.astype(np.int32),
     }
-    np.savez(folder / "ict_light.npz", **fields)
+    np.savez(folder / "ict_light.npz", **fields | changes)
     return folder / "ict_light.npz"

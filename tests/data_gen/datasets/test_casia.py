@@ -132,11 +132,12 @@ def test_19_of_20_near_frontal_scans_with_shoulders_are_registered():
     assert registered >= 19
 
 
+@pytest.mark.parametrize("shoulders", [False, True])
 @pytest.mark.parametrize(
     "angles", [(60, 0, 0), (-90, 0, 15), (0, 35, 0), (0, -35, 0), (45, -25, 0), (0, 0, 40)]
 )
-def test_points_of_either_frame_come_to_ours_in_every_pose(angles):
-    points = scan(0, angles, shoulders=True)[0]
+def test_points_of_either_frame_come_to_ours_in_every_pose(angles, shoulders):
+    points = scan(0, angles, shoulders)[0]
     cut = face_points(points)
     assert np.array_equal(face_points(points * HALF_TURN), cut)
     assert {*map(tuple, cut)} <= {*map(tuple, points)}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from data_gen.datasets import dataset
 from data_gen.datasets.dataset import (
     load_dataset,
     make_dataset,
@@ -38,6 +39,14 @@ def test_landmarks_are_those_of_the_model_and_views_their_projections(make, sche
     assert np.array_equal(make().views, faces.views)
 
 
+def test_faces_are_sampled_in_chunks_and_counted(monkeypatch):
+    monkeypatch.setattr(dataset, "_FACES_PER_CHUNK", 7)
+    done = []
+    faces = neutral(progress=done.append)
+    assert done == [7, 7, 7, 7, 2]
+    assert len(np.unique(faces.landmarks[:, 0, 0])) == 30
+
+
 def test_images_of_a_ring_share_the_identity_and_nothing_else():
     faces = rings()
     identity = faces.identity.reshape(SUBJECTS, IMAGES, -1)
@@ -54,6 +63,20 @@ def test_every_subject_performs_every_sequence_from_neutral():
     assert len(np.unique(identity, axis=0)) == 2
     starts = np.arange(n) * (4 * n + 5) // n
     assert not expression[starts].any() and expression.any(1).sum() > n
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "options", "message"),
+    [
+        (make_dataset, (3,), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (3, 2), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (0, 2), {}, "n_subjects and images_per_subject must be at least 1"),
+        (make_performances, (2, 71), {}, "n_frames at least 36 for each"),
+    ],
+)
+def test_unusable_arguments_are_refused(make, arguments, options, message):
+    with pytest.raises(InputError, match=message):
+        make(MODEL, *arguments, np.random.default_rng(0), **options)
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):

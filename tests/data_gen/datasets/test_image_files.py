@@ -49,6 +49,16 @@ def test_a_changed_or_missing_file_is_named(files, tmp_path, name):
         files.check(checksums)
 
 
+@pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04N."])
+def test_a_file_of_another_kind_or_shape_is_refused(files, tmp_path, content):
+    (tmp_path / "0000.npy").write_bytes(content)
+    with pytest.raises(InputError, match="0000.npy must be a file of images"):
+        files[:2]
+    np.save(tmp_path / "0002.npy", np.zeros((3, 8, 8, 3), np.uint8))
+    with pytest.raises(InputError, match=r"0002.npy must have shape \(2, 8, 8, 3\)"):
+        files[9:]
+
+
 def test_an_image_of_any_colours_becomes_rgb(tmp_path):
     for mode in ("RGB", "L", "P", "1"):
         image = Image.fromarray(IMAGES[0]).convert(mode)

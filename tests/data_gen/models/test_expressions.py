@@ -1,5 +1,7 @@
 """Performed and held expressions: neutral ends, and landmarks that move as named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from places import SHARED
@@ -13,6 +15,7 @@ from data_gen.models.expressions import (
 )
 from data_gen.models.ict import load_ict
 from data_gen.models.openhead import load_openhead
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
 ICT = SHARED / "ict-facekit" / "ict_light.npz"
@@ -126,3 +129,18 @@ def test_open_head_and_ict_make_the_same_expressions(openhead, ict):
     for sequence in SEQUENCES:
         first, second = (performed(model, sequence, 40)[0] for model in (openhead, ict))
         assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.6, sequence
+
+
+@pytest.mark.parametrize("names", [(), tuple(f"expression_{k}" for k in range(51))])
+def test_unknown_expressions_are_refused(openhead, names):
+    unknown, rng = replace(openhead, name="pca", expression_names=names), np.random.default_rng(0)
+    for call in (
+        lambda model, name: sequence_weights(model, name or "mouth_open", 10, rng),
+        lambda model, name: scan_expression_weights(model, [name or "smile"], rng),
+    ):
+        with pytest.raises(InputError, match="pca: .*openhead and ict"):
+            call(unknown, None)
+        with pytest.raises(InputError, match="must be one of .* Received 'yawn'"):
+            call(openhead, "yawn")
+    with pytest.raises(InputError, match="pca: .*openhead and ict"):
+        sample_expressions(unknown, 10, rng)

@@ -127,6 +127,22 @@ def test_bfm2009_has_the_landmarks_of_the_table(tmp_path):
     np.testing.assert_array_equal(model.landmarks["bfm72"], expected)
 
 
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("shapeEV", lambda a: np.array([{"a": 1}], object)),
+        ("texEV", lambda a: a[:-1]),
+        ("tl", lambda a: a - 1),
+        ("tl", lambda a: a + 1),
+        ("tl", lambda a: a[:0]),
+    ],
+)
+def test_sizes_of_bfm2009_that_disagree_are_refused(tmp_path, mat_arrays, key, change):
+    mat_arrays[key] = change(mat_arrays[key])
+    with pytest.raises(InputError, match="01_MorphableModel.mat: "):
+        load_bfm2009(write_mat(tmp_path, mat_arrays))
+
+
 def test_bfm2017_comes_back_with_the_variance_rooted(tmp_path, head, columns, h5_arrays):
     model = load_model("bfm2017", write_h5(tmp_path, h5_arrays).parent)
     np.testing.assert_allclose(model.mean, head.mean, atol=1e-4)
@@ -237,6 +253,19 @@ def test_a_malformed_folder_of_ict_is_refused(tmp_path, ict_arrays, name, text):
         (folder / f"{name}.obj").write_text(text)
     with pytest.raises(InputError, match=f"{folder}.*must"):
         load_ict(folder)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"vertex_index": KEPT[::-1]},
+        {"triangles": np.array([[0, 1, 21_614]])},
+        {"mean": np.full((21_614, 3), "a")},
+    ],
+)
+def test_a_malformed_npz_of_ict_is_refused(tmp_path, ict_arrays, changes):
+    with pytest.raises(InputError, match="ict_light.npz.* must"):
+        load_ict(write_ict_npz(tmp_path, ict_arrays, **changes))
 
 
 @pytest.mark.parametrize("name", [*FILES, "nobody"])

@@ -1,5 +1,8 @@
 """Mean, ridge regression and the two fits of Aldrian and Smith: exact cases, eos, bad input."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -129,3 +132,23 @@ def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method
     np.testing.assert_allclose(method.predict(views), np.stack([shapes.mean(0)] * 5), atol=1e-4)
     with pytest.raises(InputError, match=r"views must have 20 landmarks a face. Received 19"):
         method.predict(views[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"view_noise": 0.0}, "view_noise must be positive"),
+        ({"max_iter": 0}, "max_iter must be positive"),
+        ({"basis_times_sd": np.ones((4, 7, 3))}, r"basis_times_sd must be finite, of shape"),
+        ({"mean": np.arange(60.0).reshape(20, 3)}, "mean must not be collinear"),
+        ({"mean": np.random.default_rng(1).random((20, 3)) * [1, 1, 0]}, "must not be flat"),
+    ],
+)
+def test_the_unusable_option_is_named(model, options, message, rng):
+    with pytest.raises(InputError, match=message):
+        Aldrian(*model).set_params(**options).predict(rng.random((2, L, 2)))
+
+
+def test_closed_form_does_without_tensorflow():
+    code = "import sys, deepmds_keras.baselines.closed_form; sys.exit('tensorflow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

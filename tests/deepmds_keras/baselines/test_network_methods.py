@@ -209,3 +209,24 @@ def test_rings_are_of_one_subject_and_a_stranger():
     assert (np.bincount(whose[:, 0]) == 10).all()
     assert all(len(np.unique(ring)) == 5 for ring in rings)
     assert np.array_equal(rings, draw_rings(members, 60, 5, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "replaced", "message"),
+    [
+        ("zhao", {"optimizer": "sgd"}, {}, "optimizer must be one of adam, rmsprop"),
+        ("mobileface", {}, {1: CODES[:5, :K]}, r"coefficients must have shape \(24, 4\)"),
+        ("mobileface", {"shape_gram": None}, {}, r"shape_gram must have shape \(4, 4\)"),
+        ("mobileface", {"standardise": "row"}, {}, "standardise must be one of face, batch"),
+        ("ringnet", {}, {1: VIEWS[:5]}, r"landmarks must have shape \(24, 12, 2\)"),
+        ("ringnet", {}, {2: np.arange(24) // 2}, "subjects must be two or more with 3 images"),
+        ("ringnet", {"ring_size": 2}, {}, "ring_size must be at least 3"),
+        ("ringnet", {"expression_basis": EXPRESSIONS[:, 1:]}, {}, "expression_basis must have"),
+        ("ringnet", {"image_size": 31}, {}, "image_size must be at least 32"),
+    ],
+)
+def test_unusable_options_and_training_data_are_named(method, options, replaced, message):
+    model, data, _ = untrained(method)
+    data = [replaced.get(number, array) for number, array in enumerate(data)]
+    with pytest.raises(InputError, match=message):
+        model.set_params(**options).fit(*data)

@@ -90,6 +90,11 @@ def test_faces_with_nan_are_not_judged():
     check_y_axis(faces, "bfm72", "a.npy")
 
 
+def test_the_wrong_number_of_landmarks_is_refused():
+    with pytest.raises(InputError, match="L = 72.*Received \\(68, 2\\)"):
+        check_y_axis(seen(scheme="ibug68")[0], "bfm72", "a.csv")
+
+
 def test_quarter_turns_bring_faces_upright():
     rolls = np.array((0, 40, -40, 50, 90, 130, -50, -90, -130, 180))
     turns = quarter_turns(seen(roll=rolls), "bfm72")

@@ -416,3 +416,14 @@ def test_scikit_learn_takes_it_as_its_estimator(monkeypatch):
 def test_names_of_before_still_find_the_weights():
     with pytest.warns(DeprecationWarning, match='pretrained\\("ibug51"\\)'):
         assert LandmarkLifter.pretrained("lifting-ibug51").n_landmarks == 51
+
+
+@pytest.mark.slow
+def test_a_compiled_training_is_the_same_but_for_rounding(tiny, monkeypatch):
+    plain, compiled = (LandmarkLifter(L, "tiny", steps=5, batch_size=16) for _ in range(2))
+    plain.fit(sample_faces)
+    monkeypatch.setattr(training, "_COMPILED_FROM", 5)
+    compiled.fit(sample_faces)
+    assert any((plain.weights_[name] != compiled.weights_[name]).any() for name in plain.weights_)
+    for name, weights in plain.weights_.items():
+        np.testing.assert_allclose(compiled.weights_[name], weights, rtol=1e-3, atol=1e-4)

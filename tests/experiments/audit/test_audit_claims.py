@@ -39,9 +39,9 @@ def coverage(estimates, truth):
 
 @pytest.mark.parametrize(("n", "of_median"), [(10, 1 - 2 * binom.cdf(1, 10, 0.5)), (5, 0.9375)])
 def test_intervals_over_seeds_cover_the_truth_whatever_the_distribution(rng, n, of_median):
-    skewed = rng.exponential(size=(600, n))
+    skewed = rng.exponential(size=(2000, n))
     assert coverage(map(over_seeds, skewed), math.log(2)) == pytest.approx(of_median, abs=0.02)
-    normal = rng.standard_normal((600, n))
+    normal = rng.standard_normal((2000, n))
     assert coverage(map(spread_of_seeds, normal), 1) == pytest.approx(0.95, abs=0.02)
     assert coverage([share_below(values, 0) for values in normal], 0.5) >= 0.95
 

@@ -32,3 +32,12 @@ def test_every_topic_and_claim_is_in_the_results(audited):
     # What no size of the experiment changes; and what takes seeds.
     assert verdicts["distance-rank"] == verdicts["p-values"] == "not supported"
     assert verdicts["trivial-case"] == "not testable here"
+
+
+def test_topics_that_are_not_there_are_named(tmp_path):
+    done = runs.run("audit.measure", tmp_path, "luck")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "TOPIC must be one of poses, " in done.stderr
+    done = runs.run("audit.audit", tmp_path, *TOPICS)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "audit.measure poses" in done.stderr

@@ -10,7 +10,7 @@ from deepmds_keras.landmarks import load_scheme
 from experiments.figures import errors, style
 from experiments.figures.curves import batchnorm_lag, learning_curves
 from experiments.figures.ground_truth import fits, ground_truth
-from experiments.figures.qualitative import qualitative
+from experiments.figures.qualitative import gallery, qualitative, renders
 from experiments.figures.summary import seed_spread, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
 from experiments.methods import METHODS
@@ -201,6 +201,16 @@ def test_summary_draws_the_median_over_seeds_and_what_the_depth_correlation_lack
     assert not np.isclose(drawn[0], 9).any()  # the mean of one seed
 
 
+def test_every_seed_is_a_dot_above_its_median():
+    metrics = seed_metrics(np.random.default_rng(0))
+    (axes,) = seed_spread(metrics).axes
+    dots = np.concatenate([line.get_ydata() for line in axes.lines if line.get_ls() == "None"])
+    np.testing.assert_allclose(dots, metrics["value"] / 1e-4)
+    medians = metrics.groupby("method", sort=False)["value"].median() / 1e-4
+    for label, median in zip(axes.get_xticklabels(), medians, strict=True):
+        assert f"{median:.3g}" in label.get_text()
+
+
 def test_conventions_of_the_views():
     left_ear, right_ear = front_view(np.array([[60.0, 0, 0], [-60.0, 0, 0]]))
     assert left_ear[0] > right_ear[0]  # the viewer faces the subject
@@ -234,6 +244,14 @@ def test_qualitative_shows_the_best_score_and_what_was_not_found():
     np.testing.assert_allclose(drawn, truth, atol=1e-12)
 
 
+def test_gallery_marks_what_was_not_found():
+    shapes = faces(np.random.default_rng(0), 2, "ibug51")
+    lost = np.stack([shapes[0], np.full((51, 3), np.nan)])
+    photos = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 51, 2))
+    figure = gallery(*photos, {"ours": shapes, "mediapipe": lost}, IBUG51)
+    assert [len(axes.texts) for axes in figure.axes] == [0, 0, 0, 0, 0, 1]
+
+
 def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
     rng = np.random.default_rng(0)
     table = scans(rng)
@@ -242,3 +260,12 @@ def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
         np.testing.assert_allclose(line.get_xdata(), 5.0)
     del table["truth"]
     assert len(draw_ground_truth(rng, **table).axes) == 6
+
+
+def test_contact_sheet_has_landmarks_in_its_lower_half():
+    rng = np.random.default_rng(0)
+    images, landmarks = rng.integers(0, 255, (24, 9, 9, 3), np.uint8), rng.random((24, 72, 2))
+    figure = renders(images, landmarks, BFM72)
+    assert not figure.axes[11].lines
+    assert np.array_equal(figure.axes[12].lines[-1].get_xydata(), landmarks[12])
+    assert np.array_equal(figure.axes[23].images[0].get_array(), images[23])

@@ -1,6 +1,7 @@
 """The studies: their tables from made-up errors, and each at the smallest size."""
 
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -98,6 +99,19 @@ def test_pairs_are_of_the_view_that_a_variant_names():
     assert np.array_equal(seen["not_rescaled"], 5 + views)
     assert np.allclose(seen["cosine"], normalise(views))
     assert np.array_equal(seen["true_frontal"], normalise(shapes[..., :2]))
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_mini_batches_are_of_one_face_or_of_all(shuffled, tmp_path):
+    from experiments.lifting.pair_nets import PairNet
+
+    rng = np.random.default_rng(0)
+    shapes = rng.random((20, 6, 3)) * (1 + np.arange(20))[:, None, None]
+    losses = []
+    net = PairNet(replace(VARIANTS["cosine"], shuffled=shuffled), 2, 10, 0)
+    net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=tmp_path / "net.npz",
+            progress=losses.append)  # fmt: skip
+    assert len(losses) == 2 and (tmp_path / "net.npz").exists()
 
 
 def test_components_are_those_of_the_shapes():

@@ -54,10 +54,10 @@ def test_turned_heads_hide_landmarks_of_the_far_side():
 
 def test_training_faces_are_others_and_miss_any_share_of_their_landmarks():
     condition = BY_ID["hard_1_hidden"]
-    faces = views.training_views(RUN, condition)
+    faces = views.training_views(RUN, condition)[:500]
     missing = np.isnan(faces.views[..., 0]).mean(1)
     assert missing.min() < 0.02
-    assert 0.9 * views.MOST_MISSING < missing.max() < views.MOST_MISSING + 0.2
+    assert 0.9 * views.MOST_MISSING < missing.max() < views.MOST_MISSING + 0.15
     train = views.training_views(RUN, BY_ID["hard_1"])
     assert len(train) == TINY.train_faces and np.isfinite(train.views).all()
     assert not np.isin(train.identity, faces_of("hard_1").identity).any()

@@ -104,6 +104,7 @@ def test_a_table_has_every_method_with_a_number_or_a_reason(whole, track):
     assert rows.loc["authors_weights", "note"].startswith("their weight files were not given")
     caution = "smoke: too short to mean anything"
     assert rows.loc["mean_shape", "note"] == caution
+    assert (rows.loc["linear", "note"] == caution) == (track != "flame")
     assert ("with errors" in rows.loc["linear", "note"]) == (track == "flame")
     assert rows.loc["lifting", "note"].startswith("not in the paper; trained for 3 steps")
     quoted = {
