@@ -1,1 +1,1 @@
-"""Licences, files and random numbers into arrays: face models, projections, data sets."""
+"""Face models, projections and data sets, read from files or sampled."""

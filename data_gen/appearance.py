@@ -1,4 +1,4 @@
-"""Colours of faces, of the model or painted on its mean, and the light that falls on them."""
+"""Colours of faces, from the model or painted on its mean, and the light on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from data_gen.models.mesh import components, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.errors import InputError
 
-# Ramps of sRGB colours that faces are drawn from, evenly along each.
+# Ramps of sRGB colours, from which faces sample uniformly.
 _SKIN = np.array([[246, 214, 194], [214, 164, 132], [156, 104, 76], [92, 58, 44]]) / 255
 _HAIR = (
     np.array([[28, 22, 20], [58, 40, 30], [110, 80, 54], [176, 142, 100], [150, 148, 146]]) / 255
@@ -22,7 +22,7 @@ _IRIS = np.array([[54, 36, 26], [96, 66, 40], [96, 110, 80], [104, 132, 156]]) /
 _SCLERA, _PUPIL, _TEETH = (
     np.array(c) / 255 for c in ([226, 220, 214], [16, 14, 14], [206, 198, 184])
 )
-_LIP_RED = np.array([0.88, 0.62, 0.62])  # what lips keep of each channel of the skin, at the most
+_LIP_RED = np.array([0.88, 0.62, 0.62])  # largest part of the skin's channels that lips keep
 _IRIS_MM, _PUPIL_MM, _BROW_MM, _LID_MM = 5.9, 2.2, 3.6, 1.6
 _EAR, _EAR_MM = np.array([0.0, 0.0, -16.0]), 26.0  # middle, from the jaw line near it; radius
 _MOTTLE, _N_WAVES, _WAVE_MM = 0.03, 6, 60.0
@@ -31,16 +31,16 @@ _CAVITY, _CAVITY_MM = np.array([58, 24, 24]) / 255, 5.0  # so far behind the lip
 
 
 class Albedo:
-    """Where each of a few materials lies on a face model, and random faces' colours of them.
+    """A map of materials on a face model, and random colours of them for faces.
 
-    A model with colour statistics (the Basel models) is coloured by those. One without (open
-    head, ICT) is painted: skin of any tone, lips, brows, lid rims, hair, eyes and
-    teeth, placed on the mean face by its iBUG landmarks, and a faint mottling.
+    A model with colour statistics (the Basel models) is coloured by those. One without (open head,
+    ICT) is painted: skin of any tone, lips, brows, lid rims, hair, eyes and teeth, located on the
+    mean face by its iBUG landmarks, and a faint mottling.
 
     Args:
         model: Morphable model, with colours or with landmarks `"ibug68"`.
-        vertices: `(v,)` the vertices wanted; all by default.
-        open_mouths: Whether the inside of the mouth is painted too, which closed lips hide.
+        vertices: `(v,)` the vertices to colour; all by default.
+        open_mouths: Whether to paint the inside of the mouth too, which closed lips hide.
 
     Raises:
         InputError: The model has neither.
@@ -73,7 +73,7 @@ class Albedo:
         return np.float32((colours * (1 + self._mottling(n, rng))[..., None]).clip(0, 1))
 
     def _mottling(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Slow waves over the face, so that no skin is of one colour: `(n, v)`."""
+        """Slow waves over the face, so that no skin has a single colour: `(n, v)`."""
         directions = rng.standard_normal((n, _N_WAVES, 3)) / _WAVE_MM
         phases = rng.uniform(0, 2 * np.pi, (n, _N_WAVES, 1))
         waves = np.sin(directions @ self._places.T * (2 * np.pi / 3) + phases)
@@ -85,7 +85,7 @@ def _palette(n: int, rng: np.random.Generator) -> np.ndarray:
     tone = rng.random(n)
     skin = _along(_SKIN, tone) * rng.normal(1, 0.015, (n, 3))
     red = rng.uniform(0.35, 1, (n, 1))
-    # Hair is as dark as the skin at least; the lightest goes with light skin only.
+    # Hair is at least as dark as the skin; the lightest goes with light skin only.
     hair = _along(_HAIR, rng.random(n) * (1 - 0.7 * tone))
     shaved = rng.random((n, 1)) < 0.15
     brow = 0.3 * skin + 0.7 * hair
@@ -156,7 +156,7 @@ def _cover(model: MorphableModel, open_mouths: bool) -> np.ndarray:
         layers["cavity"] = layers["cavity"] * np.clip(depth / _CAVITY_MM - 1, 0, 1) * (depth < 60)
     cover = np.zeros((len(layers), model.n_vertices))
     for number, layer in enumerate(layers.values()):
-        cover *= 1 - layer  # each layer hides those before it as far as it covers
+        cover *= 1 - layer  # each layer hides the earlier ones where it covers
         cover[number] = layer
     return cover
 
@@ -172,7 +172,7 @@ def _hair(mean: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
 
 
 def _near(lines: Iterable[np.ndarray], points: np.ndarray, width: float) -> np.ndarray:
-    """Cover of points by polylines of that half width."""
+    """Coverage of points by polylines of that half width."""
     dense = []  # points less than a millimetre apart
     for line in lines:
         steps = np.linspace(0, len(line) - 1, 60 * (len(line) - 1) + 1)
@@ -195,8 +195,8 @@ class Lights:
 
     Attributes:
         direction: `(n, 3)` unit vectors to the lamp in the camera's frame.
-        ambient: `(n,)` share of the albedo that is seen without the lamp.
-        colour: `(n, 3)` of all light, what a white surface towards the lamp sends back.
+        ambient: `(n,)` share of the albedo that is visible without the lamp.
+        colour: `(n, 3)` colour of all light, as reflected by a white surface facing the lamp.
     """
 
     direction: np.ndarray
@@ -205,7 +205,7 @@ class Lights:
 
 
 def sample_lights(n: int, rng: np.random.Generator) -> Lights:
-    """Lamps up to 60 degrees aside of the camera and from 10 below it to 60 above."""
+    """Lamps up to 60 degrees to the side of the camera, and from 10 below it to 60 above."""
     aside, above = np.deg2rad(rng.uniform(-60, 60, n)), np.deg2rad(rng.uniform(-10, 60, n))
     across = np.cos(above)
     direction = np.stack([np.sin(aside) * across, np.sin(above), np.cos(aside) * across], axis=1)

@@ -54,7 +54,7 @@ class EdgeFit:
 
     Attributes:
         identity: `(K,)` standard-normal coefficients, from -3 to 3.
-        camera: From the frame of the model to pixels, but y up.
+        camera: Camera from the frame of the model to pixels, but y up.
         rms: Root mean square distance of the projected from the given landmarks, pixels.
         edge_share: Share of the outline that was matched with edges; 0 where there were none, and
             the fit is of landmarks alone.

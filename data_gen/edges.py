@@ -91,7 +91,7 @@ class EdgeMatcher:
     """Finds the nearest of an image's edges that runs in much the same direction.
 
     Args:
-        edges: Of the image.
+        edges: Edges of the image.
         reach: Distance beyond which nothing matches, in units of the edges' points, `turn`
             included.
         turn: Distance that half a right angle between directions counts as, over the square root
@@ -151,7 +151,7 @@ class Surface:
     Args:
         model: Morphable model.
         within: `(V,)` bool, the vertices whose edges are wanted; the others only hide them.
-        n_identity: How many of the first identity components shapes have.
+        n_identity: Number of leading identity components in the shapes.
     """
 
     def __init__(self, model: MorphableModel, within: np.ndarray, n_identity: int):

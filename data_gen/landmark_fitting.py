@@ -29,7 +29,7 @@ class LandmarkFit:
     Attributes:
         identity: `(K,)` standard-normal coefficients.
         expression: `(E,)` weights, or None where the fit was of neutral faces.
-        camera: From the frame of the model to pixels, y up.
+        camera: Camera from the frame of the model to pixels, y up.
         rms: Root mean square distance of the projected from the given landmarks, pixels.
         n_iterations: Steps tried.
         converged: Whether the last step changed next to nothing.

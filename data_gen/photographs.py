@@ -1,4 +1,4 @@
-"""Photos: painted surroundings of a face, what a camera does to a picture, and crops.
+"""Photos: painted surroundings of a face, the effects of a camera, and crops.
 
 Surroundings are scenes of several kinds and of any colour, long hair and clothes. Lines, frames and
 leaves in scenes have edges as sharp as those of the head, so that a search for the outline of a
@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-_BLUR_PX = (0.3, 4.0)  # s.d. of what is out of focus, in a picture of 218 pixels
+_BLUR_PX = (0.3, 4.0)  # s.d. of the defocus, in a picture of 218 pixels
 _PICTURE_PX = 218
 
 
@@ -34,13 +34,13 @@ def paint(kind: str, size: int, rng: np.random.Generator) -> np.ndarray:
 def composite(
     picture: np.ndarray, layer: np.ndarray, depth: np.ndarray, opacity: float = 1.0
 ) -> None:
-    """Paints a layer over a picture as far as it goes, in place.
+    """Paint a layer over a picture, in place.
 
     Args:
         picture: `(size, size, 3)` float.
         layer: `(size, size, 3)`, or one colour.
         depth: `(size, size)` pixels from the edge of the layer, positive within.
-        opacity: Of the layer.
+        opacity: Opacity of the layer.
     """
     cover = opacity * np.clip(depth + 0.5, 0, 1)[..., None]
     picture += cover * (layer - picture)
@@ -52,7 +52,7 @@ def hair_depth(
     """Depth of long hair behind a head, `(size, size)` as for `composite`.
 
     Args:
-        size: Of the picture.
+        size: Size of the picture.
         low, high: `(2,)` pixels, corners of the head's box from the crown to the chin, y down.
         rng: Source of length and volume.
     """
@@ -74,7 +74,7 @@ def clothes_depth(
     """Depths of clothes before neck and shoulders, and of the collar behind, as for `composite`.
 
     Args:
-        size: Of the picture.
+        size: Size of the picture.
         collar: `(2,)` pixels, the lowest point of the neckline, y down.
         neck: Half its width in pixels.
         rng: Source of neckline and shoulders.
@@ -88,7 +88,7 @@ def clothes_depth(
 
 
 def draw_strands(size: int, rng: np.random.Generator) -> np.ndarray:
-    """Brightness of hair that hangs down: `(1, size, 1)`, 0.8 on the average."""
+    """Brightness of hair that hangs down: `(1, size, 1)`, 0.8 on average."""
     return 0.8 + 0.08 * _cloud(size, 48, rng)[:1, :, None]
 
 
@@ -187,7 +187,7 @@ def _along(size: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _cloud(size: int, cells: int, rng: np.random.Generator) -> np.ndarray:
-    """Smooth noise of so many cells a side."""
+    """Smooth noise with that many cells per side."""
     grid = Image.fromarray(np.float32(rng.standard_normal((cells + 1, cells + 1))))
     return np.asarray(grid.resize((size, size), Image.Resampling.BICUBIC))
 
@@ -197,7 +197,7 @@ def _stretched(values: np.ndarray) -> np.ndarray:
 
 
 def _colours(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Any colours, most of them not far from grey: `(n, 3)`."""
+    """Random colours, most of them near grey: `(n, 3)`."""
     grey, colourful = rng.uniform(0.05, 0.95, (n, 1)), rng.gamma(2, 0.05, (n, 1))
     warm, green = rng.standard_normal((n, 1)), 0.4 * rng.standard_normal((n, 1))
     hue = np.hstack([warm - 0.5 * green, green, -warm - 0.5 * green])
@@ -217,11 +217,11 @@ def _ramp(colours: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def photograph(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Image as a camera takes it: exposure, colour cast, a little blur, noise, and JPEG.
+    """Image as taken by a camera: exposure, colour cast, a little blur, noise, and JPEG.
 
     Args:
         image: `(H, W, 3)` sRGB in [0, 1]; the result is uint8.
-        rng: Source of all that.
+        rng: Random generator.
     """
     light = np.float32(image) ** 2.2
     light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))
@@ -239,7 +239,7 @@ def photograph(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def crop(
     image: np.ndarray, landmarks: np.ndarray, size: int, margin: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The square about the landmarks of a face, as `renderer.square_frames`, edges repeated.
+    """The square around the landmarks of a face, as for `renderer.square_frames`, edges repeated.
 
     Args:
         image: `(H, W, 3)` uint8.

@@ -39,7 +39,7 @@ class IcpResult:
         rotation: `(3, 3)`, of determinant 1, to be multiplied from the left.
         translation: `(3,)` mm.
         rms: Root mean square distance of the last pairs kept, mm.
-        n_iterations: How often the closest points were looked up.
+        n_iterations: Number of searches for closest points.
         converged: Whether the closest points moved no source point by more than 0.001 mm. That may
             still be the wrong resting place, as after a start too far away; `rms` tells.
     """

@@ -1,4 +1,4 @@
-"""Images of faces, drawn with VTK off-screen: frames, and what of a model is ever seen."""
+"""Renders faces with VTK off-screen; also frames, and the visible part of a model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.views import Cameras, pose_and_project
 from deepmds_keras.errors import InputError
 
-MARGIN = 1.4  # side of a square image, in sizes of the landmarks' box
+MARGIN = 1.4  # side of a square image, relative to the landmarks' box
 BACKGROUND = 255  # white, as in the authors' images
 _OVERSAMPLING = 2  # pixels are means of so many by so many
 # By which system library VTK draws without a display, the preferred first.
@@ -33,10 +33,10 @@ _FACES_PER_VIEW, _PIXELS = 3, 512
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Part of the plane of the view that each of `n` images shows.
+    """Section of the view plane in each of `n` images.
 
     Attributes:
-        low: `(n, 2)` millimetres, the left lower corner, y up.
+        low: `(n, 2)` millimetres, the lower left corner, y up.
         extent: `(n, 2)` millimetres, width and height.
         size: Width and height in pixels.
     """
@@ -46,9 +46,9 @@ class Frames:
     size: int
 
     def pixels(self, views: np.ndarray) -> np.ndarray:
-        """Where points of the views appear: `(n, L, 2)` → `(n, L, 2)`, x right and y down.
+        """Pixel positions of points of the views: `(n, L, 2)` → `(n, L, 2)`, x right and y down.
 
-        The left upper corner of the image is (0, 0), the middle of its first pixel (0.5, 0.5).
+        The upper left corner of the image is (0, 0), the middle of its first pixel (0.5, 0.5).
         """
         inside = (views - self.low[:, None]) / self.extent[:, None]
         inside[..., 1] = 1 - inside[..., 1]
@@ -56,12 +56,12 @@ class Frames:
 
 
 def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frames:
-    """Squares about the landmarks, as a face detector would cut them out.
+    """Squares around the landmarks, as a face detector would cut them out.
 
     Args:
         views: `(n, L, 2)` landmarks, millimetres.
-        size: Pixels of a side.
-        margin: Side of the square, in sizes of the landmarks' box.
+        size: Side in pixels.
+        margin: Side of the square, relative to the landmarks' box.
     """
     low, high = views.min(1), views.max(1)
     side = margin * (high - low).max(1, keepdims=True)
@@ -69,11 +69,11 @@ def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frame
 
 
 def stretched_frames(views: np.ndarray, size: int) -> Frames:
-    """The bounding boxes of `(n, V, 2)` points, stretched to squares, as the authors' images are.
+    """The bounding boxes of `(n, V, 2)` points, stretched to squares, like the authors' images.
 
     Args:
-        views: All that is seen, millimetres.
-        size: Pixels of a side.
+        views: All visible points, millimetres.
+        size: Side in pixels.
     """
     low, high = views.min(1), views.max(1)
     return Frames(low, high - low, size)
@@ -108,13 +108,12 @@ class Renderer:
         """Images of faces.
 
         Args:
-            vertices: `(n, V, 3)` as seen, see `views.pose_and_project`.
+            vertices: `(n, V, 3)` projected, see `views.pose_and_project`.
             posed: `(n, V, 3)` the same in the frame of the camera, for the light.
             albedo: `(n, V, 3)` sRGB in [0, 1].
-            frames: What part of the view each image shows.
-            lights: On each face.
-            backgrounds: `(n, size, size, 3)` uint8, what is seen behind the faces, white by
-                default.
+            frames: Section of the view in each image.
+            lights: Lights on each face.
+            backgrounds: `(n, size, size, 3)` uint8, behind the faces; white by default.
 
         Returns:
             `(n, size, size, 3)` uint8.
@@ -128,7 +127,7 @@ class Renderer:
             colours = (albedo[i] * light[:, None] * lights.colour[i]).clip(0, 1)
             colours = np.uint8(np.rint(255 * colours))
             wide = self._rasteriser.draw(places[i], vertices[i, :, 2], colours)
-            # Sums over slices are exact, as `mean` over reshaped axes, and many times as fast.
+            # Sums over slices equal `mean` over reshaped axes, and are many times faster.
             cells = (wide[k::_OVERSAMPLING, j::_OVERSAMPLING] for k, j in np.ndindex(2, 2))
             means = sum(np.uint16(cell) for cell in cells) / _OVERSAMPLING**2
             drawn = means[..., :3]
@@ -144,7 +143,7 @@ class Renderer:
 
 
 class Rasteriser:
-    """Draws one coloured mesh after the other, all of the same triangles.
+    """Draws coloured meshes, all with the same triangles.
 
     Args:
         n_vertices: V.
@@ -214,18 +213,18 @@ class Rasteriser:
         return image[::-1]  # VTK begins below
 
     def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Number of the triangle seen in each pixel, `(pixels, pixels)`; T or more where none is.
+        """Number of the visible triangle in each pixel, `(pixels, pixels)`; T or more for none.
 
         Args:
             places, depth: As for `draw`.
         """
-        # A number, written as a colour; that of the background is larger than any of a mesh.
+        # Numbers are encoded as colours; that of the background is larger than any of a mesh.
         numbers = np.arange(len(self._colours), dtype="<u4")[:, None]
         image = self.draw(places, depth, numbers.view(np.uint8)[:, :3])
         return image[..., :3] @ np.array([1, 256, 65536])
 
     def close(self) -> None:
-        """Free the window; without it, its memory is held as long as the process lives."""
+        """Free the window, whose memory the process would otherwise keep."""
         self._window.Finalize()
 
 
@@ -256,14 +255,14 @@ def seen_vertices(
     margin: float = MARGIN,
     expressions: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Sorted numbers of the vertices of all triangles seen on random faces, and their neighbours'.
+    """Sorted numbers of the vertices of all triangles visible on random faces, and of neighbours.
 
     Args:
         model: Morphable model.
         scheme: Landmark scheme by which images are framed.
-        whole: Whether images show the whole model instead of a square about the landmarks.
-        margin: Of that square, as for `square_frames`.
-        expressions: `(m, E)` weights of expressions that the faces take in turn, at least those
+        whole: Whether images show the whole model instead of a square around the landmarks.
+        margin: Margin of that square, as for `square_frames`.
+        expressions: `(m, E)` weights of expressions that the faces take in turn, including those
             that show what a neutral face hides, such as the teeth; None for neutral faces.
     """
     yaw, pitch = (angles.ravel() for angles in np.meshgrid(_YAWS, _PITCHES))
@@ -293,6 +292,6 @@ def seen_vertices(
 
 
 def part_of(model: MorphableModel, vertices: np.ndarray) -> MorphableModel:
-    """The model with only these sorted vertices, and the triangles that lie wholly among them."""
+    """The model restricted to these sorted vertices, and to the triangles wholly among them."""
     within = np.isin(model.triangles, vertices).all(1)
     return model.restrict(vertices, np.searchsorted(vertices, model.triangles[within]))

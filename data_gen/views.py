@@ -1,8 +1,8 @@
-"""Views of faces: random poses and cameras, projections, and what a view hides.
+"""Views of faces: random poses and cameras, projections, and hidden landmarks.
 
 Angles are in degrees. Yaw is positive when the face turns to its left (towards +x), pitch when it
-looks up, roll when its top leans towards its right; they apply in the order yaw, pitch, roll, about
-the origin of the face.
+looks up, roll when its top leans to its right; they apply in the order yaw, pitch, roll, about the
+origin of the face.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ YAW, PITCH, ROLL, FIELD_OF_VIEW = 50.0, 25.0, 30.0, 25.0
 # Standard deviation of each coordinate. dlib's errors are 2 to 4 % of the 90 mm between the outer
 # corners of the eyes, in photos and renders.
 DETECTOR_SD_MM = 3.0
-# Millimetres behind the surface from which a landmark counts as hidden: deeper than the folds of
-# skin on whose rims people mark landmarks as if they saw them.
+# Depth in mm behind the surface at which a landmark counts as hidden: more than the folds of skin
+# on whose rims people mark landmarks as if they saw them.
 _BEHIND = 2.0
 _CHUNK = 16  # whole meshes
 
@@ -108,7 +108,7 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
 
 
 def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
-    """Random poses and projections beyond the paper's: far turned, tilted, leaning and from near.
+    """Random poses and projections beyond the paper's: larger angles, and cameras close by.
 
     Yaw in [-60, 60], pitch in [-30, 30], roll in [-20, 20], all uniform; half of the views are
     orthographic, the others have a field of view in [0, 60].
@@ -146,7 +146,7 @@ def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:
     """Points of the faces as posed: +x to the right of the image, +z towards the viewer.
 
     Args:
-        points: `(n, L, 3)` millimetres, as the result.
+        points: `(n, L, 3)` millimetres, like the result.
         cameras: One for each face.
     """
     return points @ np.swapaxes(rotations(cameras), 1, 2)
@@ -165,11 +165,11 @@ def project(points: np.ndarray, cameras: Cameras) -> np.ndarray:
 def pose_and_project(
     points: np.ndarray, landmarks: np.ndarray, cameras: Cameras
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Any points of the faces, such as all vertices, posed and as seen: what a renderer needs.
+    """Pose and project any points of the faces, such as all vertices, for a renderer.
 
     Args:
         points: `(n, V, 3)` millimetres, in the frame of the face.
-        landmarks: `(n, L, 3)` likewise, that each camera is set up by, see `project`.
+        landmarks: `(n, L, 3)` likewise, which define each camera, see `project`.
         cameras: One for each face.
 
     Returns:
@@ -223,7 +223,7 @@ def hidden_landmarks(
     """Mask of the landmarks that the surface hides, `(L,)` bool.
 
     Args:
-        points: `(V, 3)` vertices as seen, see `pose_and_project`.
+        points: `(V, 3)` projected vertices, see `pose_and_project`.
         triangles: `(T, 3)` int, 0-based.
         landmarks: `(L,)` vertex numbers.
     """
@@ -277,11 +277,11 @@ def sample_photo_views(
     *,
     detector_sd: float | np.ndarray = DETECTOR_SD_MM,
 ) -> tuple[np.ndarray, np.ndarray, Cameras]:
-    """Random expressive faces in any pose, one view of each, as a detector marks them in photos.
+    """Random expressive faces in any pose, one view of each, with a detector's errors.
 
     Args:
         model: Morphable model with named expressions and landmarks of the scheme.
-        detector_sd: Millimetres; of each face, `(n, 1, 1)`, or one number.
+        detector_sd: Standard deviation in mm, per face `(n, 1, 1)` or one number.
 
     Returns:
         Views `(n, L, 2)` with the detector's errors and landmarks `(n, L, 3)`, both millimetres,

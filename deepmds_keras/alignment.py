@@ -71,7 +71,7 @@ def align(
 
     The paper names these three; its released evaluation calls MATLAB's `procrustes`, which allows
     a reflection too, so that a face turned inside out scores a perfect zero. That is the default
-    here, for comparison with the published numbers; `is_mirrored` tells where it was needed.
+    here, for comparison with the published numbers; `is_mirrored` shows where it was needed.
 
     Arguments and errors are those of `procrustes`; the moved source has the source's shape.
     """
@@ -118,8 +118,8 @@ def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def centre(points: np.ndarray) -> np.ndarray:
     """Each face moved so that the mean of its landmarks is 0: `(n, L, d)` → `(n, L, d)`.
 
-    Since `normalise` depends on where the origin is, landmarks of photos, whose origin is the
-    corner of an image, are centred before.
+    `normalise` depends on the origin. Landmarks of photos, whose origin is a corner of the image,
+    are therefore centred first.
     """
     points = np.asarray(points, float)
     return points - points.mean(-2, keepdims=True)

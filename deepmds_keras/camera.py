@@ -14,17 +14,17 @@ _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 
 @dataclass(frozen=True, eq=False)
 class HeadPose:
-    """The camera that sees a face, or those of n faces, whose numbers then have `n` in front.
+    """The camera that sees a face, or the cameras of n faces: every array is then `(n, ...)`.
 
     Attributes:
-        rotation: `(3, 3)`, to be multiplied from the left: from the frame of the shape to that of
-            the camera, +x to the right of the view, +y up, +z towards the viewer.
-        scale: Units of the view for a unit of the shape, at the depth of the shape's origin.
-        translation: `(2,)` where the shape's origin is seen.
-        perspective: One over the distance of the camera from the shape's origin, in units of the
-            shape; 0 of a scaled orthographic camera.
-        residual: Root mean square distance of the projected shape from the view, in units of the
-            larger side of the view's box; NaN where it is not known.
+        rotation: `(3, 3)`, multiplied from the left: from the frame of the shape to that of the
+            camera, +x to the right of the view, +y up, +z towards the viewer.
+        scale: View units per shape unit, at the depth of the shape's origin.
+        translation: `(2,)` position of the shape's origin in the view.
+        perspective: Inverse distance of the camera from the shape's origin, in shape units; 0 for
+            a scaled orthographic camera.
+        residual: Root mean square distance between the projected shape and the view, relative to
+            the larger side of the view's bounding box; NaN if unknown.
     """
 
     rotation: np.ndarray
@@ -45,11 +45,11 @@ class HeadPose:
 
     @property
     def roll(self) -> float | np.ndarray:
-        """Degrees, positive when its top leans towards its right; the last turn."""
+        """Degrees, positive when its top leans to its right; the last turn."""
         return self.as_dict()["roll"]
 
     def project(self, shape: np.ndarray) -> np.ndarray:
-        """Where points of the shape are seen: `(..., 3)` → `(..., 2)`, y up; n shapes of n."""
+        """Project points of the shape: `(..., 3)` → `(..., 2)`, y up; n cameras take n shapes."""
         scale, perspective, translation = self.scale, self.perspective, self.translation
         if np.ndim(self.rotation) == 3:
             scale, perspective = np.reshape(scale, (-1, 1, 1)), np.reshape(perspective, (-1, 1, 1))
@@ -59,7 +59,7 @@ class HeadPose:
         return scale * near * posed[..., :2] + translation
 
     def as_dict(self) -> dict[str, float | np.ndarray]:
-        """Angles and attributes by name, in the order that files have."""
+        """Angles and attributes by name, in the order in which files list them."""
         angles = camera_angles(np.reshape(self.rotation, (-1, 3, 3)))
         angles = angles if np.ndim(self.rotation) == 3 else angles[:, 0].tolist()
         return dict(zip(("yaw", "pitch", "roll"), angles, strict=True)) | vars(self)
@@ -70,17 +70,17 @@ class HeadPose:
         return len(self.rotation)
 
     def __getitem__(self, index: int | slice | np.ndarray) -> HeadPose:
-        """Of n faces, that of one by its number, or those of several."""
-        len(self)  # raises TypeError of one face
+        """Pose of one of the n faces, or of several."""
+        len(self)  # raises TypeError if this is the pose of one face
         values = vars(self).values()
         return HeadPose(*(value[index] if np.ndim(value) else value for value in values))
 
 
 def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Affine cameras that have the least squared distances in their views, of n faces.
+    """Affine cameras of n faces, fitted to their views by least squares.
 
-    Of a flat shape, which leaves the camera open, the smallest is taken. Views `(n, L, 2)` and
-    shapes `(n, L, 3)` give `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
+    A flat shape does not determine its camera; the solution of least norm is taken. Views
+    `(n, L, 2)` and shapes `(n, L, 3)` give `(n, 2, 4)`, mapping `(x, y, z, 1)` to the view.
     """
     seen, centre = views.mean(1, keepdims=True), shapes.mean(1, keepdims=True)
     linear = np.linalg.pinv(shapes - centre) @ (views - seen)
@@ -90,10 +90,10 @@ def affine_cameras(views: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
     """Scaled orthographic cameras of views `(n, L, 2)` and shapes `(n, L, 3)`.
 
-    Of the affine camera's matrix, the nearest rotation times a scale (the POS algorithm of
-    DeMenthon and Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). To
-    minimise the distances in the image over rotations instead would not do: shapes are estimates,
-    and the pitch of a nearly frontal one then depends on their errors most.
+    Each is the scaled rotation nearest to the affine camera (the POS algorithm of DeMenthon and
+    Davis 1995, doi:10.1007/BF01450852, without its perspective iterations). Minimising the
+    distances in the image over rotations would be worse: shapes are estimates, and the pitch of a
+    nearly frontal one would then depend mostly on their errors.
     """
     linear = np.swapaxes(affine_cameras(views, shapes)[..., :3], 1, 2)
     u, sizes, vt = np.linalg.svd(linear, full_matrices=False)
@@ -105,10 +105,10 @@ def orthographic_cameras(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
 
 
 def refit(poses: HeadPose, views: np.ndarray, shapes: np.ndarray) -> HeadPose:
-    """Cameras of the same rotations that see n shapes nearest to their views (least squares).
+    """Fit scale and translation of n cameras to their views by least squares; keep the rotations.
 
-    The distance of each camera in sizes of the face in the view stays what it was. Views are
-    `(n, L, 2)`, y up, NaN where a landmark is missing; shapes `(n, L, 3)`.
+    Each camera keeps its distance, measured in sizes of the face. Views are `(n, L, 2)`, y up, NaN
+    where a landmark is missing; shapes `(n, L, 3)`.
     """
     posed = shapes @ np.swapaxes(poses.rotation, 1, 2)
     seen = ~np.isnan(views[..., :1])
@@ -127,8 +127,8 @@ def refit(poses: HeadPose, views: np.ndarray, shapes: np.ndarray) -> HeadPose:
 def camera_angles(rotations: np.ndarray) -> np.ndarray:
     """Yaw, pitch and roll of heads in degrees: `(n, 3, 3)` → `(3, n)`.
 
-    Rotations are those of `HeadPose`, `R = R_z(roll) R_x(-pitch) R_y(yaw)`. From straight above or
-    below yaw and roll are indistinguishable, and all of the turn is yaw.
+    Rotations are those of `HeadPose`, `R = R_z(roll) R_x(-pitch) R_y(yaw)`. Seen from straight
+    above or below, yaw and roll are indistinguishable, and the whole turn counts as yaw.
     """
     (right, up_x, front), (_, up_y, _), (side, up, ahead) = np.moveaxis(rotations, 0, 2)
     steepness = np.hypot(side, ahead)
@@ -139,7 +139,7 @@ def camera_angles(rotations: np.ndarray) -> np.ndarray:
 
 
 def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
-    """The scaled orthographic camera that sees a shape about as the view has it.
+    """The scaled orthographic camera under which a shape best resembles its view.
 
     Args:
         view: `(L, 2)` landmarks in the image, y up.
@@ -147,7 +147,7 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
 
     Raises:
         InputError: Unequal numbers of landmarks, NaN, infinity or degenerate landmarks, several
-            faces, or a view that no turned head gives: a mirrored one.
+            faces, or a mirrored view, which no turned head gives.
     """
     if np.ndim(view) != 2 or np.ndim(shape) != 2:
         raise InputError(
@@ -164,7 +164,7 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
 
 
 def head_poses(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
-    """`head_pose` of n faces as one `HeadPose`; a mirrored one comes out as seen from behind."""
+    """`head_pose` of n faces as one `HeadPose`; a mirrored view gives a head seen from behind."""
     views, shapes = check_views_and_shapes(views, shapes)
     poses = orthographic_cameras(views, shapes)
     off = poses.project(shapes) - views
@@ -173,22 +173,22 @@ def head_poses(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
 
 
 def front_landmark(shapes: np.ndarray) -> int:
-    """0-based number of the landmark that is on average most in front: `(n, L, 3)` → int."""
+    """0-based number of the landmark that is farthest in front on average: `(n, L, 3)` → int."""
     return int(shapes[..., 2].mean(0).argmax())
 
 
 def resolve_orientation(shapes: np.ndarray, frontal: np.ndarray, front_landmark: int) -> np.ndarray:
-    """Turn shapes over their frontal views, the front landmark towards the viewer.
+    """Rotate shapes onto their frontal views, with the front landmark towards the viewer.
 
-    The rotation is that of the scaled orthographic camera that sees the shape as its view.
+    The rotation is that of the scaled orthographic camera fitted to the view.
 
     Args:
         shapes: `(n, L, 3)` shapes in any orientation, mirrored or not.
-        frontal: `(n, L, 2)` where the landmarks lie when seen from the front.
+        frontal: `(n, L, 2)` landmarks as seen from the front.
         front_landmark: 0-based number of a landmark in front of the others' mean.
 
     Returns:
-        `(n, L, 3)` turned shapes: x, y centred on the frontal view, mean z 0.
+        `(n, L, 3)` rotated shapes: x, y centred on the frontal view, mean z 0.
     """
     rotation = orthographic_cameras(frontal, shapes).rotation
     turned = (shapes - shapes.mean(1, keepdims=True)) @ np.swapaxes(rotation, 1, 2)

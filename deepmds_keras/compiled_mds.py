@@ -19,15 +19,15 @@ def compiled_mds(
 ) -> tuple[np.ndarray, float, int]:
     """SMACOF with isotonic regression (Kruskal's non-metric MDS, stress-1) of one face.
 
-    Makes the same steps from `start` as scikit-learn's `MDS` (1.9, not metric, one initialisation),
-    so it agrees to rounding. It is faster because it is compiled, finds the order of the
-    dissimilarities once, and begins the regression of an iteration with the blocks of the last.
+    Takes the same steps from `start` as scikit-learn's `MDS` (1.9, not metric, one initialisation),
+    so the two agree to rounding. It is faster because it is compiled, sorts the dissimilarities
+    only once, and starts each regression from the blocks of the previous one.
 
     Args:
         dissimilarities: `(L, L)`, symmetric with zero diagonal and no negative entries. Zeros off
             the diagonal are missing values.
         start: `(L, k)` points to start from.
-        max_iter: Most iterations.
+        max_iter: Maximum number of iterations.
         eps: Decrease of stress, relative to the sum of squared distances, at which to stop.
 
     Returns:
@@ -39,7 +39,7 @@ def compiled_mds(
 
 
 def _compiled(function):
-    """Compiled, the machine code kept on disk unless no folder for it can be written."""
+    """Compile; the machine code is cached on disk if a folder for it can be written."""
     options = {"error_model": "numpy", "nogil": True, "fastmath": _REORDERED}
     try:
         return numba.njit(cache=True, **options)(function)
@@ -157,10 +157,10 @@ def _raw_stress(distances, disparities):
 def _pool(values, tied, blocks, n_blocks, new_blocks, sums, weights):
     """Isotonic regression of `(P,)` values by pooling adjacent violators; the number of blocks.
 
-    Violators may be pooled in any order. `blocks`, by where they begin and the end, are those of
-    the last regression. One of which no beginning lies below its mean would end in one piece, so it
-    enters whole, as over nine of ten do; any other enters value by value, those that are `tied` to
-    the one before together. The solution is filled into the last three arrays.
+    Violators may be pooled in any order. `blocks` has the bounds of the blocks of the previous
+    regression. A block whose leading values never average below its mean would stay in one piece,
+    so it enters whole, as over nine in ten do; any other enters value by value, ties together. The
+    solution is written into the last three arrays.
     """
     n_new = 0
     for block in range(n_blocks):

@@ -11,8 +11,8 @@ from sklearn.manifold import MDS
 
 from deepmds_keras.errors import InputError, check_choice, needs
 
-# Regressed distances of near neighbours may fall slightly below zero; beyond this share of the
-# largest one the matrix is not one of distances.
+# Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
+# largest distance, the matrix does not hold distances.
 _NEGATIVE_SHARE = 0.1
 _STEPS = 18  # of Lanczos' method: the Gram matrices of faces need 12 to 18
 _RESIDUAL = 1e-13
@@ -32,22 +32,22 @@ def embed(
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Points whose distances have the order of the dissimilarities (paper, equation of c_2).
 
-    Non-metric MDS (SMACOF, Kruskal's stress-1) from a classical-scaling start, as the `mdscale` of
-    the released code starts. It loses the scale, which is put back by least squares; points are
-    centred and turned to their principal axes, signed as by `classical_scaling`. Which of the two
-    mirror images that makes says nothing about the face: distances cannot tell.
+    Non-metric MDS (SMACOF, Kruskal's stress-1) starting from classical scaling, as `mdscale` does
+    in the released code. The scale is lost and restored by least squares; points are centred and
+    rotated to their principal axes, with the signs of `classical_scaling`. Distances do not
+    determine which of the two mirror images the face is, and neither does the result.
 
     Args:
-        dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is not read and slightly
-            negative values, as a regression may give for near neighbours, are folded.
+        dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is ignored. Slightly
+            negative values, which a regression may give for near neighbours, lose their sign.
         n_components: Dimensions of the embedding.
         solver: `"sklearn"`, scikit-learn's `MDS`; `"numba"`, which takes the same steps compiled
-            (extra `fast`), many times faster, see `compiled_mds`; or `"auto"`, numba's where it is
-            installed and scikit-learn's elsewhere. Results are equal to rounding.
-        max_iter: Most SMACOF iterations for a face.
+            (extra `fast`), many times faster, see `compiled_mds`; or `"auto"`, numba if it is
+            installed and scikit-learn otherwise. Results agree to rounding.
+        max_iter: Maximum number of SMACOF iterations per face.
         eps: Relative decrease of stress at which to stop.
-        n_jobs: Processes, or threads where the solver is compiled; None or 1 works in this one,
-            -1 uses every core.
+        n_jobs: Number of processes, or threads if the solver is compiled; None or 1 uses this one
+            alone, -1 every core.
         progress: Called with the number of faces just done.
         return_stress: Whether to return stress-1 too.
 
@@ -66,7 +66,7 @@ def embed(
             f"n_components must be 1 to {matrices.shape[-1]}, the number of landmarks. "
             f"Received {n_components}."
         )
-    # Compiled code releases the lock of the interpreter: nothing has to be sent to another process.
+    # Compiled code releases the interpreter lock, so that threads do.
     step, prefer = (32, None) if solve is sklearn_mds else (128, "threads")
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
@@ -94,7 +94,7 @@ def _choose(solver: str) -> Callable:
 
 @functools.cache
 def compiled_solver() -> Callable | None:
-    """Return `compiled_mds`, None where numba cannot be imported, which takes it a second."""
+    """Return `compiled_mds`, or None if numba, which takes a second, cannot be imported."""
     try:
         from deepmds_keras.compiled_mds import compiled_mds
     except ImportError:
@@ -103,7 +103,7 @@ def compiled_solver() -> Callable | None:
 
 
 def pairwise_distances(points: np.ndarray) -> np.ndarray:
-    """Euclidean distances of all pairs of points: `(…, L, d)` → `(…, L, L)`, double precision."""
+    """Euclidean distances between all pairs of points: `(…, L, d)` → `(…, L, L)` float64."""
     points = np.asarray(points, float)
     return np.linalg.norm(points[..., :, None, :] - points[..., None, :, :], axis=-1)
 
@@ -111,9 +111,8 @@ def pairwise_distances(points: np.ndarray) -> np.ndarray:
 def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
     """Classical (Torgerson) scaling of each matrix: `(n, L, L)` → `(n, L, n_components)`.
 
-    Components of negative eigenvalues, which no Euclidean distances have, are left at zero. The
-    sign of a component, which distances leave open, is such that the first landmark far out on it
-    has a positive coordinate.
+    Components of negative eigenvalues, which Euclidean distances do not have, are zero. Distances
+    leave the sign of a component open; the first landmark far out on it gets a positive coordinate.
     """
     squared = np.square(np.asarray(dissimilarities, float))
     rows = squared.mean(-1, keepdims=True)
@@ -124,9 +123,9 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
 
 
 def metric_embed(dissimilarities: np.ndarray) -> np.ndarray:
-    """Points whose distances are nearest to the dissimilarities, to compare with `embed`.
+    """Metric MDS, for comparison with `embed`.
 
-    scikit-learn's metric `MDS` from the same start: `(n, L, L)` → `(n, L, 3)`, turned as it comes.
+    scikit-learn's `MDS` from the same start: `(n, L, L)` → `(n, L, 3)`, in any orientation.
     """
     matrices = check_dissimilarities(dissimilarities)
     starts = classical_scaling(matrices)
@@ -163,11 +162,11 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def _with_signs(points: np.ndarray) -> np.ndarray:
-    """Points `(..., L, k)`, each axis turned so that the first landmark far out on it is positive.
+    """Points `(..., L, k)`, each axis signed so that the first landmark far out is positive.
 
-    The sign of an eigenvector depends on rounding, hence on the processor, and so does which of two
-    landmarks is the farthest in a symmetric face. Which is the first of all those at least 0.6
-    times as far out does not.
+    The sign of an eigenvector depends on rounding, hence on the processor, and in a symmetric face
+    so does which of two landmarks is farthest out. The first of those at least 0.6 times as far
+    out does not.
     """
     sizes = np.abs(points)
     first = (sizes >= 0.6 * sizes.max(-2, keepdims=True)).argmax(-2)
@@ -185,11 +184,11 @@ def _embed_faces(matrices, n_components, solve, max_iter, eps):
 
 
 def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """Factor of each face that brings its distances nearest to the given ones."""
+    """Scale of each face for which its distances fit the given ones best (least squares)."""
     squares = np.square(points).sum(-1)
     distances = squares[:, :, None] + squares[:, None] - 2 * points @ np.swapaxes(points, 1, 2)
     np.sqrt(np.maximum(distances, 0, out=distances), out=distances)
-    # Of points about their mean, the sum of all squared distances.
+    # The sum of all squared distances, computed from the points about their mean.
     total = 2 * points.shape[1] * squares.sum(1)
     return np.einsum("nij,nij->n", distances, matrices) / total
 
@@ -202,7 +201,7 @@ def sklearn_mds(
     *,
     metric: bool = False,
 ) -> tuple[np.ndarray, float, int]:
-    """`compiled_mds` by scikit-learn; with `metric`, distances are to be the dissimilarities."""
+    """`compiled_mds` by scikit-learn; `metric` fits the dissimilarities, not their order."""
     options = {"metric": "precomputed", "init": "random", "normalized_stress": True, "n_init": 1}
     scaling = MDS(start.shape[1], metric_mds=metric, max_iter=max_iter, eps=eps, **options)
     points = scaling.fit_transform(dissimilarities, init=start)
@@ -210,21 +209,21 @@ def sklearn_mds(
 
 
 def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest eigenvalues and their eigenvectors, to rounding those of `numpy.linalg.eigh`.
+    """Largest eigenvalues and their eigenvectors, as `numpy.linalg.eigh` has them to rounding.
 
     Lanczos' method with full reorthogonalisation (Golub & Van Loan, Matrix Computations, chapter
-    10) where its answer is proven right, `eigh` for the other matrices. The result for a matrix
+    10) where a bound proves its result, `eigh` for the other matrices. The result for a matrix
     does not depend on the others.
 
     Args:
         matrices: `(n, L, L)`, symmetric.
-        count: Eigenvalues of each.
+        count: Eigenvalues per matrix.
 
     Returns:
         `(n, count)` eigenvalues in descending order and `(n, L, count)` eigenvectors of length 1.
     """
     # SciPy's eigh(subset_by_index=) would make the compiled solver a fifth slower on one core, and
-    # its threads would wait for each other, since it holds Python's lock.
+    # block its threads, since it holds the interpreter lock.
     n, size, _ = matrices.shape
     values, vectors = np.empty((n, count)), np.empty((n, size, count))
     proven = np.zeros(n, bool)
@@ -244,7 +243,7 @@ def _lanczos(matrices, count):
     norms = np.sqrt(squared_norms)
     basis = np.zeros((n, _STEPS + 1, size))
     diagonal, off_diagonal = np.empty((n, _STEPS)), np.empty((n, _STEPS))
-    # A start that no symmetry of a face leaves as it is: its Krylov space would miss eigenvectors.
+    # No symmetry of a face leaves this start unchanged: its Krylov space would miss eigenvectors.
     start = matrices @ np.random.default_rng(0).standard_normal(size)
     basis[:, 0] = _unit(start, _ROUNDING * norms)[0]
     for step in range(_STEPS):
@@ -261,9 +260,9 @@ def _lanczos(matrices, count):
     values, vectors = values[:, ::-1], vectors[..., ::-1]
     last = off_diagonal[:, -1]
     residuals = last * np.abs(vectors[:, -1, :count]).max(1)
-    # In this basis, completed, the matrix is the reduced one, a rest, and `last` to couple them.
-    # Without the coupling no other eigenvalue exceeds the next Ritz value or the norm of the rest,
-    # and the coupling adds no more than itself (Weyl's inequality).
+    # In this basis, completed, the matrix consists of the reduced one and a remainder, coupled by
+    # `last`. Without the coupling no other eigenvalue exceeds the next Ritz value or the norm of
+    # the remainder; the coupling adds at most its own norm (Weyl's inequality).
     rest = squared_norms - np.square(diagonal).sum(1) - 2 * np.square(off_diagonal).sum(1)
     others = np.maximum(values[:, count], np.sqrt(np.maximum(rest, 0))) + last
     proven = (residuals <= _RESIDUAL * norms) & (others < values[:, count - 1])
@@ -272,7 +271,7 @@ def _lanczos(matrices, count):
 
 
 def _unit(vectors, rounding):
-    """Vectors over their lengths, and the lengths; zeros where there is only rounding error."""
+    """Unit vectors, and the lengths before; zeros where there is only rounding error."""
     lengths = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
     lengths[lengths <= rounding] = 0
     return vectors / np.where(lengths > 0, lengths, np.inf)[:, None], lengths

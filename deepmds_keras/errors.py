@@ -17,13 +17,13 @@ class MissingPackageError(InputError, ImportError):
 
 
 def brief(message: object, longest: int = _LONGEST) -> str:
-    """Message of a library about a file, or what is in it, on one line that is not too long."""
+    """A library's message, or the content of a file, on one line of limited length."""
     line = " ".join(str(message).split())
     return line if len(line) <= longest else f"{line[:longest]}…"
 
 
 def check_choice(value: object, name: str, choices: Collection[str]) -> None:
-    """Raise InputError, which calls it `name`, for a value that is none of the choices."""
+    """Raise InputError for a value that is none of the choices; the message calls it `name`."""
     if value not in choices:
         choices = ", ".join(choices) or "none"
         raise InputError(f"{name} must be one of {choices}. Received {value!r}.")
@@ -31,18 +31,18 @@ def check_choice(value: object, name: str, choices: Collection[str]) -> None:
 
 @contextmanager
 def needs(package: str, extra: str) -> Iterator[None]:
-    """Around imports of what an extra of the installation brings.
+    """Context for importing packages that an optional extra installs.
 
     Args:
-        package: What to call it.
-        extra: Of the installation, as `setup.cfg` names it.
+        package: Name for the message.
+        extra: Name of the extra in `setup.cfg`.
 
     Raises:
         MissingPackageError: An import failed.
     """
     try:
         yield
-    except MissingPackageError:  # says what is missing itself
+    except MissingPackageError:  # its message already says what is missing
         raise
     except ImportError as error:
         raise MissingPackageError(

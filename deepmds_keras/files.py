@@ -26,11 +26,11 @@ _LONGEST_NAME = 32  # characters of a file's name in that of its temporary one: 
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file to write to, under a temporary name until it is complete; its folder is made.
+    """Open a file for writing, under a temporary name until it is complete; create its folder.
 
     Raises:
-        InputError: The path is that of a folder.
-        OSError: It cannot be written; `filename` is the path.
+        InputError: The path is a folder.
+        OSError: The file cannot be written; `filename` is the path.
     """
     path = Path(path)
     if path.is_dir():
@@ -41,10 +41,10 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
         with open(partial, "wb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())  # some file systems only tell here that they are full
+            os.fsync(file.fileno())  # some file systems report only here that they are full
         os.replace(partial, path)
     except OSError as error:
-        number = error.errno or errno.ENOSPC  # NumPy has none for what it could not write
+        number = error.errno or errno.ENOSPC  # NumPy's error for a short write has no number
         raise OSError(number, os.strerror(number), str(path)) from error
     finally:
         with suppress(OSError):  # there is none when all went well
@@ -87,16 +87,16 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
 
     Raises:
         InputError: The file is missing, damaged or foreign, or holds anything but plain arrays;
-            the message calls it `kind`.
+            the message calls the file `kind`.
     """
     arrays = {}
     with _named(path, kind), zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
-            # All of it, so that its checksum is compared; NumPy stops where an array may end.
+            # Read to the end, so that the checksum is compared; NumPy stops at the array's end.
             content = io.BytesIO(archive.read(member))
             name = member.filename.removesuffix(".npy")
             arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
-        # Python reads a damaged list of contents up to the damage, and does not count what it read.
+        # Python reads a damaged directory up to the damage, and does not compare the count.
         archive.fp.seek(-_ZIP_END_SIZE, os.SEEK_END)
         end = archive.fp.read()
         listed = int.from_bytes(end[10:12], "little")
@@ -106,16 +106,16 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
 
 
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
-    """Map the array of an npy file, read-only; bad files raise InputError as for `read_npz`."""
-    with _named(path, kind):  # mapped, a header cannot claim more memory than the file has
+    """Map the array of an npy file, read-only; bad files raise InputError as in `read_npz`."""
+    with _named(path, kind):  # mapped: a header cannot claim more memory than the file has
         return np.lib.format.open_memmap(path, mode="r")
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows, by column name, of a CSV table whose comments are lines that begin with `#`.
+    """Return the rows of a CSV table as dictionaries; lines that begin with `#` are comments.
 
     Raises:
-        InputError: The file cannot be read or is no such table.
+        InputError: The file cannot be read or is not such a table.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -125,7 +125,7 @@ def read_table(path: Path) -> list[dict[str, str]]:
 
 
 def sha256_of(paths: Iterable[Path]) -> str:
-    """Return the hash of the files' bytes, one after the other."""
+    """Return the hash of the files' bytes, concatenated."""
     digest = hashlib.sha256()
     for path in paths:
         with path.open("rb") as file:
@@ -135,10 +135,10 @@ def sha256_of(paths: Iterable[Path]) -> str:
 
 @contextmanager
 def _named(path: str | Path, kind: str) -> Iterator[None]:
-    """Make one line of whatever goes wrong, which names the file."""
+    """Turn any error into one InputError that names the file."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's of odd headers, NumPy's of those of Python 2
+            warnings.simplefilter("ignore")  # about odd headers and those of Python 2
             yield
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be {kind}.") from None

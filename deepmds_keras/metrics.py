@@ -23,13 +23,13 @@ def mse(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
     The paper prints a sum of absolute differences; its code takes the mean of the squares.
 
     Args:
-        prediction, truth: `(n, L, 3)` or `(L, 3)`, aligned, both in one unit.
+        prediction, truth: `(n, L, 3)` or `(L, 3)`, aligned, in the same unit.
 
     Returns:
         `(n,)`, or a float for one face, in that unit squared.
 
     Raises:
-        InputError: Shapes differ or are no faces, or a number is not finite.
+        InputError: The arrays' shapes differ or are not those of faces, or a number is not finite.
     """
     prediction, truth = _pair(prediction, truth)
     return np.mean((prediction - truth) ** 2, axis=(-2, -1))
@@ -38,8 +38,8 @@ def mse(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray | float:
 def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
     """Share of the variance of the true shapes that the predicted ones explain, R².
 
-    1 minus the mean squared error over that of the mean of the true shapes, both aligned to each
-    face with scale and reflection: 1 at best, 0 for the mean shape.
+    It is 1 minus the ratio of the mean squared error to that of the mean true shape, both aligned
+    to each face with scale and reflection: 1 at best, 0 for the mean shape.
 
     Args:
         prediction, truth: `(n, L, 3)`, n at least 2, any scale.
@@ -71,9 +71,9 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
 
     Moniz et al. 2018, "Unsupervised Depth Estimation, 3D Face Rotation and Replacement", which the
     paper cites for its own criterion. L at most; a landmark whose depth does not vary contributes
-    0, so that a constant answer scores 0. Aligned to each face it is constant no longer: Procrustes
-    lends it the place and size of the truth, and it then scores high. Arguments and errors are
-    those of `explained_share`, but aligned.
+    0, so that a constant answer scores 0. Once aligned to each face it is no longer constant:
+    Procrustes gives it the position and size of the truth, and it scores high. Arguments and errors
+    are those of `explained_share`, but aligned.
     """
     prediction, truth = _pair(prediction, truth, least=2)
     return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())
@@ -83,19 +83,19 @@ def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
     """Wilcoxon signed-rank test of every two methods, two-sided.
 
     Args:
-        values: Method to `(n,)`: one criterion, for the same faces or subsets in the same order.
+        values: Method → `(n,)`: one criterion, for the same faces or subsets in the same order.
 
     Returns:
         A row for every two methods: `method_a`, `method_b`, `n`, `statistic` (the smaller rank
         sum), `p_value` (exact where SciPy computes it: up to 50 differences), `p_value_normal`
-        (normal approximation without continuity correction, as MATLAB has it),
-        `median_difference` (of a - b). Faces without a difference are left out of the ranks. A
-        probability below about 1e-308, as thousands of faces easily give, is rounded to 0.
+        (normal approximation without continuity correction, as in MATLAB), `median_difference`
+        (of a - b). Faces without a difference are not ranked. A probability below about 1e-308,
+        which thousands of faces easily give, is rounded to 0.
 
     Raises:
         InputError: A method's values are not one row of finite numbers, or lengths differ.
     """
-    import pandas as pd  # Here, since what uses the other criteria need not have it installed.
+    import pandas as pd  # here, since users of the other criteria need not have it installed
 
     arrays = {method: np.asarray(numbers, float) for method, numbers in values.items()}
     for method, array in arrays.items():
@@ -124,7 +124,7 @@ def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Both as valid arrays of floats, of at least so many faces."""
+    """Both as checked arrays of floats, with at least that many faces."""
     prediction, truth = np.asarray(prediction, float), np.asarray(truth, float)
     shape = prediction.shape
     if shape != truth.shape:

@@ -17,7 +17,7 @@ from deepmds_keras.proximities import VARIANTS
 
 
 def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
-    """Autoencoder that turns any view of a face into the frontal one (the paper's "profile").
+    """Autoencoder that maps any view of a face to the frontal one (the paper's "profile").
 
     Seven dense layers 64-32-16-16-32-64-2L, each followed by LeakyReLU and batch normalisation,
     the output included. The fourth is not normalised: the released code creates that layer but
@@ -25,13 +25,13 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
 
     Args:
         n_landmarks: L. 72 gives 24,880 trainable parameters of 25,584, 51 gives 19,378 of 19,998.
-        seed: Of the initial weights.
+        seed: Seed of the initial weights.
 
     Returns:
         Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, 2L)`.
 
     Raises:
-        InputError: No whole number of landmarks, or fewer than 3.
+        InputError: The number of landmarks is not whole, or below 3.
     """
     check_n_landmarks(n_landmarks)
     dense = dense_blocks(seed)
@@ -54,9 +54,9 @@ def build_dissimilarity_net(
     Args:
         variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
             (5 features, 2,423 of 2,625); see `pair_features`.
-        seed: Of the initial weights.
-        chain: Number of hidden layers and units of each, of a net without a short connection, to
-            see what the paper's is good for; None is the paper's.
+        seed: Seed of the initial weights.
+        chain: Number of hidden layers and units per layer of a net without short connection, to
+            compare with the paper's; None builds the paper's.
 
     Returns:
         Model from `(P, F)` features to `(P, 1)` distances in the unit of `normalise`.
@@ -88,19 +88,19 @@ def distance_layers(dense: Callable, pair: keras.KerasTensor, units: int) -> ker
 
 
 def count_trainable(*networks: keras.Model) -> int:
-    """Numbers that training changes, of all the networks together."""
+    """Total number of trainable parameters of the networks."""
     return sum(math.prod(weight.shape) for net in networks for weight in net.trainable_weights)
 
 
 def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
     """Outputs `(n, d_out)` float32 of a network in inference mode.
 
-    What fits into one batch goes through the network as it is; of more, a graph is made once for
-    each network, with the same outputs in half the time. `Model.predict` would make one for every
-    new shape, too, and wait for its data pipeline.
+    A single batch goes through the network directly; for more, a graph is traced once for each
+    network, with the same outputs in half the time. `Model.predict` would also trace one for every
+    new shape, and wait for its data pipeline.
 
     Args:
-        network: Model of one input and one output, or what is called like one.
+        network: Model with one input and one output, or a function with the same signature.
         inputs: `(n, …)`.
         batch_size: Rows at a time, which bounds the memory.
     """
@@ -115,7 +115,7 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
 
 
 def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
-    """`forward` of `(n, size, size, 3)` uint8 images by a network that takes them in [-1, 1]."""
+    """`forward` for `(n, size, size, 3)` uint8 images, which the network takes in [-1, 1]."""
     return forward(lambda batch, **mode: network(scale_images(batch), **mode), images, batch_size)
 
 

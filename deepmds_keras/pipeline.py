@@ -40,23 +40,23 @@ class DeepMDS(BaseEstimator):
         centre_views: Whether each view is centred before it is normalised, so that a face may lie
             anywhere in its image. The authors' code does not: then views must come in the
             coordinates of the face model.
-        schedule: Learning rate, `"constant"` as the paper has it or `"cosine"`. The constant one
-            leaves the moving statistics of batch normalisation behind the weights, and the error in
-            use far above that in training.
+        schedule: Learning rate, `"constant"` as in the paper or `"cosine"`. With a constant rate,
+            the moving statistics of batch normalisation lag behind the weights, and the error in
+            use is far above that in training.
         autoencoder_epochs: Passes over the faces, in mini-batches of 16.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` mini-batches, each of one face.
-        dissimilarity_steps: Mini-batches in an epoch.
-        seed: Of the initial weights and the order of the faces.
-        solver: Of the embedding, as for `embed`.
-        n_jobs: Processes for the embedding; -1 uses every core.
+        dissimilarity_steps: Mini-batches per epoch.
+        seed: Seed of the initial weights and of the order of the faces.
+        solver: Solver of the embedding, as for `embed`.
+        n_jobs: Number of processes for the embedding; -1 uses every core.
 
     Attributes:
         autoencoder_, dissimilarity_net_: Trained `keras.Model`s.
-        front_landmark_: 0-based number of the landmark that is most in front of the others; it
-            decides which of the two mirror images of an embedding is the face.
+        front_landmark_: 0-based number of the landmark farthest in front; it decides which of the
+            two mirror images of an embedding is the face.
         history_: Losses by network and epoch.
 
-    Weights that ship are of landmarks in the order of a scheme (docs/landmarks.md).
+    Shipped weights take landmarks in the order of a scheme (docs/landmarks.md).
 
     Examples:
         >>> from deepmds_keras import DeepMDS, LandmarkLifter
@@ -86,15 +86,15 @@ class DeepMDS(BaseEstimator):
         checkpoint: str | Path | None = None,
         progress: Callable[[str, dict], object] | None = None,
     ) -> DeepMDS:
-        """Train both networks, the second on what the first makes of the training views.
+        """Train both networks, the second on the first one's predictions for the training views.
 
         Args:
             views: `(n, L, 2)` landmarks in the image, y up, any scale; for the origin see
                 `centre_views`.
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
-            checkpoint: Folder in which each network is written after every epoch, see
-                `checkpoint_files`. A fit that was stopped goes on from there, and a network that
-                another fit has trained alike is only read.
+            checkpoint: Folder to which each network is written after every epoch, see
+                `checkpoint_files`. An interrupted fit resumes from there, and a network that
+                another fit has trained in the same way is only read.
             progress: Called after every epoch with the network's name and its losses.
 
         Raises:
@@ -120,11 +120,11 @@ class DeepMDS(BaseEstimator):
         return self
 
     def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
-        """Take the networks that `fit` trained to the end into a folder, and train nothing.
+        """Load the networks that a finished `fit` wrote to a folder, and train nothing.
 
         Args:
             checkpoint: The folder.
-            shapes: `(n, L, 3)` shapes that they were trained on.
+            shapes: `(n, L, 3)` shapes of their training.
 
         Raises:
             InputError: A network is missing, unfinished, damaged or of another run.
@@ -146,9 +146,9 @@ class DeepMDS(BaseEstimator):
     ) -> np.ndarray:
         """3D landmarks of each view.
 
-        Distances leave rotation, translation and mirror image open. The embedding is turned so that
-        it lies over the frontal view of the autoencoder. Two mirror images then remain, one behind
-        the other. The one whose `front_landmark_` (the tip of the nose) is in front is taken.
+        Distances determine neither rotation nor translation nor handedness. The embedding is
+        rotated onto the frontal view of the autoencoder. Of the two mirror images that remain, the
+        one with `front_landmark_` (the tip of the nose) in front is taken.
 
         Args:
             views: `(n, L, 2)` or `(L, 2)`, as for `fit`.
@@ -184,21 +184,21 @@ class DeepMDS(BaseEstimator):
         return explained_share(self.predict(views), shapes)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
-        """`(n, L, 2)` x and y of the shape, as the autoencoder gives them; errors as `predict`."""
+        """`(n, L, 2)` x and y of the shape from the autoencoder; errors as for `predict`."""
         views = self._normalised(views)
         flat = np.float32(views).reshape(len(views), -1)
         return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
-        """3D distances of all pairs, as the net gives them: `(n, L, L)`; errors as `predict`.
+        """3D distances of all pairs, as the net estimates them: `(n, L, L)`; errors as `predict`.
 
-        The diagonal is not exactly 0 and near neighbours may come out slightly negative; `embed`
-        ignores the one and folds the other.
+        The diagonal is not exactly 0 and near neighbours may be slightly negative; `embed` ignores
+        the former and drops the sign of the latter.
         """
         return self._matrices(self.frontalise(views))
 
     def save(self, path: str | Path) -> None:
-        """Write parameters and both networks into an `.npz`, and raise as `atomic_write` does."""
+        """Write parameters and both networks to an `.npz`; errors are those of `atomic_write`."""
         arrays = {}
         for name in _NETWORKS:
             held = weights.network_arrays(self._trained(f"{name}_"))
@@ -234,7 +234,7 @@ class DeepMDS(BaseEstimator):
 
     @classmethod
     def pretrained(cls, name: str) -> DeepMDS:
-        """Weights that ship, `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
+        """Shipped weights `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
         return cls.load(weights.pretrained_path(name))
 
     @classmethod
@@ -244,12 +244,12 @@ class DeepMDS(BaseEstimator):
         """The `"released"` variant with the authors' Keras 2 weight files.
 
         Raises:
-            InputError: Missing or truncated file, weights of another network or not finite, or
-                a number of landmarks that no scheme has.
+            InputError: Missing or truncated file, weights of another network or not finite, or a
+                number of landmarks that no scheme has.
         """
         model = cls(n_landmarks, "released")
         model.history_ = {}
-        # These weights come without the shapes that they were trained on.
+        # These weights come without the shapes of their training.
         model.front_landmark_ = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
         model._build()
         weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)

@@ -36,7 +36,7 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
 
 
 def proximities(first: np.ndarray, second: np.ndarray, variant: str, xp: Any = np) -> np.ndarray:
-    """Features of the pairs `first[k], second[k]`: `(..., P, 2)` twice → `(..., P, F)`.
+    """Features of the pairs `first[k], second[k]`, `(..., P, 2)` each: `(..., P, F)`.
 
     Args:
         first, second: float32 arrays of `xp`.

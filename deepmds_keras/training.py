@@ -32,8 +32,8 @@ class Recipe:
         epochs: Passes of `steps_per_epoch` mini-batches; a checkpoint is written after each.
         steps_per_epoch: Mini-batches in an epoch, or None for all of the data.
         schedule: `"constant"` learning rate (the paper and its code) or `"cosine"` decay to zero.
-        learning_rate: Of Adam, at the start.
-        batch_size: Faces in a mini-batch (of the autoencoder; the other net takes one face).
+        learning_rate: Adam's initial learning rate.
+        batch_size: Faces per mini-batch of the autoencoder; the other net takes one face.
     """
 
     epochs: int
@@ -59,12 +59,12 @@ def train_autoencoder(
     Args:
         views: `(n, L, 2)` normalised views.
         frontal: `(n, L, 2)` x and y of the normalised shapes.
-        recipe: How.
-        seed: Of the initial weights and of the order of the faces.
+        recipe: Epochs, schedule and mini-batches.
+        seed: Seed of the initial weights and of the order of the faces.
         training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
     Returns:
-        The network, and its losses as from `train_by_epoch`; `inference` is over the same faces.
+        The network and its losses, as for `train_by_epoch`; `inference` is over the same faces.
     """
     n, n_landmarks = views.shape[:2]
     views, frontal = (np.float32(points).reshape(n, -1) for points in (views, frontal))
@@ -98,20 +98,20 @@ def train_dissimilarity_net(
     """Train the dissimilarity net, all pairs of one face a mini-batch (paper, J_Dissimilarity).
 
     The paper's variant sees each pair once. The released one sees every ordered pair of landmarks,
-    those of a landmark with itself included, as the authors' code does.
+    including a landmark paired with itself, as the authors' code does.
 
     Args:
         frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
         shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
-        recipe: How; a step is one face.
+        recipe: Epochs, steps and schedule; a step is one face.
         variant, chain: As for `build_dissimilarity_net`.
-        shuffled: Whether a mini-batch is as many pairs as one face has, drawn from all faces (the
-            other scheme of the paper's "Ablation Study").
-        seed: Of the initial weights and of the order of the faces.
+        shuffled: Whether a mini-batch has the same number of pairs drawn from all faces instead
+            (the other scheme of the paper's "Ablation Study").
+        seed: Seed of the initial weights and of the order of the faces.
         training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
     Returns:
-        The network, and its losses; `inference` is over a fixed fifty of the faces.
+        The network and its losses; `inference` is over a fixed choice of fifty faces.
     """
     n, n_landmarks = shapes.shape[:2]
     frontal, shapes = np.float32(normalise(frontal)), np.float32(shapes)
@@ -120,12 +120,12 @@ def train_dissimilarity_net(
         ends = np.indices((n_landmarks, n_landmarks)).reshape(2, -1)
     n_pairs, steps = len(ends[0]), recipe.steps_per_epoch or n
     model = build_dissimilarity_net(variant, seed=seed, chain=chain)
-    # Element-wise work on thousands of pairs is most of a step, which XLA fuses.
+    # Most of a step is element-wise work on thousands of pairs, which XLA fuses.
     calls = steps_per_call(steps)
     model.compile(recipe.optimizer(steps), "mse", steps_per_execution=calls, jit_compile=True)
 
     def batches(epoch: int) -> tf.data.Dataset:
-        # Pairs are made in parallel to the training, a few faces ahead: all would fill the memory.
+        # Pairs are computed alongside the training, a few faces ahead: all would fill the memory.
         if shuffled:
             rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
             faces, drawn = (rng.integers(m, size=(steps, n_pairs)) for m in (n, n_pairs))
@@ -158,8 +158,8 @@ def pairs_of_faces(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features `(…, P, F)` and distances `(…, P, 1)` of pairs of landmarks, for the net.
 
-    Views are `(…, L, 2)`, shapes `(…, L, 3)`. `ends` are the numbers, `(P,)`, of the first landmark
-    of each pair and of the second. `variant` and `xp` are those of `proximities`.
+    Views are `(…, L, 2)`, shapes `(…, L, 3)`. `ends` has two arrays `(P,)`: the numbers of the
+    first and of the second landmark of each pair. `variant` and `xp` are those of `proximities`.
     """
     both = ([xp.take(a, landmarks, axis=-2) for landmarks in ends] for a in (frontal, shapes))
     return features_and_distances(*both, variant, xp)
@@ -168,7 +168,7 @@ def pairs_of_faces(
 def features_and_distances(
     views: tuple, points: tuple, variant: str, xp: Any = np
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`pairs_of_faces` of views and points that are picked already, `(first, second)` each."""
+    """`pairs_of_faces` for landmarks that are already selected, as `(first, second)` each."""
     squares = xp.square(points[0] - points[1])
     return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
 
@@ -181,17 +181,17 @@ def train_by_epoch(
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
 ) -> dict[str, list[float]]:
-    """Fit a compiled model for `label["epochs"]` epochs, going on from a checkpoint if there.
+    """Fit a compiled model for `label["epochs"]` epochs, or resume from its checkpoint.
 
-    What an epoch sees depends on its number alone, and the checkpoint holds the optimiser's state.
-    So a run that was stopped ends with the same weights as one that was not.
+    The data of an epoch depend on its number alone, and the checkpoint holds the optimiser's state,
+    so an interrupted run ends with the same weights as an uninterrupted one.
 
     Args:
         model: Compiled model.
-        batches: From the number of an epoch to its mini-batches.
+        batches: Function from the number of an epoch to its mini-batches.
         label: What identifies the run; a checkpoint of another run is refused.
-        inference: Loss of the model as it is after an epoch.
-        checkpoint: File to go on from, and to write after every epoch; None keeps no file.
+        inference: Computes the model's loss in inference mode, after an epoch.
+        checkpoint: File to resume from, written after every epoch; None keeps no file.
         progress: Called after every epoch with its losses.
 
     Returns:
@@ -221,15 +221,15 @@ def train_by_epoch(
 def restore_network(
     model: keras.Model, checkpoint: str | Path, label: dict
 ) -> dict[str, list[float]]:
-    """Take the weights of a training that is done, and return its losses as `train_by_epoch`.
+    """Load the weights of a finished training, and return its losses as `train_by_epoch` does.
 
     Args:
-        model: Network of that kind.
+        model: Network of the same architecture.
         checkpoint: File that the training wrote.
-        label: What is known of the run, its `"epochs"` among it; the data may be unknown.
+        label: What is known of the run, including `"epochs"`; the data may be unknown.
 
     Raises:
-        InputError: The file is missing, damaged, of another run, or of a training that was stopped.
+        InputError: The file is missing, damaged, of another run, or of an unfinished training.
     """
     if not os.path.exists(checkpoint):
         raise InputError(f"{checkpoint} does not exist; {model.name} is not trained yet.")
@@ -255,10 +255,10 @@ def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
 
 
 def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
-    """The same mini-batches, without the thread that tunes how they are read.
+    """The same mini-batches, without TensorFlow's autotuning thread.
 
-    It sleeps twice as long each time, and `fit` does not return before it wakes: an epoch would
-    take up to twice its time.
+    That thread doubles its sleep each time, and `fit` waits for it to wake: an epoch would take up
+    to twice as long.
     """
     options = tf.data.Options()
     options.autotune.enabled = False
@@ -266,12 +266,12 @@ def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:
-    """Mini-batches of images in [-1, 1] and targets, read a few ahead of the training.
+    """Mini-batches of images in [-1, 1] and targets, read a few steps ahead of the training.
 
     Args:
-        images: `(n, size, size, 3)` uint8, an array or what is indexed like one.
-        targets: `(n, d)` float32, what the network is to find in each.
-        rows: `(steps, batch)` which make up each mini-batch.
+        images: `(n, size, size, 3)` uint8, an array or something indexed like one.
+        targets: `(n, d)` float32, what the network must predict.
+        rows: `(steps, batch)` numbers of the images in each mini-batch.
     """
     first = images[rows[0]], targets[rows[0]]
     signature = tuple(tf.TensorSpec(array.shape, array.dtype) for array in first)
@@ -285,8 +285,8 @@ def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Data
 def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray:
     """`(n_wanted,)` face numbers for an epoch: permutations of all faces, one after another.
 
-    Epochs that are shorter than the data go on where the one before stopped, so that every face
-    is seen equally often.
+    An epoch shorter than the data continues where the previous one stopped, so that every face is
+    seen equally often.
     """
     first, skipped = divmod(epoch * n_wanted, n_faces)
     streams = ([seed, Stream.FACE_ORDER, first + k] for k in range(-(-n_wanted // n_faces) + 1))

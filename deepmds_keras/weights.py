@@ -21,8 +21,8 @@ PRETRAINED = Path(__file__).with_name("pretrained")
 class Stream(IntEnum):
     """Random streams of training: `default_rng([seed, Stream.FACE_ORDER, epoch])`.
 
-    Numbers after the seed, below 100; `experiments.streams` goes on from there. None is 0: NumPy
-    pads short seeds with zeros, so that `default_rng(s)` is `default_rng([s, 0])`.
+    Numbers below 100; `experiments.streams` has those from 100 on. None is 0: NumPy pads short
+    seeds with zeros, so that `default_rng(s)` equals `default_rng([s, 0])`.
     """
 
     FACE_ORDER = 1
@@ -41,25 +41,25 @@ def network_arrays(network: keras.Model) -> dict[str, np.ndarray]:
 
 
 def set_network_arrays(network: keras.Model, arrays: dict[str, np.ndarray], source: str) -> None:
-    """Put arrays of `network_arrays` back.
+    """Set the weights of a network from arrays of `network_arrays`.
 
     Raises:
-        InputError: A weight is missing, no number, NaN, infinite or of another shape; the message
-            names `source`.
+        InputError: A weight is missing, not numeric, NaN, infinite or of another shape; the
+            message names `source`.
     """
     for key, weight in _variables(network).items():
         _assign(weight, arrays.get(key), f"{source}: {key} of {network.name}")
 
 
 def write_checkpoint(path: str | Path, network: keras.Model, description: dict) -> None:
-    """Write what training needs to go on: weights, optimiser state, and a description."""
+    """Write what training needs to resume: weights, optimiser state, and a description."""
     state = {f"optimizer/{i}": v.numpy() for i, v in enumerate(network.optimizer.variables)}
-    # Floats hardly get smaller, and to press those of a large network takes longer than an epoch.
+    # Floats hardly compress, and compressing a large network takes longer than an epoch.
     write_arrays(path, network_arrays(network) | state, description, compressed=False)
 
 
 def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
-    """Put a checkpoint back into a compiled network and return its description.
+    """Load a checkpoint into a compiled network and return its description.
 
     Raises:
         InputError: The file is damaged or belongs to another network.
@@ -73,9 +73,9 @@ def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
 
 
 def checkpoint_files(folder: str | Path, variant: str, schedule: str) -> dict[str, Path]:
-    """File of each network of `DeepMDS` in a folder of checkpoints, named by what it depends on.
+    """Checkpoint file of each network of `DeepMDS` in a folder.
 
-    The autoencoder is the same for every variant of the dissimilarity net.
+    All variants of the dissimilarity net share the autoencoder.
     """
     return {
         "autoencoder": Path(folder, f"autoencoder-{schedule}.npz"),
@@ -87,16 +87,16 @@ def pretrained_path(name: str) -> Path:
     """Path of the weights that ship with the package.
 
     Raises:
-        InputError: No weights of that name; the message lists what there is.
+        InputError: No weights have that name; the message lists those that exist.
     """
     check_choice(name, "name", sorted(path.stem for path in PRETRAINED.glob("*.npz")))
     return PRETRAINED / f"{name}.npz"
 
 
 def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
-    """Load a Keras 2 weight file (HDF5, weights only), as the authors released, into a network.
+    """Load a Keras 2 weight file (HDF5, weights only), such as the authors', into a network.
 
-    Layers correspond by order, since their names differ. The file is parsed, never executed.
+    Layers are matched by order, since their names differ. The file is parsed, never executed.
 
     Raises:
         InputError: Missing or truncated file, or one whose layers have other shapes or hold NaN
@@ -111,7 +111,7 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
             groups = [file[name] for name in _read_names(file, "layer_names")]
             data = [group[name] for group in groups for name in _read_names(group, "weight_names")]
             shapes = [dataset.shape for dataset in data]
-            if shapes == needed:  # else the file may claim more numbers than memory holds
+            if shapes == needed:  # otherwise the file may claim more than memory holds
                 arrays = [dataset[()] for dataset in data]
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be a Keras 2 weight file.") from None
@@ -130,7 +130,7 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
 
 
 def _read_names(group, key: str) -> list:
-    """An attribute that lists names; other kinds crash HDF5 when they are damaged."""
+    """An attribute that lists names; reading other kinds crashes HDF5 if they are damaged."""
     import h5py
 
     attribute = group.attrs.get_id(key)
@@ -142,13 +142,13 @@ def _read_names(group, key: str) -> list:
 
 
 def _variables(network: keras.Model) -> dict:
-    """Weights by layer and name; Keras counts the state of random generators to none."""
+    """Weights by layer and name; Keras assigns the state of random generators to no layer."""
     layers = network.layers
     return {f"{layer.name}/{weight.name}": weight for layer in layers for weight in layer.weights}
 
 
 def _assign(variable, array: np.ndarray | None, name: str) -> None:
-    """Set a variable, or raise InputError, which names the array, where it does not fit."""
+    """Set a variable; an array that does not fit raises InputError, which names it."""
     if array is None or array.dtype.kind not in "fiu" or array.shape != tuple(variable.shape):
         received = "nothing" if array is None else f"{array.dtype} {array.shape}"
         raise InputError(

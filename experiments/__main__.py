@@ -31,9 +31,9 @@ from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
 # Of the process of `make`: a step ends with it.
 PARENT = "EXPERIMENTS_PARENT"
-# Sums are split between threads: their last digits depend on the number, not on the machine's.
+# Sums are split between threads: their last digits depend on this number, not on the machine's.
 _THREADS = 2
-# Of these several run at once: NumPy has one thread, TensorFlow two as everywhere.
+# Several of these run at once: NumPy gets one thread, TensorFlow two as everywhere.
 _TRAININGS = (
     *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train"),
     *("studies.variant", "witness.train"),
@@ -103,7 +103,7 @@ def _run_step(module: str, run: Run, values: dict) -> None:
 
 
 def _is_onednn(step: str, items: list[str]) -> bool:
-    """Whether the method that a step trains or asks has convolutions by oneDNN."""
+    """Whether a step trains or runs a method whose convolutions are oneDNN's."""
     of_method = step in ("tracks.train", "tracks.predict") and items and items[0] in METHODS
     return bool(of_method) and METHODS[items[0]].onednn
 
@@ -111,7 +111,7 @@ def _is_onednn(step: str, items: list[str]) -> bool:
 def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:
     """Set what numbers depend on, before TensorFlow reads it, and silence its notices."""
     os.environ["TF_ENABLE_ONEDNN_OPTS"] = str(int(onednn))
-    # What is compiled is the same whatever the processor offers beyond AVX2.
+    # Compiled code is the same whatever the processor offers beyond AVX2.
     flags = os.environ.get("XLA_FLAGS", "")
     if _XLA not in flags:
         os.environ["XLA_FLAGS"] = f"{_XLA} {flags}".strip()
@@ -122,7 +122,7 @@ def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:
     # Each network of a step is traced once, which TensorFlow takes for one traced too often.
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
     if onednn:
-        # TensorFlow tells of oneDNN before it reads how much it may tell.
+        # TensorFlow prints a notice about oneDNN before it reads the log level.
         with _silent_stderr():
             import_module("tensorflow")
 
@@ -141,7 +141,7 @@ def _silent_stderr() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """End this process when that of `make` has ended, however it ended."""
+    """End this process when that of `make` ends, for whatever reason."""
     parent = int(os.environ.get(PARENT, 0))
 
     def watch() -> None:
@@ -165,7 +165,7 @@ def one_line_errors() -> Iterator[None]:
     except InputError as error:
         reason = str(error)
     except OSError as error:
-        if isinstance(error, BrokenPipeError):  # who read the output, such as `head`, is gone
+        if isinstance(error, BrokenPipeError):  # the reader of the output, such as `head`, is gone
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise SystemExit(128 + signal.SIGPIPE) from None
         if error.errno not in (*_FULL, *_FORBIDDEN):
@@ -189,5 +189,5 @@ def peak_memory_mb() -> int:
 if __name__ == "__main__":
     try:
         main()
-    finally:  # all is written: what Python does at its end need not be cleaned up
+    finally:  # everything is written: a signal while Python ends may end it at once
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

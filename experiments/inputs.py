@@ -1,4 +1,4 @@
-"""Faces and images as the steps read them, in the paper's unit."""
+"""Faces and images for the steps, in the paper's unit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deepmds_keras.files import read_arrays
 from experiments.records import load_record
 from experiments.run import Run
 
-# Of the photos of the FLAME track: the size that RingNet takes, about all of the face.
+# Photos of the FLAME track: RingNet's size, with room for the whole face.
 CROP_SIZE, CROP_MARGIN = 224, 2.0
 # Steps that write images, and their checksums into their record, by track and part.
 _IMAGE_STEPS = {
@@ -38,8 +38,8 @@ class Faces:
         views: `(n, L, 2)` normalised views.
         shapes: `(n, L, 3)` normalised true landmarks.
         unit_mm: `(n,)` millimetres that 1 stands for in `shapes`.
-        posed: `(n, L, 3)` normalised view and, in its unit, depth towards the camera: what a
-            method that adds a depth to the view is trained on.
+        posed: `(n, L, 3)` normalised view and, in its unit, depth towards the camera: the training
+            data of a method that adds depth to the view.
         cameras: Pose and projection of each face.
     """
 
@@ -61,12 +61,12 @@ class Faces:
 
 
 def in_photos(run: Run, dataset: Dataset) -> Dataset:
-    """A data set with views as the run's track and protocol place them.
+    """A data set with views placed as the run's track and protocol require.
 
-    Test views of the FLAME track are of photos, which do not show where the origin of the face
-    model is, and `normalise` depends on it. The mean of each view's landmarks is moved to the
-    origin, in training and in test. By the released protocol they stay where they are, since the
-    authors' scripts normalise pixels as they come.
+    Test views of the FLAME track come from photos, which do not show the origin of the face model,
+    on which `normalise` depends. The mean of each view's landmarks is therefore moved to the
+    origin, in training and in test. In the released protocol they stay where they are, since the
+    authors' scripts normalise raw pixels.
     """
     if run.track != "flame" or run.protocol == "released":
         return dataset
@@ -101,10 +101,10 @@ def image_files(run: Run, part: str, n: int | None = None) -> ImageFiles:
 
     Args:
         run: The run.
-        part: `"train"` or `"test"`, of such faces of the run, or `"rings"`, of the people whom
-            RingNet is trained on. Those of test faces are squares cut out of photos, but for the
-            BFM track.
-        n: How many; None: as many as there are such faces.
+        part: `"train"` or `"test"` for those faces of the run, or `"rings"` for the people whom
+            RingNet is trained on. Images of test faces are squares cut out of photos, except on
+            the BFM track.
+        n: Number of faces; None takes all such faces.
     """
     if n is None and part == "rings":
         n = run.preset.ring_subjects * run.preset.ring_images
@@ -129,7 +129,7 @@ def load_images(run: Run, part: str) -> ImageFiles:
 
 @functools.cache
 def face_model(run: Run) -> MorphableModel:
-    """The run's face model with the landmarks of its track, read once a process.
+    """The run's face model with the landmarks of its track, read once per process.
 
     Raises:
         InputError: Its file is missing or damaged, or has no such landmarks.

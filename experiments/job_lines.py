@@ -1,4 +1,4 @@
-"""What a user reads of Snakemake: a line a step, with about how long the rest takes."""
+"""What users see of Snakemake: one line per step, with the approximate time left."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class JobLines(logging.Handler):
 
     Args:
         workflow: Snakemake's, whose plan is known once it begins.
-        seconds: Name of a step to how long it usually takes.
+        seconds: Name of a step → its usual duration.
     """
 
     def __init__(self, workflow, seconds: dict[str, float]):
@@ -44,7 +44,7 @@ class JobLines(logging.Handler):
             self._left.discard(record.job_id)
         elif event is None and record.levelno >= logging.ERROR:
             message = " ".join(record.getMessage().split())
-            # Of a step that failed no more is to be said than the step itself has.
+            # A failed step has already printed its own message.
             self._failed |= "CalledProcessError" in message or message.startswith("Exiting")
             if message and not self._failed:
                 print(f"error: {message}", file=sys.stderr)
@@ -64,7 +64,7 @@ class JobLines(logging.Handler):
 
 
 def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
-    """How long each step took, the median of runs of the same size, by the name of its record."""
+    """Duration of each step, the median over runs of the same size, by the name of its record."""
     taken: dict[str, list[float]] = {}
     for step in _steps(build, results):
         if step.get("preset", {}).get("name") == preset and "name" in step:

@@ -1,7 +1,7 @@
 """`python -m experiments.make TARGET VARIABLE=value …`: what `make TARGET VARIABLE=value` runs.
 
 It checks the variables, waits for other commands on the same model, and starts Snakemake on
-`experiments/Snakefile`, which knows what a target needs.
+`experiments/Snakefile`, which defines what a target needs.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def tidy(run: Run) -> None:
-    """Delete what killed steps had half written, and records whose results were deleted.
+    """Delete half-written files of killed steps, and records whose results were deleted.
 
     Snakemake then runs these steps again.
 
@@ -86,7 +86,7 @@ def tidy(run: Run) -> None:
 
 
 def draw(command: list[str], path: Path) -> None:
-    """Draw the steps that a command of Snakemake prints, done ones dashed, as SVG.
+    """Draw the steps that a Snakemake command prints as SVG, with finished ones dashed.
 
     Raises:
         InputError: Graphviz is not installed.
@@ -116,7 +116,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _plan(command: list[str]) -> None:
-    """Print the steps that a dry run of Snakemake would take, and nothing else of it."""
+    """Print the steps of a dry run of Snakemake, and nothing else of its output."""
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         print(done.stderr, file=sys.stderr)
@@ -126,7 +126,7 @@ def _plan(command: list[str]) -> None:
 
 
 def _run(command: list[str], made_by: str) -> None:
-    """Run Snakemake in a separate session, so that Ctrl-C ends all of it within seconds."""
+    """Run Snakemake in a session of its own, so that Ctrl-C ends all of it within seconds."""
     variables = {PARENT: str(os.getpid()), "EXPERIMENTS_COMMAND": made_by}
     process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 

@@ -1,4 +1,4 @@
-"""One compared method, as steps, tables, figures and report know it."""
+"""One compared method, as used by steps, tables, figures and report."""
 
 from __future__ import annotations
 
@@ -20,30 +20,32 @@ class Method:
 
     Attributes:
         id: As in `metrics.csv`.
-        title: As in tables and figures.
-        description: What it is, is trained on and is tested on.
-        paper: Its id in `results/published/published.csv`, or None: the paper has no such row.
-        tracks: Experiments in whose table it is.
+        title: Title in tables and figures.
+        description: What it is, what it is trained on, and what it is tested on.
+        paper: Its id in `results/published/published.csv`; None if the paper has no such row.
+        tracks: Experiments whose tables include it.
         inputs: What it sees of a test face: `"views"`, `"frontal views"`, `"images"` (renders of
             the face) or `"photos"`.
-        build: From a run to the estimator: untrained, or ready where there is no `data`.
-        data: From a run to the arguments of the estimator's `fit`. Without a `checkpoint` it is
-            fitted whenever it is loaded, which takes seconds.
-        checkpoint: From a run to the file, or folder, that keeps the training, complete or not;
-            None where the run has nothing to train.
-        restore: From a run, the untrained estimator and the checkpoint to the trained one; None:
-            its `restore`.
-        after: Method whose training must be complete before this one is trained or, where it has
-            no training of its own, predicts by the other's networks.
-        switch: Variable of `make` that leaves it out where it is `no`.
+        build: Function of a run that returns the estimator: untrained, or ready if there is no
+            `data`.
+        data: Function of a run that returns the arguments of the estimator's `fit`. Without a
+            `checkpoint` it is fitted whenever it is loaded, which takes seconds.
+        checkpoint: Function of a run that returns the file, or folder, of the training, complete or
+            not; None if the run has nothing to train.
+        restore: Function of a run, the untrained estimator and the checkpoint that returns the
+            trained one; None uses its `restore`.
+        after: Method that must be trained before this one is trained or, without a training of its
+            own, predicts with the other's networks.
+        switch: Variable of `make` that leaves it out with `no`.
         authors: Files of the authors' release that it needs, by track; they come with `AUTHORS=`.
         of_model: Face model without which it is left out.
-        onednn: Whether convolutions are oneDNN's: a training step takes three quarters of the time.
-        threads: TensorFlow's within an operation and between operations.
-        one_by_one: Whether each face is a fit of its own, which processes share.
+        onednn: Whether it uses oneDNN's convolutions: a training step then takes three quarters of
+            the time.
+        threads: TensorFlow's threads within an operation and between operations.
+        one_by_one: Whether each face is a separate fit, distributed over processes.
         over_seeds: Whether it is trained from several seeds.
-        note: What a reader of the table must know, from a run and `(n,)` bool: whether the method
-            found each test face.
+        note: Function of a run and `(n,)` bool, whether the method found each test face, that
+            returns what a reader of the table must know.
         colour, marker: Its look, the same in every figure.
         drawn: Whether the figures show it; otherwise only the tables.
         pictured: Whether it is in the figure of whole faces; others are in a second one.
@@ -51,7 +53,8 @@ class Method:
         mapped: Experiments that draw its error by landmark as a whole face.
         complexity: Time of a prediction in the number of landmarks n, derived from the algorithm;
             None keeps it out of the table of parameters.
-        networks: From the numbers of landmarks and coefficients to untrained networks, to count.
+        networks: Function of the numbers of landmarks and coefficients that returns untrained
+            networks, for counting.
         deep_mds: Pair features and learning-rate schedule, if it is the paper's method.
     """
 
@@ -86,14 +89,14 @@ class Method:
 
     @property
     def trained(self) -> str | None:
-        """Method whose networks it predicts by, perhaps itself; None: nothing takes long."""
+        """Method whose networks it uses, perhaps itself; None if nothing takes long to train."""
         if self.checkpoint is None:
             return None
         return self.after if self.data is None else self.id
 
     @property
     def absent(self) -> str:
-        """Note of the table where it was not run."""
+        """Note in the table if it was not run."""
         if self.authors and self.of_model:
             return f"needs their weight files (AUTHORS=folder) and MODEL={self.of_model}"
         if self.authors:

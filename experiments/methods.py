@@ -1,4 +1,4 @@
-"""The compared methods: what steps, tables, figures and report know of each is its row here.
+"""The compared methods: one row has all that steps, tables, figures and report know about it.
 
 A new method is a new row. How it is built and trained goes into `recipes`.
 """
@@ -22,7 +22,7 @@ from experiments.run import AUTHORS_FILES, Run
 
 _ALL = ("bfm", "flame", "celeba")
 OWN_CONSTANT = "own_constant"
-# Starts from an eigenvalue problem and then sorts all pairs in each of t steps.
+# Starts from an eigenvalue problem, then sorts all pairs in each of t steps.
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
 
@@ -323,7 +323,7 @@ def title(method_id: str) -> str:
 
 
 def rows_of_paper(paper_rows: Mapping[str, str] = {}) -> dict[str, str]:
-    """Method of the paper to the row that its numbers are compared with."""
+    """Method of the paper → the row with which its numbers are compared."""
     rows = {method.paper: method.id for method in METHODS.values() if method.paper}
     return rows | dict(paper_rows)
 
@@ -336,7 +336,7 @@ def methods_of(
     Args:
         track: `"bfm"`, `"flame"` or `"celeba"`.
         authors: Folder of the authors' released weights, if it was given.
-        model: Face model, without which methods of one alone are left out.
+        model: Face model; None leaves out methods for a single one.
     """
 
     def is_given(method: Method) -> bool:
@@ -348,7 +348,7 @@ def methods_of(
 
 
 def train(run: Run, method_id: str):
-    """Train a method; one that was stopped goes on from its checkpoint.
+    """Train a method; an interrupted training resumes from its checkpoint.
 
     Returns:
         The trained estimator.
@@ -362,11 +362,11 @@ def train(run: Run, method_id: str):
 
 
 def load(run: Run, method_id: str):
-    """Return a method that is ready to predict; what takes long to train is not trained.
+    """Return a method that is ready to predict, without any long training.
 
     Args:
         run: The run, whose training faces and networks are those of `run.trained`.
-        method_id: Of a method with `build`.
+        method_id: Id of a method with `build`.
 
     Raises:
         InputError: It is not trained yet, or a file is damaged.
@@ -394,7 +394,7 @@ def predict(model, inputs, **options) -> np.ndarray:
     Args:
         model: As from `load`.
         inputs: Views or images, as `model.predict` takes them.
-        options: Of `model.predict`.
+        options: Options of `model.predict`.
     """
     if "check_orientation" in inspect.signature(model.predict).parameters:
         options.setdefault("check_orientation", False)
@@ -402,24 +402,24 @@ def predict(model, inputs, **options) -> np.ndarray:
 
 
 def constant_answers(shapes: np.ndarray) -> np.ndarray:
-    """For each face the prediction for another: on average the error of one answer to all views.
+    """The prediction for another face: its mean error is that of one answer to all views.
 
-    Half of the faces lie between the two, so that they are of different people.
+    The two faces are half the test set apart, so that they show different people.
     """
     return np.roll(shapes, len(shapes) // 2, axis=0)
 
 
 def views_for(method: Method, test: Faces) -> np.ndarray:
-    """Views of the test faces that a method is given, `(n, L, 2)`."""
+    """Input views of a method for the test faces, `(n, L, 2)`."""
     return normalise(test.shapes[..., :2]) if method.inputs == "frontal views" else test.views
 
 
 def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:
-    """Notes that a reader of the run's table needs, or why a method has no number of ours.
+    """Notes for readers of the run's table, or why a method has no measured number.
 
     Args:
         run: The run.
-        detected: Of each method that was run, `(n,)` bool: whether it found each test face.
+        detected: Method that was run → `(n,)` bool, whether it found each test face.
     """
     notes = {}
     for method in METHODS.values():

@@ -1,6 +1,6 @@
-"""Sizes at which every experiment runs: full ones, a small one to see that it works, a tiny one.
+"""Sizes of all experiments: full, a small one to see that everything works, and a tiny one.
 
-Steps are tested at the last.
+The tests of steps use the last.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ class Preset:
         scan_subjects, scans: Test set of the FLAME track where it is made here (as many as the
             paper takes from CASIA-3D).
         photos: Test photos of the CelebA experiment; of CelebA, the first of its test images.
-        autoencoder_epochs: Passes over the training faces. The paper and its code leave the total
-            open; 30 is where the training error of the autoencoder no longer falls by much.
+        autoencoder_epochs: Passes over the training faces. Neither the paper nor its code gives the
+            total; at 30 the training error of the autoencoder no longer falls much.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
         zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
-        lifting_steps: Mini-batches of 128 faces of the lifting network. Its error on faces held out
+        lifting_steps: Mini-batches of 128 faces of the lifting network. Its error on held-out faces
             falls as long as the learning rate does.
-        train_images: Training faces of which MobileFace sees an image.
+        train_images: Training faces with an image for MobileFace.
         mobileface_epochs, mobileface_paper_epochs: Epochs of MobileFace with a cosine schedule, and
             by the paper's recipe (released code: 200 × 500 steps).
         ring_subjects, ring_images: People whom RingNet is trained on, and images of each.
         ringnet_epochs: Epochs of RingNet, of `ringnet_steps` mini-batches each.
         n_subsets, subset_size: Random subsets of the test set (paper, "Evaluation Criteria").
         timed_faces: Test faces over which the time of a prediction is taken.
-        n_seeds: Of `make seeds`, where SEEDS does not say.
-        ablation_seeds: Of each training of `make ablation`.
+        n_seeds: Number of seeds of `make seeds` without SEEDS.
+        ablation_seeds: Number of seeds of each variant in `make ablation`.
         training_sizes: Numbers of training faces of `make ablation`, below `train_faces`.
         audited_faces: Test faces on which `make audit` measures what takes long.
-        simulations: Of methods that only chance tells apart, by which it judges the tests.
-        bench_faces, bench_released_faces: Faces on which `make bench` times ours, a fifth for the
-            slower ways, and the released way.
+        simulations: Number of simulated methods that differ by chance alone, to judge the tests.
+        bench_faces, bench_released_faces: Faces for which `make bench` times our code, a fifth for
+            the slower ways, and the authors' implementation.
         bench_steps: Training steps that it times.
         bench_passes: Repetitions of each measurement after the first; 0 keeps the first.
         test_portraits: Photos of each open face model on which `make pretrained` measures
             detectors and methods.
         shipped_steps: Mini-batches of the lifters that ship.
-        fitted_faces: Test faces of `make lifting` that a face model is fitted to.
-        streamed_faces, faces_per_file: Faces of `make stream`, and those of one of its files.
-        caution: Stands on figures and below tables.
+        fitted_faces: Test faces of `make lifting` to which a face model is fitted.
+        streamed_faces, faces_per_file: Faces of `make stream`, and those in each of its files.
+        caution: Warning on figures and below tables.
     """
 
     name: str = "full"
@@ -133,8 +133,8 @@ SMOKE = Preset(
     faces_per_file=100,
     caution="smoke: too short to mean anything",
 )
-# Of the tests. A prime number of steps above 50 is a call each: what is traced is one step, not a
-# loop of them, which takes longer than to train.
+# For the tests. With a prime number of steps above 50, each step is a call of its own: a single
+# step is traced, not a loop of steps, which takes longer than the training.
 TINY = replace(
     SMOKE,
     name="tiny",

@@ -35,7 +35,7 @@ class EpochBar(Bar):
 
 
 def duration(seconds: float) -> str:
-    """In the two largest units."""
+    """Text of a duration, in its two largest units."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

@@ -1,6 +1,6 @@
 """How the compared methods are built, trained and restored.
 
-Frameworks are imported where a method is built: figures and tables need the registry alone.
+Frameworks are imported only to build a method: figures and tables need the registry alone.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _ZHAO_AUTHORS_FACES = 3000
 # Largest s.d. of the errors in training that stand for a detector's, in r.m.s. radii of a view.
 # Half of it, which the lifting network then expects, is 5 % of the interocular distance.
 LANDMARK_NOISE = 0.2
-# Of MobileFace by its schedule. With a cosine 0.002 and 30,000 steps come within 5 % of the error
-# of the 100,000 constant steps at 0.001 that the authors' code makes; 0.001 and 20,000 do not.
+# MobileFace's learning rate by schedule. With a cosine, 0.002 and 30,000 steps come within 5 % of
+# the error of the 100,000 constant steps at 0.001 in the authors' code; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
 _PERCEPTRON_EPOCHS = 20
 # Of the authors' release, by track.
@@ -45,7 +45,7 @@ def fit(model, *data, **options):
     bars: dict[str, EpochBar] = {}
 
     def progress(*report) -> None:
-        *names, losses = report  # only who trains several networks says which
+        *names, losses = report  # only methods with several networks name them
         (name,) = names or epochs
         if name not in bars:
             bars[name] = EpochBar(name, epochs[name])
@@ -61,7 +61,7 @@ def fit(model, *data, **options):
 
 
 def _epochs(model) -> dict[str, int]:
-    """How often `fit` reports, by network."""
+    """Number of reports of `fit`, by network."""
     if hasattr(model, "autoencoder_epochs"):
         return {
             "autoencoder": model.autoencoder_epochs,
@@ -84,9 +84,9 @@ def faces(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def faces_with_errors(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """`faces`; on the FLAME track with errors of the landmarks, since a detector finds the test's.
+    """`faces`, on the FLAME track with landmark errors, since its test views are a detector's.
 
-    Each face has errors of one s.d. up to `LANDMARK_NOISE`, as the lifting network draws them.
+    Each face draws an s.d. up to `LANDMARK_NOISE`, as in the training of the lifting network.
     """
     import numpy as np
 
@@ -104,7 +104,7 @@ def posed_faces(run: Run) -> tuple[np.ndarray]:
 
 
 def frontal_faces(run: Run) -> tuple[np.ndarray]:
-    """As many training faces, seen from the front, as the authors train Zhao's net on."""
+    """Frontal training faces, as many as the authors train Zhao's net on."""
     return (load_faces(run, "train").shapes[:_ZHAO_AUTHORS_FACES],)
 
 
@@ -180,9 +180,9 @@ def deep_mds(run: Run, variant: str, schedule: str):
 
 
 def restore_deep_mds(run: Run, model, checkpoint: Path):
-    """Take both networks, for views that need not be centred on the FLAME track.
+    """Load both networks; on the FLAME track, views need not be centred.
 
-    Those of its training faces are centred already, but for the released protocol.
+    Its training views are centred already, except in the released protocol.
     """
     centred = run.track == "flame" and run.protocol != "released"
     model.set_params(centre_views=centred)
@@ -190,7 +190,7 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
 
 
 def networks_with_errors(run: Run) -> Path:
-    """Folder of the networks that learn from landmarks with errors."""
+    """Folder of the networks trained on landmarks with errors."""
     return run.networks / "with-errors"
 
 
@@ -216,8 +216,7 @@ def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -
 def lifting(run: Run):
     """The small lifting network.
 
-    On the FLAME track errors are added in training, as in `faces_with_errors`, but others in each
-    mini-batch.
+    On the FLAME track it trains with errors as in `faces_with_errors`, redrawn in each mini-batch.
     """
     from deepmds_keras.lifting.lifter import LandmarkLifter
 
@@ -230,19 +229,19 @@ def lifting(run: Run):
 
 
 def lifting_file(run: Run) -> Path:
-    """Weights of the lifting network that were best; its checkpoint holds the last ones."""
+    """The best weights of the lifting network; its checkpoint holds the last ones."""
     return run.network_file("lifting")
 
 
 def load_lifting(run: Run, model, checkpoint: Path):
     lifter = type(model).load(lifting_file(run))
-    if run.track == "flame":  # views in the test are off by more than good landmarks
+    if run.track == "flame":  # a detector's errors exceed those of good landmarks
         lifter.default_sd_ = LANDMARK_NOISE / 2
     return lifter
 
 
 def perceptron(run: Run, n_landmarks: int | None = None):
-    """The plain network, of the run's landmarks by default, trained for as long as lifting."""
+    """The plain network, for the run's landmarks by default, trained for as long as lifting."""
     from deepmds_keras.baselines.perceptron import Perceptron
 
     steps = -(-run.preset.lifting_steps // _PERCEPTRON_EPOCHS)
@@ -264,7 +263,7 @@ def zhao(run: Run, *, as_authors: bool = False):
 
 
 def zhao_weights(run: Run):
-    """Zhao's net with the authors' weights, which on the FLAME track return metres."""
+    """Zhao's net with the authors' weights, whose output is in metres on the FLAME track."""
     import keras
 
     from deepmds_keras.baselines.zhao import Zhao, normalise_view
@@ -306,7 +305,7 @@ def mobileface(run: Run):
 
 
 def mobileface_weights(run: Run):
-    """MobileFace with the authors' weights, which find coefficients of the Basel model of 2009."""
+    """MobileFace with the authors' weights, for coefficients of the Basel model of 2009."""
     from deepmds_keras.baselines.mobileface import MobileFace
 
     model = MobileFace(*load_landmark_model(run), None)
@@ -320,7 +319,7 @@ def mobileface_data(run: Run) -> tuple:
 
 
 def mobileface_file(run: Run) -> Path:
-    # Not among the networks that see views, which are deleted if the views change.
+    # Kept apart from the networks that see views, which are deleted if the views change.
     return run.work / "mobileface" / f"{run.mobileface}.npz"
 
 
@@ -332,7 +331,7 @@ def mobileface_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Mod
 
 
 def ringnet(run: Run):
-    """RingNet as its authors license it if it was given, else ours, untrained."""
+    """The licensed RingNet if it was given, otherwise ours, untrained."""
     if run.ringnet is not None:
         return _licensed_ringnet(run)
     from deepmds_keras.baselines.ringnet import RingNet
@@ -365,7 +364,7 @@ def _licensed_ringnet(run: Run):
 
 
 def ringnet_data(run: Run) -> tuple:
-    """Images of people, the landmarks `(n, L, 2)` in them, and who each is, `(n,)`."""
+    """Images of people, the landmarks `(n, L, 2)` in them, and the person in each, `(n,)`."""
     import numpy as np
 
     images = load_images(run, "rings")

@@ -38,7 +38,7 @@ _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
     "scikit-learn", "scipy", "snakemake", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
-# Of other steps alone: not for readers of the results.
+# For other steps only, not for readers of the results.
 _INTERNAL = ("checksums", "rows", "results")
 
 
@@ -51,7 +51,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write CSV with eight significant digits, alike on every system."""
+    """Write CSV with eight significant digits, the same on every system."""
     write_text(path, table.to_csv(index=False, float_format="%.8g", lineterminator="\n"))
 
 
@@ -59,7 +59,7 @@ def write_csv(path: Path, table: pd.DataFrame) -> None:
 
 
 def write_record(path: Path, record: dict) -> None:
-    """Write a record with the checksum of what it says."""
+    """Write a record with a checksum of its content."""
     write_json(path, record | {_CHECKSUM: _checksum(record)})
 
 
@@ -88,13 +88,13 @@ def load_record(run: Run, name: str) -> dict:
     """Read the record of a step of a run.
 
     Raises:
-        InputError: It was not done, or its record is damaged.
+        InputError: The step was not run, or its record is damaged.
     """
     return read_record(run.record_file(name))
 
 
 def steps_behind(record: dict) -> list[dict]:
-    """Records of all steps that one was made from, and itself, in the order of their ends."""
+    """Records of all steps behind a record, and itself, in the order in which they ended."""
     steps, left = {}, [Path(path) for path in record["needs"]]
     while left:
         path = left.pop()
@@ -106,7 +106,7 @@ def steps_behind(record: dict) -> list[dict]:
 
 
 def is_current(record: dict) -> bool:
-    """Whether the results that a step wrote are all there."""
+    """Whether all results of a step still exist."""
     return all(
         Path(folder, name).is_file()
         for folder, names in record.get("results", {}).items()
@@ -120,7 +120,7 @@ def outside_files(paths: Iterable[Path]) -> dict[str, str]:
 
 
 def listing(folder: str | Path | None) -> str:
-    """sha256 of the names and sizes of all files in a folder, which may be too large to read."""
+    """sha256 of the names and sizes of all files in a folder, whose content may be too large."""
     digest = hashlib.sha256()
     for where, folders, names in os.walk(folder) if folder else ():
         folders.sort()
@@ -135,7 +135,7 @@ def listing(folder: str | Path | None) -> str:
 
 
 def clear_results(folder: Path) -> None:
-    """Delete what an earlier run wrote into a folder of results: what its manifest lists."""
+    """Delete the files that an earlier run wrote to a folder of results, as its manifest lists."""
     try:
         written = read_manifest(folder).get("files", ())
     except InputError:
@@ -149,15 +149,15 @@ def clear_results(folder: Path) -> None:
 def write_manifest(folder: Path, record: dict) -> dict[str, str]:
     """Write `manifest.json`: the steps behind the results, and hashes of what was written.
 
-    It is written last, and `clear_results` takes it away first, so that a folder with a manifest
-    holds what one run wrote.
+    It is written last, and `clear_results` deletes it first, so that a folder with a manifest has
+    the files of one run.
 
     Returns:
         sha256 of each file, by its name in the folder.
     """
     files = {name: sha256_of([path]) for name, path in _results(folder).items()}
     steps = steps_behind(record)
-    # What all steps have in common, such as the commit, stands once.
+    # What all steps have in common, such as the commit, is written once.
     shared = {k: v for k, v in steps[-1].items() if all(step.get(k) == v for step in steps[:-1])}
     shared |= {"command": record["command"]}
     manifest = shared | {
@@ -173,7 +173,7 @@ def read_manifest(folder: Path) -> dict:
     """Read the manifest of a folder of results.
 
     Raises:
-        InputError: The file is not there, or is no manifest.
+        InputError: The file does not exist, or is not a manifest.
     """
     path = folder / MANIFEST
     try:
@@ -188,7 +188,7 @@ def read_manifest(folder: Path) -> dict:
 
 
 def steps_of(manifest: dict) -> list[dict]:
-    """The steps behind results, with what they share.
+    """The steps behind results, each completed by what they have in common.
 
     Manifests before version 0.3 call them `stages`.
     """
@@ -197,7 +197,7 @@ def steps_of(manifest: dict) -> list[dict]:
 
 
 def commits_of(manifest: dict) -> set[str]:
-    """Commits whose code made results, with a `+` if files had changed since; empty: unknown."""
+    """Commits whose code made results, with a `+` if files had changed; empty if unknown."""
     return {step["commit"] for step in steps_of(manifest) if step.get("commit")}
 
 
@@ -215,12 +215,12 @@ def _results(folder: Path) -> dict[str, Path]:
 
 
 def resumable(folder: Path, inputs: Iterable[Path] = (), **parameters) -> Path:
-    """Folder of pieces from which a stopped step goes on; emptied if they are of other inputs.
+    """Folder of pieces from which an interrupted step resumes; emptied if its inputs changed.
 
     Args:
-        folder: Of checkpoints, shards or images.
+        folder: Folder of checkpoints, shards or images.
         inputs: Files that the pieces are made from.
-        parameters: What else they depend on, as JSON has it.
+        parameters: What else they depend on, as JSON values.
 
     Raises:
         InputError: An input is missing.
@@ -244,7 +244,7 @@ def resumable(folder: Path, inputs: Iterable[Path] = (), **parameters) -> Path:
 
 @functools.cache
 def environment() -> dict:
-    """Commit of the code, versions and processor: what numbers depend on besides the inputs."""
+    """Commit of the code, versions and processor: numbers depend on them besides the inputs."""
     versions = {d.name.replace("_", "-"): d.version for d in distributions()}
     return {
         "commit": _commit(),
@@ -256,7 +256,7 @@ def environment() -> dict:
 
 
 def _processor() -> str:
-    """Model of the processor, as far as the system tells: rounding differs between them."""
+    """Model of the processor, if the system tells: rounding differs between them."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -266,7 +266,7 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """Commit of the code, with a `+` if files that git knows were changed since, but by runs."""
+    """Commit of the code, with a `+` if tracked files have changed, other than by runs."""
     try:
         commit = git("rev-parse", "--short=12", "HEAD")
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
@@ -276,13 +276,13 @@ def _commit() -> str | None:
 
 
 def git(*arguments: str, folder: Path = _ROOT) -> str:
-    """What git prints; raises OSError or CalledProcessError where it fails."""
+    """Output of git; raises OSError or CalledProcessError if it fails."""
     return subprocess.run(
         ["git", *arguments], capture_output=True, text=True, check=True, cwd=folder
     ).stdout.strip()
 
 
 def _checksum(record: dict) -> str:
-    """sha256 of what a record says, however it is laid out."""
+    """sha256 of the content of a record, whatever its layout."""
     text = json.dumps(json.loads(json.dumps(record)), sort_keys=True)  # keys of a file are strings
     return hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""One run of an experiment: what was asked for, where its files lie, and its command line."""
+"""One run of an experiment: its options, the locations of its files, and its command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from experiments.presets import PRESETS, Preset
 _FEW = 3  # seeds
 EVALUATORS = ("paper", "released")
 MOBILEFACES = ("cosine", "paper")
-# The paper's two halves, each with landmarks of its own, which are also the folders of the authors'
+# The paper's two halves, each with its own landmarks, named like the folders of the authors'
 # release; and the CelebA experiment, which tests the networks of the first half.
 SCHEMES = {"bfm": "bfm72", "flame": "ibug51", "celeba": "bfm72"}
 _BFM_FILES = ("AE_occ2orth_BFM.h5", "deep_dissim_ours.h5")
@@ -24,7 +24,7 @@ AUTHORS_FILES = {
     "celeba": _BFM_FILES,
     "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
 }
-# Data sets of each track, and what folders made of them end with.
+# Data sets of each track, and the suffix of folders made from them.
 SUFFIXES = {
     "bfm": {},
     "flame": {"coma": "-coma", "casia": "-casia"},
@@ -43,7 +43,7 @@ def _option(help: str, default=None, **argument):
 
 @dataclass(frozen=True)
 class Run:
-    """Identity of a run, and the places of its files.
+    """Identity of a run, and the locations of its files.
 
     Each attribute but the last two is an option of every step: `casia_index` is `--casia-index`.
     `build` is the folder of arrays and weights, `results` that of tables and figures.
@@ -73,7 +73,7 @@ class Run:
 
     @property
     def work(self) -> Path:
-        """Folder of the run's arrays and weights: one for everything that would change them."""
+        """Folder of the run's arrays and weights, separate for all options that change them."""
         name = f"{self.track}-{self.preset.name}-{self.protocol}-seed{self.seed}"
         return self.build / self.model / f"{name}{self._given}"
 
@@ -89,17 +89,17 @@ class Run:
 
     @property
     def n_seeds(self) -> int:
-        """Of `make seeds`."""
+        """Number of seeds of `make seeds`."""
         return self.seeds or self.preset.n_seeds
 
     @property
     def few_seeds(self) -> range:
-        """Of studies in which much is trained."""
+        """Seeds of studies that train a lot."""
         return range(self.seed, self.seed + min(_FEW, self.preset.n_seeds))
 
     @property
     def streamed_faces(self) -> int:
-        """Of `make stream`."""
+        """Number of faces of `make stream`."""
         return self.faces or self.preset.streamed_faces
 
     def on(self, track: str) -> Run:
@@ -107,12 +107,12 @@ class Run:
         return self if track == self.track else replace(self, track=track, evaluator="paper")
 
     def record_file(self, name: str) -> Path:
-        """Record of a step that is done, see `experiments.records`."""
+        """Record of a finished step, see `experiments.records`."""
         return self.work / "records" / f"{name}.json"
 
     @property
     def networks(self) -> Path:
-        """Folder of checkpoints, which are also the trained networks once their epochs are done."""
+        """Folder of checkpoints, which become the trained networks after the last epoch."""
         return self.work / "networks"
 
     def network_file(self, name: str) -> Path:
@@ -127,13 +127,13 @@ class Run:
 
     @property
     def evaluation(self) -> str:
-        """Name of the step that scores, of its record and of its folder of results."""
+        """Name of the scoring step, of its record and of its folder of results."""
         released = "" if self.evaluator == "paper" else f"-evaluator-{self.evaluator}"
         return f"{self.track}{released}"
 
     @property
     def model_results(self) -> Path:
-        """`results/<model>`; other presets than `full` lie apart, not to overwrite it."""
+        """`results/<model>`; presets other than `full` have folders of their own."""
         root = self.results if self.preset.name == "full" else self.results / self.preset.name
         return root / self.model
 
@@ -144,7 +144,7 @@ class Run:
         return self.model_results / f"{name}{protocol}{seed}{self._given}"
 
     def folder_of(self, dataset: str) -> Path | None:
-        """Folder of `"coma"`, `"casia"` or `"celeba"`, or None: its stand-in."""
+        """Folder of `"coma"`, `"casia"` or `"celeba"`, or None for its stand-in."""
         folder = getattr(self, dataset)
         if folder is None and self.model == "flame" and dataset in _DATASETS:
             # Its expressions have no names by which a stand-in could be made.
@@ -156,14 +156,14 @@ class Run:
 
     @property
     def _given(self) -> str:
-        """Suffix of folders for data sets that were named: others hold their stand-ins."""
+        """Suffix of folders made from given data sets; without it they are of stand-ins."""
         return "".join(
             suffix for name, suffix in SUFFIXES[self.track].items() if getattr(self, name)
         )
 
 
 class Parser(argparse.ArgumentParser):
-    """One whose refusals are one line, as all others."""
+    """Argument parser whose errors are one line, like all others."""
 
     def error(self, message: str):
         self.exit(2, f"error: {message}\n")
@@ -187,7 +187,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def options_of(run: Run, without: Collection[str] = ()) -> list[str]:
-    """Words of a command line that ask for a run."""
+    """Command-line words that describe a run."""
     words = []
     for name in OPTIONS:
         value = getattr(run, name)
@@ -198,7 +198,7 @@ def options_of(run: Run, without: Collection[str] = ()) -> list[str]:
 
 
 def run_of(values: dict) -> Run:
-    """The run of parsed options; empty paths are none, data sets within `--data` are taken.
+    """The run of parsed options; empty paths count as none, data sets within `--data` are used.
 
     Raises:
         InputError: A path does not exist, or options contradict each other.
@@ -234,7 +234,7 @@ def run_of(values: dict) -> Run:
 
 
 def check_authors(run: Run) -> None:
-    """See that the folder of the authors' weights has those of the run's track.
+    """Check that the folder of the authors' weights has those of the run's track.
 
     Raises:
         InputError: It has not.
@@ -245,17 +245,17 @@ def check_authors(run: Run) -> None:
 
 
 def run_of_variables(variables: dict[str, str], track: str = "bfm") -> Run:
-    """The run that variables of `make` ask for.
+    """The run that the variables of `make` describe.
 
     Args:
-        variables: `MODEL`, `DATA` and so on; empty or missing ones have their defaults. A switch
+        variables: `MODEL`, `DATA` and so on; empty or missing ones get their defaults. A switch
             such as `RINGNET=no` leaves steps out, see `left_out`.
-        track: Of the target.
+        track: Track of the target.
 
     Raises:
         InputError: A variable has no such value.
     """
-    # Snakemake makes numbers of some.
+    # Snakemake turns some into numbers.
     variables = {name: str(value) for name, value in variables.items() if value is not None}
     for name, values in _SWITCHES.items():
         if values and variables.get(name, "yes") not in values:

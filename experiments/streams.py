@@ -7,9 +7,9 @@ from enum import IntEnum, unique
 
 @unique
 class Stream(IntEnum):
-    """Number that stands after the seed; those of single files, subjects or photos follow it.
+    """Number after the seed; numbers of files, subjects or photos may follow it.
 
-    From 100 on, since `deepmds_keras.weights` has those of training below.
+    They start at 101, since `deepmds_keras.weights` uses those below 100 for training.
     """
 
     TRAIN_FACES = 101

@@ -15,7 +15,7 @@ def unordered(jobs: int, function: Callable, tasks: Iterable[tuple]) -> Iterator
 
     Args:
         jobs: Processes, -1 for every core.
-        function: Of a module, not nested: processes import it. Each has one thread.
+        function: Module-level function, since processes import it. Each has one thread.
         tasks: Small arguments, such as paths and numbers.
     """
     yield from Parallel(jobs, return_as="generator_unordered")(
@@ -25,7 +25,7 @@ def unordered(jobs: int, function: Callable, tasks: Iterable[tuple]) -> Iterator
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Compute and draw with one thread: a process per core, sums in one order anywhere."""
+    """Compute and draw with one thread: one process per core, and sums in the same order always."""
     os.environ.setdefault("LP_NUM_THREADS", "1")  # of Mesa's software renderer
     with threadpool_limits(1):
         yield

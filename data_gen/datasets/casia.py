@@ -1,7 +1,7 @@
-"""CASIA-3D FaceV1 as it is distributed: scans of 123 people, each an image and a cloud of points.
+"""CASIA-3D FaceV1 as distributed: scans of 123 people, each an image and a cloud of points.
 
-4,624 scans by a Minolta Vivid 910, 2004. The data set is licensed and none of it is here. What is
-known of its files comes from public programs that read them.
+4,624 scans by a Minolta Vivid 910, 2004. The data set is licensed and no part of it is here. The
+knowledge about its files comes from public programs that read them.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ MIN_POINTS = 500
 EXTENT = (50.0, 1000.0)  # mm, from a part of a face to a person at a desk
 FACE_RADIUS = 140.0  # mm about the middle of the face, which keeps the whole head's front
 
-# The preferred first, where a scan has several.
+# In order of preference, if a scan has several.
 _READERS = {".wrl": read_vrml_points, ".asc": read_asc_points}
 _IMAGES = (".bmp", ".png", ".jpg", ".jpeg")
 _NAME = re.compile(r"[0-9]{3}-[0-9]{3}")
 _USE = {"yes": True, "1": True, "no": False, "0": False}
-# Without commas or double quotes, for which a spreadsheet would put the whole line into quotes.
+# Without commas or double quotes, which make a spreadsheet quote the whole line.
 _COMMENTS = """\
 # The scans of CASIA-3D FaceV1 in the folder: edit this table to choose those that are used.
 # use: yes or no. condition: what the scan shows - any name or none.
@@ -45,8 +45,8 @@ _COMMENTS = """\
 # under light from the side; poses; and poses with a smile. None of this is verified. Hence every
 # scan is used until this table says otherwise.
 """
-# Search for the face: a mean face, thinned out, starts with its nose at the most frontal point of
-# each band of the scan's height, turned by each yaw.
+# Search for the face: a thinned-out mean face starts with its nose at the most frontal point of
+# each band of the scan's height, rotated by each yaw.
 _FACE_POINTS, _SCAN_POINTS, _ITERATIONS, _TRIM = 200, 6000, 12, 0.7
 _BAND_MM, _FACE_MM, _NOSE_TIP = 35.0, 85.0, 13
 _YAWS = (-50.0, 0.0, 50.0)  # degrees
@@ -55,13 +55,13 @@ _HALF_TURN = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class CasiaScan:
-    """Where one scan is.
+    """The files of one scan.
 
     Attributes:
         name: Subject, of three digits, and number of the scan, such as `"001-004"`.
         image: The photograph.
         points: The cloud of points.
-        condition: What it shows, from the index; empty where that does not say.
+        condition: What it shows, according to the index; may be empty.
     """
 
     name: str
@@ -73,13 +73,13 @@ class CasiaScan:
 def find_scans(root: str | Path, report: Callable[[str], object] = print) -> list[CasiaScan]:
     """All scans below a folder that have both an image and points, by subject and number.
 
-    Files are known by their names alone, `001-001.wrl` or `.asc` and `001-001.bmp`, `.png` or
-    `.jpg`, in any case, whichever way the archives were unpacked. Of several copies the first path
-    is used.
+    Files are recognised by name alone, `001-001.wrl` or `.asc` and `001-001.bmp`, `.png` or
+    `.jpg`, in upper or lower case, however the archives were unpacked. Of several copies the first
+    path is used.
 
     Args:
         root: Folder that holds the data set.
-        report: Called with a sentence about the files that are left out, if there are any.
+        report: Called with a sentence about skipped files, if there are any.
 
     Raises:
         InputError: There is no scan.
@@ -101,10 +101,10 @@ def find_scans(root: str | Path, report: Callable[[str], object] = print) -> lis
 
 
 def write_index(path: str | Path, scans: Iterable[CasiaScan]) -> None:
-    """Write a table of the scans, `subject,scan,use,condition`, all to be used, for a user to edit.
+    """Write a table of the scans, `subject,scan,use,condition`, all with `use` yes, for editing.
 
     Raises:
-        InputError: There is such a file, which a user may have edited.
+        InputError: The file exists, and a user may have edited it.
     """
     if Path(path).exists():
         raise InputError(f"{path}: must not exist yet; delete it to have it written again.")
@@ -113,15 +113,15 @@ def write_index(path: str | Path, scans: Iterable[CasiaScan]) -> None:
 
 
 def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
-    """The scans that a table such as `write_index` writes says to use, with their conditions.
+    """The scans that a table as from `write_index` says to use, with their conditions.
 
     Args:
-        path: The table. A scan that it does not list is not used; numbers may have lost their
+        path: The table. A scan that it does not list is not used; numbers may have lost leading
             zeros in a spreadsheet.
-        scans: Those of the data set.
+        scans: All scans of the data set.
 
     Returns:
-        The chosen ones, by name.
+        The chosen scans, by name.
 
     Raises:
         InputError: The table cannot be read, has other columns, lists a scan twice or one that does
@@ -152,7 +152,7 @@ def load_scan(scan: CasiaScan) -> tuple[np.ndarray, np.ndarray]:
     """The image `(H, W, 3)` uint8 RGB, and the points `(n, 3)` float64 mm as from `face_points`.
 
     Raises:
-        InputError: A file is damaged or is none of the kind, or the points are not a scan in mm.
+        InputError: A file is damaged or of another kind, or the points are not a scan in mm.
     """
     image = read_image(scan.image, ("BMP", "PNG", "JPEG"))
     points = _READERS[scan.points.suffix.lower()](scan.points)
@@ -163,19 +163,19 @@ def load_scan(scan: CasiaScan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def face_points(points: np.ndarray) -> np.ndarray:
-    """Points about the face, in our frame: +x to the right as the scanner sees it, +z towards it.
+    """Points around the face, in our frame: +x to the right as the scanner sees it, +z towards it.
 
-    Two right-handed frames of a camera are in use: this one, +y up, and +y down with +z away. They
-    differ by half a turn about x; which of them a file has is not documented. Hence a mean face is
-    registered to the points both ways, and the lower residual decides. It tells as well where the
-    face is, without which shoulders or clothes mislead a registration. The rest is cut off.
+    Two right-handed camera frames are in use: this one, +y up, and +y down with +z away. They
+    differ by half a turn about x; the files do not document which one they use. Hence a mean face
+    is registered to the points both ways, and the lower residual decides. It also locates the face;
+    otherwise shoulders or clothes would mislead the registration. The rest is cut off.
 
     Args:
         points: `(n, 3)` millimetres, seen along z.
 
     Returns:
-        `(m, 3)` float64, those within `FACE_RADIUS` of the middle of the face, in their order. Half
-        a turn about the origin of the file or none is all that is applied.
+        `(m, 3)` float64, those within `FACE_RADIUS` of the middle of the face, in their order. The
+        only motion applied is half a turn about the file's origin, or none.
 
     Raises:
         InputError: Too few points, or an extent that is not a person's in mm.
@@ -189,7 +189,7 @@ def face_points(points: np.ndarray) -> np.ndarray:
         raise InputError(
             f"points must extend over {EXTENT[0]:g} to {EXTENT[1]:g} mm. Received {extent:.3g}."
         )
-    # Beyond lie stray points, some of them anywhere.
+    # Stray points may lie anywhere beyond.
     inner = points[((points >= low) & (points <= high)).all(1)]
     thin = inner[:: -(-len(inner) // _SCAN_POINTS)]
     ways = [(*_find_face(thin * turn), turn) for turn in (np.ones(3), _HALF_TURN)]
@@ -215,7 +215,7 @@ def _find_face(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 @functools.cache
 def _mean_face() -> np.ndarray:
-    """Points of the open head's face, first the tip of the nose, about the landmarks' middle."""
+    """Points of the open head's face, relative to the landmarks' middle, the nose tip first."""
     head = load_openhead()
     landmarks = head.mean[head.landmarks["ibug51"]]
     middle, nose = (landmarks.max(0) + landmarks.min(0)) / 2, landmarks[_NOSE_TIP]
@@ -225,7 +225,7 @@ def _mean_face() -> np.ndarray:
 
 
 def _first_by_stem(files: list[Path], suffixes: Sequence[str]) -> dict[str, Path]:
-    """The file of each stem that has the first of the suffixes and paths."""
+    """For each stem, the file with the most preferred suffix, and then the first path."""
     known = [path for path in files if path.suffix.lower() in suffixes]
     known.sort(key=lambda path: (suffixes.index(path.suffix.lower()), path))
     return {path.stem: path for path in reversed(known)}

@@ -1,7 +1,7 @@
-"""CelebA as it is distributed: 202,599 photos of celebrities, aligned by their eyes.
+"""CelebA as distributed: 202,599 photos of celebrities, aligned by their eyes.
 
-Liu et al. 2015, doi:10.1109/ICCV.2015.425. The data set is for research only and none of it is
-here. Its five landmarks a face are too few for this method and are not read.
+Liu et al. 2015, doi:10.1109/ICCV.2015.425. The data set is for research only and no part of it is
+here. Its five landmarks per face are too few for this method and are not read.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _CSV_HEADER = "image_id,partition"  # of Kaggle's copy
 
 
 def find_images(folder: str | Path) -> list[Path]:
-    """The aligned images of the test partition that there are, by name.
+    """The available aligned images of the test partition, by name.
 
     Args:
-        folder: Holds the folder `img_align_celeba` (or `Img/` with it, or Kaggle's, which is within
+        folder: Contains the folder `img_align_celeba` (or `Img/` with it, or Kaggle's, nested in
             another of that name) and `list_eval_partition.txt` (or `Eval/` with it, or Kaggle's
-            `.csv` of it). Without the list all images are returned.
+            `.csv`). Without the list all images are returned.
 
     Raises:
         InputError: No such folder, no images, none of that partition, or a malformed list.

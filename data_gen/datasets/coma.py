@@ -21,8 +21,8 @@ from deepmds_keras.errors import InputError
 
 _MM = 1e3  # the files are in metres
 _MESHES_PER_CHUNK = 128
-# Root mean square distance in mm from the landmarks of a mean face, moved onto them: up to 20 in
-# extreme expressions, 50 to 90 where triangles are not those that the landmarks lie on.
+# Root mean square distance in mm from the landmarks of an aligned mean face: up to 20 in extreme
+# expressions, 50 to 90 if the triangles are in another order.
 _MAX_DISTANCE = 35.0
 
 
@@ -52,20 +52,20 @@ def load_coma(
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[np.ndarray, list[tuple[Path, str]]]:
-    """Landmarks of every mesh; those that are damaged or not of FLAME are left out, and listed.
+    """Landmarks of every mesh; meshes that are damaged or not FLAME's are skipped and listed.
 
-    A mesh is of FLAME if what should be its landmarks lies as those of a face do, which it does not
-    where triangles are in another order.
+    A mesh is FLAME's if its supposed landmarks are arranged like those of a face, which fails if
+    its triangles are in another order.
 
     Args:
         root: As for `find_meshes`.
-        embedding: Where FLAME's landmarks lie.
-        jobs: Processes.
+        embedding: Positions of FLAME's landmarks.
+        jobs: Number of processes.
         progress: Called with the number of meshes just read.
 
     Returns:
         `(n, 51, 3)` float32, millimetres, in the order of `find_meshes`; and path and reason of
-        each mesh that was left out.
+        each skipped mesh.
 
     Raises:
         InputError: As for `find_meshes`, or no mesh can be used.
@@ -89,7 +89,7 @@ def load_coma(
 
 
 def _read_chunk(paths: list[Path], embedding: LandmarkEmbedding) -> list[np.ndarray | str]:
-    """Of each mesh its landmarks, or what is wrong with it."""
+    """The landmarks of each mesh, or what is wrong with it."""
     head = load_openhead()
     mean = head.mean[head.landmarks["ibug51"]]
     frames = []

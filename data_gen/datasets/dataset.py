@@ -1,8 +1,8 @@
 """Data sets: landmarks of faces and one view of each, sampled from a model, and their file.
 
-Faces are neutral ones, rings of several images of each subject, or frames of performances: the open
-stand-in for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43), which has 12 subjects, 12
-sequences and 20,466 frames, on request only.
+The faces are neutral, or rings of several images of each subject, or frames of performances: the
+open stand-in for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43), which has 12
+subjects, 12 sequences and 20,466 frames and is available on request only.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Dataset:
     """Faces and one view of each.
 
     Attributes:
-        identity: `(n, K)` float32, coefficients of the morphable model; K is 0 where the faces are
-            not of one.
-        expression: `(n, E)` float32, its expression weights; E is 0 where the faces are neutral, or
-            not of a model.
+        identity: `(n, K)` float32, coefficients of the morphable model; K is 0 for faces from
+            elsewhere.
+        expression: `(n, E)` float32, its expression weights; E is 0 for neutral faces, or those
+            from elsewhere.
         landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
         views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
         cameras: Pose and projection of each face.
-        description: What it was made of: model, its hash, scheme, protocol, seed.
+        description: Its origin: model, hash of that, scheme, protocol, seed.
     """
 
     identity: np.ndarray
@@ -67,7 +67,7 @@ def make_dataset(
     Args:
         model: Morphable model with landmarks of the scheme.
         n: Number of faces.
-        rng: Source of the random numbers.
+        rng: Random generator.
         scheme: Landmark scheme.
         protocol: As for `sample_cameras`.
         progress: Called with the number of faces just sampled.
@@ -103,7 +103,7 @@ def dataset_of(
         landmarks: `(n, L, 3)` millimetres.
         cameras: One for each face.
         description: As `Dataset.description`.
-        identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, where they have some.
+        identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, if they have any.
     """
     views = np.float32(project(landmarks.astype(float), cameras))
     none = np.empty((len(landmarks), 0), np.float32)
@@ -124,16 +124,16 @@ def make_rings(
     """Sample subjects of standard-normal identity, each in several expressions and views.
 
     Sanyal et al. 2019 (RingNet, arXiv:1905.06817) learn from rings of photos, all but one of which
-    show the same person: the identity is what they share, expression and pose are what they do not.
+    show the same person: they share the identity, but neither expression nor pose.
 
     Args:
         model: Morphable model with landmarks of the scheme and named expressions.
         n_subjects: Number of different identities.
-        images_per_subject: Faces of each.
+        images_per_subject: Number of faces of each.
         rng, scheme, protocol: As for `make_dataset`.
 
     Returns:
-        Faces, of which face i is of subject i // images_per_subject.
+        Faces; face i shows subject i // images_per_subject.
 
     Raises:
         InputError: No subjects or images, a model whose expressions have other names or that has no
@@ -162,8 +162,8 @@ def make_performances(
     Args:
         model: Morphable model with named expressions.
         n_subjects: Number of subjects, each of standard-normal identity coefficients.
-        n_frames: Frames of all performances together, shared out evenly.
-        rng: Source of the random numbers.
+        n_frames: Total number of frames, distributed evenly over the performances.
+        rng: Random generator.
 
     Returns:
         `(n, K)` identity coefficients and `(n, E)` expression weights, both float32, of the frames

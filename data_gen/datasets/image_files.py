@@ -18,11 +18,11 @@ _LANDMARKS = "-landmarks"  # in the name of the file that belongs to one of imag
 
 
 def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
-    """An image of somebody else's, `(H, W, 3)` uint8 RGB.
+    """An image from outside, `(H, W, 3)` uint8 RGB.
 
     Args:
         path: The file.
-        formats: Names that Pillow has for those that it may be of.
+        formats: Pillow's names of the formats that it may have.
 
     Raises:
         InputError: It is missing, damaged, of another format, or has so many pixels, 90 million,
@@ -32,7 +32,7 @@ def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            # From memory, where what is claimed to follow is not allotted before it is read.
+            # From memory, so that nothing is allocated for content that a header only claims.
             with Image.open(io.BytesIO(path.read_bytes()), formats=formats) as opened:
                 return np.array(opened.convert("RGB"))
     except Exception as error:  # Pillow raises many kinds for a damaged file
@@ -45,11 +45,11 @@ def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
 class ImageFiles:
     """The images of a data set on disk, indexed like one array `(n, size, size, 3)` uint8.
 
-    Only the pages that are asked for are read.
+    Only the requested pages are read.
 
     Args:
-        folder: Of the files.
-        n: Images in all.
+        folder: Folder of the files.
+        n: Total number of images.
         size: Width and height of the images in pixels.
     """
 
@@ -76,7 +76,7 @@ class ImageFiles:
         return [range(start, min(start + FACES_PER_FILE, self.n)) for start in starts]
 
     def paths(self, file: int) -> tuple[Path, Path]:
-        """Where the images of a file and their landmarks are, or will be."""
+        """Paths of the images of a file and of their landmarks."""
         return self.folder / f"{file:04}.npy", self.folder / f"{file:04}{_LANDMARKS}.npy"
 
     def save(self, file: int, images: np.ndarray, landmarks: np.ndarray) -> None:
@@ -106,10 +106,10 @@ class ImageFiles:
         return {path.name: sha256_of([path]) for path in paths}
 
     def check(self, checksums: dict[str, str]) -> None:
-        """Compare the files with what was written.
+        """Compare the files with the checksums of what was written.
 
         Raises:
-            InputError: A file is missing or was changed; delete it and make the images again.
+            InputError: A file is missing or was changed; delete it and render the images again.
         """
         for name, digest in self.checksums().items():
             if checksums.get(name) != digest:

@@ -1,4 +1,4 @@
-"""Images of the faces of a data set, each as its landmarks are seen."""
+"""Images of the faces of a data set, each in the view of its landmarks."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from data_gen.renderer import (
 from data_gen.views import pose_and_project
 
 _FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
-_LOOKS = 8  # expressions by which the visible part of an expressive model is determined
+_LOOKS = 8  # expressions for determining the visible part of an expressive model
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Visible part of a model and its colours, with which the faces of a data set are drawn.
+    """Visible part of a model and its colours, for rendering the faces of a data set.
 
     Attributes:
-        model: Morphable model of the vertices that can be seen.
+        model: Morphable model of the visible vertices.
         albedo: Colours of those.
         size: Width and height of the images in pixels.
-        margin: Of a square image about the landmarks, as for `renderer.square_frames`.
-        stretched: Whether images are cut to the head's bounding box, whatever its aspect, as the
-            authors' are, instead of to a square about the landmarks.
+        margin: Margin of a square image about the landmarks, as for `renderer.square_frames`.
+        stretched: Whether images are cut to the head's bounding box, whatever its aspect, like the
+            authors', instead of to a square around the landmarks.
     """
 
     model: MorphableModel
@@ -45,7 +45,7 @@ class Scene:
     stretched: bool
 
     def frames(self, views: np.ndarray, seen: np.ndarray) -> Frames:
-        """What the images show, of landmarks `(n, L, 2)` and vertices `(n, V, 3)`, millimetres."""
+        """Sections of the images, for landmarks `(n, L, 2)` and vertices `(n, V, 3)`, mm."""
         if self.stretched:
             return stretched_frames(seen[..., :2], self.size)
         return square_frames(views, self.size, self.margin)
@@ -68,11 +68,11 @@ def make_scene(
         size: Width and height of the images in pixels.
         protocol: As for `views.sample_cameras`; `"released"` stretches the images.
         margin: As for `renderer.square_frames`.
-        expressive: Whether faces will take expressions, which show the teeth and the inside of the
+        expressive: Whether faces have expressions, which show the teeth and the inside of the
             mouth.
 
     Raises:
-        InputError: The libraries that draw are missing, or the model cannot be coloured.
+        InputError: The rendering libraries are missing, or the model cannot be coloured.
     """
     stretched = protocol == "released"
     looks = sample_expressions(model, _LOOKS, np.random.default_rng(0)) if expressive else None
@@ -96,10 +96,10 @@ def render(
     """Images of some faces of a data set, in random colours and light.
 
     Args:
-        scene: What to draw them with.
+        scene: Scene to render them with.
         dataset: Faces of the same morphable model.
         faces: Their numbers.
-        rng: Source of colours and light.
+        rng: Random generator for colours and light.
 
     Returns:
         `(n, size, size, 3)` uint8, and the landmarks in them: `(n, L, 2)` float32 pixels, x right

@@ -91,7 +91,7 @@ class Portraits:
 
     Args:
         model: Morphable model with landmarks `"bfm72"` and `"ibug68"` and named expressions.
-        seed: Of everything random.
+        seed: Seed of everything random.
 
     Raises:
         InputError: As `images.make_scene`, or the model's expressions have other names.
@@ -179,7 +179,7 @@ class PhotosStandin(Portraits):
         model: Morphable model with landmarks `"bfm72"`; those of `"ibug68"` are given too, if
             known.
         n: Number of photos.
-        seed: Of everything random.
+        seed: Seed of everything random.
 
     Raises:
         InputError: The model has no such landmarks or cannot be coloured, or the libraries that

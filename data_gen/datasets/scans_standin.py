@@ -59,9 +59,9 @@ class ScansStandin:
 
     Args:
         model: Morphable model with landmarks `"ibug51"` and named expressions.
-        n_subjects: People.
-        n_scans: Of all of them, spread evenly.
-        seed: Of everything random.
+        n_subjects: Number of people.
+        n_scans: Total number of scans, spread evenly.
+        seed: Seed of everything random.
 
     Raises:
         InputError: As `images.make_scene`, or the model's expressions have other names.

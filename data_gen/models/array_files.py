@@ -1,7 +1,7 @@
-"""Arrays in Python pickles and in MATLAB files, read without running what they name.
+"""Arrays in Python pickles and in MATLAB files, read without executing anything in them.
 
-Not by SciPy: its reader of MATLAB files looks types up by numbers from the file without checking
-them, so that one wrong byte ends the process, and allots what a header claims. Format: "MAT-File
+SciPy's reader of MATLAB files is not safe: it looks types up by unchecked numbers from the file, so
+that one wrong byte crashes the process, and allocates what a header claims. Format: "MAT-File
 Format", The MathWorks, chapter 1 (version 5).
 """
 
@@ -19,7 +19,7 @@ import scipy.sparse
 
 from deepmds_keras.errors import InputError, brief
 
-# Python 2 and older versions of NumPy call some modules otherwise.
+# Python 2 and older versions of NumPy have other names for some modules.
 _RENAMED = {"copy_reg": "copyreg", "__builtin__": "builtins"}
 _PLAIN = {
     *("numpy.ndarray", "numpy.dtype", "numpy._core.multiarray._reconstruct"),
@@ -32,12 +32,12 @@ _SPARSE = {f"{kind}_{form}" for kind in ("csr", "csc", "coo") for form in ("matr
 def load_plain_pickle(path: str | Path) -> object:
     """Read a pickle of dicts, lists, strings, numbers and arrays, written by Python 2 or 3.
 
-    A pickle is a program that may call any function. Here it may name only those that make arrays
-    and sparse matrices. Objects of chumpy, which FLAME was fitted with, become the arrays that they
-    hold, or a dict of what else they hold.
+    A pickle is a program that may call any function. Here it may name only those that build arrays
+    and sparse matrices. Objects of chumpy, with which FLAME was fitted, become the arrays in them,
+    or a dict of their content.
 
     Raises:
-        InputError: The file is missing or damaged, or holds arrays of objects or anything else.
+        InputError: The file is missing or damaged, or contains arrays of objects or anything else.
     """
     try:
         with Path(path).open("rb") as file:
@@ -72,7 +72,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Chumpy:
-    """An object of a class that is not there: its state, as attributes."""
+    """Stand-in for an object of a missing class: its state, as attributes."""
 
 
 def _plain(value: object) -> object:
@@ -107,11 +107,11 @@ _START = 4096  # bytes of an array that its name is within; longer names are of 
 def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """Arrays of numbers by their names in a MATLAB file of versions 5 to 7, little-endian.
 
-    They have at least two axes, as in MATLAB. Nothing else in the file is looked at.
+    They have at least two axes, as in MATLAB. Nothing else in the file is read.
 
     Raises:
-        InputError: The file cannot be read, is cut short or damaged, or lacks one of the names, or
-            has under it text, cells, structures, or sparse or complex arrays.
+        InputError: The file cannot be read, is truncated or damaged, or lacks one of the names, or
+            the name stands for text, cells, structures, or sparse or complex arrays.
     """
     try:
         content = memoryview(path.read_bytes())
@@ -156,7 +156,7 @@ def _name(array: memoryview) -> str:
 
 
 def _numbers(array: memoryview) -> np.ndarray | None:
-    """The array; None where it is not of real numbers."""
+    """The array; None if it does not hold real numbers."""
     (_, flags), (_, dimensions), _, (stored, content) = islice(_elements(array), 4)
     flag = int.from_bytes(flags[:4], "little")
     if flag & 0xFF not in _CLASSES or flag & _COMPLEX:

@@ -20,8 +20,8 @@ NEUTRAL = "generic_neutral_mesh.obj"
 N_IDENTITY = 100
 N_VERTICES = 26_719  # of the official meshes
 # Face, head, neck, mouth and eye sockets; teeth and eyeballs. Left out are the gums and the tongue
-# between them, and the tear film, the shells about the eyes and the lashes after them, which
-# `rendering` would paint as teeth and as the white of the eyes.
+# between them, and the tear film, the shells around the eyes and the lashes after them, which
+# would be painted as teeth and as the white of the eyes.
 KEPT = np.r_[0:14_062, 17_039:24_591]
 _MM = 10.0  # the files are in centimetres
 
@@ -89,7 +89,7 @@ def _files(folder: Path) -> list[Path]:
 def _read_folder(files: list[Path]) -> dict[str, np.ndarray]:
     """What the npz holds."""
     mean, faces = _read_obj(files[0], with_faces=True)
-    # As the npz was compiled, to the last bit: single precision, before the mean is subtracted.
+    # Bit for bit as in the npz: single precision, before the mean is subtracted.
     offsets = np.stack([_read_obj(file)[0] - mean for file in files[1:]])
     try:
         fans = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
@@ -114,7 +114,7 @@ def _read_obj(file: Path, *, with_faces: bool = False) -> tuple[np.ndarray, list
     """Vertices `(len(KEPT), 3)` float32, as written, and the corners of each polygon, 0-based."""
     try:
         lines = file.read_bytes().splitlines()
-        # Not by way of an array of the words: one that is long would make all of them as long.
+        # Not via an array of the words: a long one would make all of them as long.
         words = b" ".join(line[2:] for line in lines if line.startswith(b"v ")).split()
         vertices = np.fromiter(map(float, words), float).reshape(N_VERTICES, 3)
         faces = [line.split()[1:] for line in lines if with_faces and line.startswith(b"f ")]

@@ -39,7 +39,7 @@ def transfer_landmarks(
             not in one plane.
         target: Face model in any unit and pose.
         target_anchors: `(A,)` target vertex numbers of the same points.
-        scheme: Of the landmarks.
+        scheme: Scheme of the landmarks.
 
     Returns:
         `(L,)` target vertex numbers, all distinct.

@@ -72,7 +72,7 @@ def components(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
 
 
 def largest_component(n_vertices: int, triangles: np.ndarray) -> np.ndarray:
-    """Sorted vertex numbers of the largest connected part: the skin, without eyes and teeth."""
+    """Sorted vertex numbers of the largest connected part: the skin without eyes and teeth."""
     return np.flatnonzero(components(n_vertices, triangles) == 0)
 
 

@@ -1,4 +1,4 @@
-"""The linear statistical shape model that every face model file is read into."""
+"""The linear statistical shape model into which every face model file is read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BASES = ("identity_basis_times_sd", "expression_basis", "colour_basis_times_sd"
 
 @dataclass(frozen=True, eq=False)
 class MorphableModel:
-    """A 3D morphable model: a mean face and what one standard deviation of each component adds.
+    """A 3D morphable model: a mean face, and offsets at one standard deviation of each component.
 
     Blanz and Vetter 1999, doi:10.1145/311535.311556. Units are millimetres; +x points to the
     subject's left, +y up, +z out of the face.
@@ -30,7 +30,7 @@ class MorphableModel:
             identity coefficients are standard normal.
         triangles: `(T, 3)` int, 0-based vertex numbers, counter-clockwise seen from outside.
         landmarks: Scheme name (`"bfm72"`, `"ibug68"`, `"ibug51"`) to `(L,)` 0-based vertex numbers.
-        expression_mean: `(V, 3)` float, added whenever an expression is asked for; zero for most.
+        expression_mean: `(V, 3)` float, added whenever an expression is given; zero for most.
         expression_basis: `(E, V, 3)` float, offsets at weight one, or None.
         expression_names: `E` names, empty where the file has none.
         expression_sd: Standard deviation of the expression weights about zero. 1 for principal
@@ -40,7 +40,7 @@ class MorphableModel:
         sha256: Hash of the file(s) that the model was read from.
 
     Raises:
-        InputError: Shapes disagree, numbers are not finite, or triangles or landmarks are no
+        InputError: Shapes disagree, numbers are not finite, or triangles or landmarks are not
             vertex numbers. The message names the model and the field.
     """
 
@@ -129,10 +129,10 @@ class MorphableModel:
         return identity, self.shape(identity)
 
     def restrict(self, vertices: np.ndarray, triangles: np.ndarray | None = None) -> MorphableModel:
-        """The same model on some vertices only: what sampling landmarks alone needs.
+        """The same model on some vertices only, such as its landmarks.
 
         Args:
-            vertices: `(L,)` 0-based vertex numbers, in the order wanted.
+            vertices: `(L,)` 0-based vertex numbers, in the new order.
             triangles: `(T, 3)` int, of the new vertices; none by default.
         """
 

@@ -27,7 +27,7 @@ FILES = {
         *("generic_model.npz", "flame.npz"),
     ),
 }
-_DEPTHS = ("", "*/", "*/*/")  # of the folders below the one given in which they are looked for
+_DEPTHS = ("", "*/", "*/*/")  # of the subfolders in which they are searched for
 MODELS = ("openhead", *FILES)
 OPEN = ("openhead", "ict")
 _BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
@@ -61,9 +61,8 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
         scheme: Landmark scheme.
 
     Raises:
-        InputError: Another name; the model's files are not there (the message says which and where
-            to get them) or unusable; or the landmarks are not known on it, or, for `"ibug51"`, no
-            expressions.
+        InputError: Unknown name; the model's files are missing (the message says which, and where
+            to get them) or unusable; or it lacks the landmarks or, for `"ibug51"`, expressions.
     """
     if name == "openhead":
         model = load_openhead()
@@ -84,11 +83,11 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
 
 
 def find_model(name: str, path: str | Path | None) -> Path:
-    """File (of ICT-FaceKit the folder) of a model of `FILES`: the path itself, or what it holds.
+    """File (folder for ICT-FaceKit) of a model in `FILES`: the path itself, or within it.
 
     Raises:
-        InputError: Another name; or there are none or several files of the first of the names in
-            `FILES` that is there. The message says where to get it.
+        InputError: Unknown name; or there is no file with a name in `FILES`, or several with the
+            most preferred one. The message says where to get it.
     """
     if name not in FILES:
         raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
@@ -123,7 +122,7 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
 
 
 def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
-    """Of `OPEN`, the models that anybody may use, those whose files are there, and the others."""
+    """Of `OPEN`, the models that anybody may use, those with files here, and the others."""
     present = []
     for name in OPEN:
         with suppress(InputError):

@@ -1,4 +1,4 @@
-"""Compared methods whose answer is that of linear equations; none of them takes TensorFlow."""
+"""Compared methods that solve linear equations; none of them needs TensorFlow."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from deepmds_keras.landmarks.checks import (
     check_views_and_shapes,
 )
 
-CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to some 80 MB
-_FLAT = 1e-5  # depth of a shape, as a share of its length, that leaves its affine camera open
+CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to about 80 MB
+_FLAT = 1e-5  # relative depth of a shape below which its affine camera is undetermined
 _AUTHORS_REGULARISATION = 1e-7
 _AUTHORS_ROUNDS = 50
 
@@ -47,7 +47,7 @@ class MeanShape(BaseEstimator):
 
     @property
     def n_parameters(self) -> int:
-        """Numbers that training sets."""
+        """Number of fitted parameters."""
         return check_fitted(self, "mean_").size
 
 
@@ -55,13 +55,13 @@ class MeanShape(BaseEstimator):
 class Linear(BaseEstimator):
     """One linear map from all 2L coordinates of a view to all 3L of the shape, with intercept.
 
-    What a learnt method has to beat to justify that it is not linear. The penalty is the one of
-    `alphas` with the least leave-one-out error on the training faces, in closed form.
+    A learnt method must beat it to justify not being linear. The penalty is the one in `alphas`
+    with the least leave-one-out error on the training faces, in closed form.
 
     Args:
         alphas: Penalties to choose from, for views and shapes in the unit of `normalise`.
-        upright: Whether each view is first turned in its plane, shifted and scaled to lie over the
-            mean of the training shapes as seen from the front.
+        upright: Whether each view is first rotated in its plane, shifted and scaled onto the
+            frontal view of the mean training shape.
 
     Attributes:
         front_: `(L, 2)` x and y of that mean.
@@ -94,7 +94,7 @@ class Linear(BaseEstimator):
 
     @property
     def n_parameters(self) -> int:
-        """Numbers that training sets."""
+        """Number of fitted parameters."""
         ridge = check_fitted(self, "ridge_")
         return ridge.coef_.size + ridge.intercept_.size
 
@@ -140,9 +140,9 @@ class Aldrian(_ModelFit):
     mean face. Coefficients are standard normal, so with the true noise each solve is a maximum a
     posteriori estimate.
 
-    An affine camera can pass for part of the identity (stretched or sheared faces), where only
-    the prior decides. The rounds creep along that valley, the slower the less noise is assumed:
-    `max_iter` stops them before they settle, and too small a `view_noise` then does harm, since
+    An affine camera can explain part of the identity (stretched or sheared faces), where only the
+    prior decides. The rounds creep along that valley, more slowly the less noise is assumed.
+    `max_iter` stops them before they converge, and too small a `view_noise` then does harm, since
     the first, wrong cameras are fitted too closely.
 
     Args:
@@ -150,7 +150,7 @@ class Aldrian(_ModelFit):
         basis_times_sd: `(K, L, 3)` offsets at one standard deviation, in the same unit.
         view_noise: Standard deviation of the view's coordinates, as a part of the larger side of
             its bounding box. The default is eos's, sqrt(3) pixels, on a face of 500 pixels.
-        max_iter: Most rounds of camera and shape; the default is the number of the paper's code.
+        max_iter: Maximum number of rounds of camera and shape; by default that of the paper's code.
         tol: A face is finished once no coefficient moves by more than this in a round.
     """
 
@@ -183,13 +183,13 @@ class AldrianAuthors(_ModelFit):
     """The fit of Aldrian and Smith as the paper's authors ran it, whose coefficients are off.
 
     As `Aldrian`, but by the steps of the paper's released code: coefficients are solved for in the
-    unit of the basis, with next to no prior, then shifted and scaled to mean 0 and standard
-    deviation 1 over the components of every face, and used as standard normal ones. So every face
-    differs from the mean by about as much. The variances that weigh landmarks come from scans that
-    were not released: here all weigh alike.
+    unit of the basis, almost without a prior, then standardised to mean 0 and standard deviation 1
+    over the components of each face, and used as standard normal ones. Hence every face differs
+    from the mean by about the same amount. The variances that weight the landmarks come from scans
+    that were not released: here all weights are equal.
 
     Args:
-        mean, basis_times_sd: As `Aldrian` takes them.
+        mean, basis_times_sd: As for `Aldrian`.
         sd: `(K,)` standard deviation of each component, in the unit of the whole mesh.
     """
 
@@ -207,10 +207,10 @@ class AldrianAuthors(_ModelFit):
 
 
 def gram_matrices(basis_times_sd: np.ndarray) -> np.ndarray:
-    """`(3, 3, K, K)` inner products of the components, one block for each pair of axes.
+    """`(3, 3, K, K)` inner products of the components, one block per pair of axes.
 
-    The normal matrix of any camera is a weighted sum of these nine, so that the basis need not be
-    projected and squared for each face.
+    The normal matrix of any camera is a weighted sum of these nine, which saves projecting and
+    squaring the basis for each face.
     """
     axes = np.moveaxis(basis_times_sd, 2, 0)
     return axes[:, None] @ np.swapaxes(axes, 1, 2)[None]

@@ -1,4 +1,4 @@
-"""The fit of the Surrey Face Model by eos, to compare with.
+"""The fit of the Surrey Face Model by eos, for comparison.
 
 Huber et al. 2016, doi:10.5220/0005669500580067. The model is for non-commercial research, from
 https://github.com/patrikhuber/eos/tree/master/share, and is not part of this package.
@@ -22,7 +22,7 @@ _BLENDSHAPES, _MAPPING = "expression_blendshapes_3448.bin", "ibug_to_sfm.txt"
 _TOPOLOGY, _CONTOUR = "sfm_3448_edge_topology.json", "sfm_model_contours.json"
 
 
-_IMAGE = 512  # pixels, width and height of the image that eos is given
+_IMAGE = 512  # width and height in pixels of the image for eos
 
 
 def surrey_file(path: str | Path) -> Path:
@@ -39,7 +39,7 @@ def surrey_file(path: str | Path) -> Path:
 
 
 def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
-    """What eos has of the Surrey model.
+    """Read the Surrey model by eos.
 
     Args:
         path: As for `surrey_file`.
@@ -65,7 +65,7 @@ def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
 
 
 class EosFit:
-    """Shape, expression and camera of each view, by eos's `fit_shape_and_pose` as it documents it.
+    """Shape, expression and camera of each view, by eos's `fit_shape_and_pose` as documented.
 
     Args:
         path: As for `read_surrey`.

@@ -26,28 +26,28 @@ class MobileFace(NetworkMethod):
     """MobileNet that regresses the identity coefficients of a face model, whatever the pose.
 
     After Chinaev et al. 2018, arXiv:1809.08809, in the topology and recipe of the paper's authors:
-    Adam, and for a loss the mean squared error over all coordinates of the face model's mesh. Since
-    both shapes are of the model, that is a quadratic form of the difference of coefficients, and
-    can be computed without the meshes.
+    Adam, and as loss the mean squared error over all coordinates of the face model's mesh. Since
+    both shapes belong to the model, that is a quadratic form in the difference of coefficients, and
+    needs no mesh.
 
-    The authors standardise the raw coefficients to mean 0 and s.d. 1 before they shape a face, in
-    training over all numbers of a mini-batch and, one image at a time, over one face in use.
-    `standardise="batch"` does so too; `"face"` does it over the numbers of one face in both.
+    The authors standardise the raw coefficients to mean 0 and s.d. 1 before use: in training over
+    all numbers of a mini-batch, and in prediction, one image at a time, over those of one face.
+    `standardise="batch"` does the same; `"face"` uses the numbers of one face in both.
 
     Args:
         landmark_mean: `(L, 3)` landmarks of the mean face, millimetres.
-        landmark_basis_times_sd: `(K, L, 3)` what one s.d. of each component adds to them.
+        landmark_basis_times_sd: `(K, L, 3)` their offsets at one s.d. of each component.
         shape_gram: `(K, K)` mean over all coordinates of the mesh of the product of two components'
             offsets at one s.d., square millimetres.
-        standardise: `"face"` or `"batch"`: over what, in training.
-        schedule: `"constant"` learning rate, as the authors have it, or `"cosine"` decay to zero.
-        learning_rate: Of Adam, at the start.
+        standardise: `"face"` or `"batch"`: what training standardises over.
+        schedule: `"constant"` learning rate, like the authors', or `"cosine"` decay to zero.
+        learning_rate: Adam's initial learning rate.
         epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces in a mini-batch.
-        seed: Of the initial weights and the order of the faces.
+        batch_size: Faces per mini-batch.
+        seed: Seed of the initial weights and of the order of the faces.
 
     Attributes:
-        history_: In square millimetres; `inference` over a fixed five hundred of the faces.
+        history_: Losses in mm²; `inference` is over a fixed choice of five hundred faces.
     """
 
     landmark_mean: np.ndarray
@@ -63,11 +63,11 @@ class MobileFace(NetworkMethod):
     seed: int = 0
 
     def fit(self, images, coefficients: np.ndarray, **training) -> MobileFace:
-        """Train on images of faces whose coefficients are known.
+        """Train on images of faces with known coefficients.
 
         Args:
-            images: `(n, 96, 96, 3)` uint8, an array or what is indexed like one; a mini-batch at a
-                time is read.
+            images: `(n, 96, 96, 3)` uint8, an array or something indexed like one; read one
+                mini-batch at a time.
             coefficients: `(n, K)` standard-normal identity coefficients.
             training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
@@ -93,7 +93,7 @@ class MobileFace(NetworkMethod):
         return self._train(network, batches, {"faces": n}, inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
-        """Landmarks of the faces in images, in the frame of the face model: the front.
+        """Landmarks of the faces in images, in the frame of the face model: frontal.
 
         Args:
             images: `(n, 96, 96, 3)` uint8.
@@ -128,9 +128,9 @@ def build_mobileface_net(n_coefficients: int = 199, *, seed: int = 0) -> keras.M
     """MobileNet of width 0.3125 without its head, and one dense layer on all of its last map.
 
     Args:
-        n_coefficients: Components of the face model. 199, as the Basel model has, gives 900,979
-            trainable parameters of 907,819.
-        seed: Of the initial weights.
+        n_coefficients: Components of the face model. The Basel model's 199 give 900,979 trainable
+            parameters of 907,819.
+        seed: Seed of the initial weights.
 
     Returns:
         Model from `(n, 96, 96, 3)` images in [-1, 1] to `(n, n_coefficients)`.

@@ -1,4 +1,4 @@
-"""What the compared methods of one network share: training, restoring, initial weights."""
+"""What compared methods with one network share: training, restoring, initial weights."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from deepmds_keras.weights import read_keras2_weights
 
 
 class NetworkMethod(BaseEstimator):
-    """An estimator of one network, which is trained by epochs with a checkpoint after each.
+    """An estimator with one network, trained by epochs with a checkpoint after each.
 
-    A subclass has `_build(seed)`, and `fit` that begins with `_compiled` and ends with `_train`, or
-    `_train_on_arrays`, which take `checkpoint` and `progress`, as `train_by_epoch`.
+    A subclass defines `_build(seed)`, and a `fit` that begins with `_compiled` and ends with
+    `_train` or `_train_on_arrays`, which take `checkpoint` and `progress` like `train_by_epoch`.
 
     Attributes:
         network_: Trained `keras.Model`.
@@ -30,7 +30,7 @@ class NetworkMethod(BaseEstimator):
     """
 
     def restore(self, checkpoint: str | Path) -> Self:
-        """Load the network that `fit` trained to the end, and train nothing.
+        """Load the network of a finished `fit`, and train nothing.
 
         Raises:
             InputError: The file is missing, unfinished, damaged or of another run.
@@ -41,7 +41,7 @@ class NetworkMethod(BaseEstimator):
         return self
 
     def load_released(self, path: str | Path) -> Self:
-        """Take the authors' weights, a Keras 2 file; errors as of `read_keras2_weights`."""
+        """Load the authors' weights, a Keras 2 file; errors as in `read_keras2_weights`."""
         network = self._build()
         read_keras2_weights(network, path)
         self.network_ = network
@@ -61,14 +61,14 @@ class NetworkMethod(BaseEstimator):
         return network
 
     def _train(self, network, batches, data: dict, inference, **training) -> Self:
-        """`train_by_epoch`; `data` is what the label of the checkpoint says of them."""
+        """`train_by_epoch`; `data` describes the data in the label of the checkpoint."""
         label = {"network": network.name, **data, **self._label()}
         self.history_ = train_by_epoch(network, batches, label, inference, **training)
         self.network_ = network
         return self
 
     def _train_on_arrays(self, network, inputs, targets, **training) -> Self:
-        """`_train` on `(n, …)` float32 of all faces, by mean squared errors."""
+        """`_train` on `(n, …)` float32 arrays over all faces, with mean squared errors."""
         n, steps, batch = len(inputs), self.steps_per_epoch, self.batch_size
 
         def batches(epoch: int) -> tf.data.Dataset:
@@ -81,7 +81,7 @@ class NetworkMethod(BaseEstimator):
         return self._train(network, batches, {"faces": n}, inference, **training)
 
     def _label(self) -> dict:
-        """All that the network depends on besides arrays."""
+        """Everything that the network depends on besides arrays."""
         return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
 
 
@@ -92,15 +92,15 @@ def dense_network(
     seed: int,
     standardised: bool = False,
 ) -> keras.Model:
-    """Dense layers one after the other, from `(n, n_inputs)` numbers of a view.
+    """A stack of dense layers on the `(n, n_inputs)` numbers of a view.
 
     Args:
-        name: Of the network.
+        name: Name of the network.
         n_inputs: Numbers of a view.
         sizes: Units and activation of each layer, by its name.
-        seed: Of the initial weights.
-        standardised: Whether the numbers are centred and divided by their s.d. first, in a layer
-            `"standardised"`, whose weights are their mean and variance and are not trained.
+        seed: Seed of the initial weights.
+        standardised: Whether the numbers are first centred and divided by their s.d., in a layer
+            `"standardised"` with their mean and variance as untrained weights.
     """
     view = x = keras.Input((n_inputs,), name="view")
     if standardised:
@@ -120,7 +120,7 @@ def check_shape(array: np.ndarray, name: str, shape: tuple[int, ...]) -> None:
 
 
 def draw_kernels(network: keras.Model, seed: int) -> None:
-    """Draw every kernel again, in Keras's default way: for networks that take no initialiser."""
+    """Redraw every kernel by Keras's default, for networks that take no initialiser."""
     kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
     for number, kernel in enumerate(kernels):
         initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)

@@ -1,4 +1,4 @@
-"""A plain dense network from a view to the shape: what a structured network has to beat."""
+"""A plain dense network from a view to the shape, which a structured network must beat."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from deepmds_keras.landmarks.checks import check_faces, check_n_landmarks, check
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe
 
-_UNIT = 0.01  # of what the network returns, in which faces differ by about 1
+_UNIT = 0.01  # unit of the output, in which faces differ by about 1
 
 
 @dataclass(eq=False, repr=False)
 class Perceptron(NetworkMethod):
-    """Two hidden layers with ReLU, from a view that is centred and scaled to all coordinates.
+    """Two hidden layers with ReLU, from a centred and scaled view to all coordinates of the shape.
 
-    Each number of a view is standardised over the training faces: without that, the pose outweighs
-    the face, and the error on the open head is three times as large. With 60 units and 72 landmarks
-    it has 25,536 parameters, about as many as the lifting network. It is trained for as many steps:
-    by Adam with a cosine schedule, in mini-batches of 128 faces.
+    Each number of a view is standardised over the training faces: otherwise the pose outweighs the
+    face, and the error on the open head is three times as large. With 60 units and 72 landmarks it
+    has 25,536 parameters, about as many as the lifting network. It is trained for as many steps, by
+    Adam with a cosine schedule, in mini-batches of 128 faces.
 
     Args:
         n_landmarks: L.
-        units: Of a hidden layer.
-        learning_rate: Of Adam, at the start.
+        units: Units of each hidden layer.
+        learning_rate: Adam's initial learning rate.
         epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces in a mini-batch.
-        seed: Of the initial weights and the order of the faces.
+        batch_size: Faces per mini-batch.
+        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72

@@ -17,7 +17,7 @@ from deepmds_keras.training import face_order, image_batches
 from deepmds_keras.weights import Stream
 
 _N_POSE = 6  # parameters before the coefficients: log scale, x, y, axis-angle
-_MARGIN = 0.5  # by which another person's code must be farther away, squared
+_MARGIN = 0.5  # by which the squared distance of another person's code must be larger
 _MIN_IMAGE_SIZE = 32  # ResNet-50 halves an image five times
 _CHECK_IMAGES = 480
 
@@ -32,30 +32,30 @@ class RingNet(NetworkMethod):
     images of a ring but the last are of one person, whose identity codes are to be closer to each
     other than to the last one's.
 
-    The face model is whichever the bases are of, linear in its coefficients: a jaw that opens is
-    one of its expressions, not a joint as in FLAME. The network is trained from scratch, where
-    theirs saw real photos. Ours are the schedule, warm-up and then cosine decay, and the weights of
-    the two squared norms. Those were chosen, with a smaller network, by the 3D error of synthetic
-    people left out of training: a blendshape at a weight of one is many s.d. from rest, and where
-    the norm of expressions weighs little, they explain part of what identity and depth should, and
-    the shapes become worse than the mean face.
+    The face model is given by the bases and is linear in its coefficients: an open jaw is one of
+    its expressions, not a joint as in FLAME. The network is trained from scratch, whereas theirs
+    saw real photos. Ours are the schedule, warm-up and then cosine decay, and the weights of the
+    two squared norms. Those were chosen, with a smaller network, by the 3D error on synthetic
+    people left out of training: a blendshape at a weight of one is many s.d. from rest. With a low
+    weight on the norm of expressions, these explain part of what identity and depth should, and the
+    shapes become worse than the mean face.
 
     Args:
         landmark_mean: `(L, 3)` landmarks of the mean face, millimetres.
-        identity_basis_times_sd: `(K, L, 3)` what one s.d. of each identity component adds to them.
-        expression_basis: `(E, L, 3)` what each expression adds to them at weight one.
+        identity_basis_times_sd: `(K, L, 3)` their offsets at one s.d. of each identity component.
+        expression_basis: `(E, L, 3)` their offsets at weight one of each expression.
         image_size: Width and height of the images, at least 32 pixels.
         ring_size, rings_per_batch: Images in a ring, at least 3, and rings in a mini-batch.
-        learning_rate: Of Adam, after the warm-up.
+        learning_rate: Adam's learning rate after the warm-up.
         epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        seed: Of the initial weights, of dropout and of the order of the images.
-        landmark_weight: Of the mean absolute error of the landmarks; the image's side is 2.
-        ring_weight: Of the ring loss.
-        identity_weight, expression_weight: Of the sums of the squared coefficients.
+        seed: Seed of the initial weights, of dropout and of the order of the images.
+        landmark_weight: Weight of the landmarks' mean absolute error; the image's side is 2.
+        ring_weight: Weight of the ring loss.
+        identity_weight, expression_weight: Weights of the sums of the squared coefficients.
 
     Attributes:
         history_: `train` is the whole loss; `inference` the mean absolute error of the landmarks
-            over a fixed 480 of the images, in half sides of the image.
+            over a fixed choice of 480 images, in half sides of the image.
     """
 
     landmark_mean: np.ndarray
@@ -78,14 +78,14 @@ class RingNet(NetworkMethod):
         """Train on images with their landmarks, several of each subject.
 
         Args:
-            images: `(n, image_size, image_size, 3)` uint8, an array or what is indexed like one; a
-                mini-batch at a time is read.
-            landmarks: `(n, L, 2)` pixels, x right and y down from the left upper corner.
-            subjects: `(n,)` int, who is in each image.
+            images: `(n, image_size, image_size, 3)` uint8, an array or something indexed like one;
+                read one mini-batch at a time.
+            landmarks: `(n, L, 2)` pixels, x right and y down from the upper left corner.
+            subjects: `(n,)` int, the person in each image.
             training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
-            InputError: Unequal numbers, fewer than two subjects or too few images of one to make a
+            InputError: Unequal numbers, fewer than two subjects or too few images of one for a
                 ring, bases of other landmarks, or a checkpoint of another run.
         """
         landmarks, subjects = check_points(landmarks, "landmarks", 2), np.asarray(subjects)
@@ -126,7 +126,7 @@ class RingNet(NetworkMethod):
         return self._train(network, batches, data, inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
-        """Landmarks of the faces in images, in the frame of the face model: the pose is left out.
+        """Landmarks of the faces in images, in the frame of the face model, without the pose.
 
         Args:
             images: `(n, image_size, image_size, 3)` uint8.
@@ -149,7 +149,7 @@ class RingNet(NetworkMethod):
         return build_ringnet(*n_coefficients, self.image_size, seed)
 
     def _optimizer(self) -> keras.optimizers.Optimizer:
-        """Adam, whose rate grows over a twentieth of the steps and then falls by a cosine."""
+        """Adam, with a rate that rises over a twentieth of the steps and then falls as a cosine."""
         steps, rate = self.epochs * self.steps_per_epoch, self.learning_rate
         warm_up = max(steps // 20, 1)
         warming = {"warmup_target": rate, "warmup_steps": warm_up}
@@ -160,26 +160,26 @@ class RingNet(NetworkMethod):
 def build_ringnet(
     n_identity: int, n_expression: int, image_size: int = 96, seed: int = 0
 ) -> keras.Model:
-    """ResNet-50 on an image, and the camera, pose and coefficients of the face by iteration.
+    """ResNet-50 with an iterative regressor of the camera, pose and coefficients of a face.
 
-    After Sanyal et al. 2019, arXiv:1905.06817. The 2,048 features of ResNet-50 and the parameters
-    as estimated so far go through two layers of 512 ReLU units with dropout and a linear one. Its
-    output is added to the estimate. The layers are the same in all iterations, of which there are
-    three, as in Kanazawa et al. 2018 (HMR, arXiv:1712.06584), whose regressor it is.
+    After Sanyal et al. 2019, arXiv:1905.06817. The 2,048 features of ResNet-50 and the current
+    estimate of the parameters go through two layers of 512 ReLU units with dropout and a linear
+    one, whose output is added to the estimate. Three iterations share these layers, as in Kanazawa
+    et al. 2018 (HMR, arXiv:1712.06584), from where the regressor comes.
 
-    Two things are ours. The moving averages of the batch normalisation forget ten times as fast as
-    Keras's by default. In a training of a few thousand steps they would lag behind the weights. And
-    dropout removes a fifth of the units; the sources at hand do not say how many theirs does.
+    Two things are ours. The moving averages of batch normalisation forget ten times faster than
+    Keras's default; in a few thousand steps those would lag behind the weights. And dropout removes
+    a fifth of the units; the sources at hand do not give their rate.
 
     Args:
         n_identity, n_expression: Numbers of coefficients.
         image_size: Width and height of the images, at least 32 pixels.
-        seed: Of the initial weights.
+        seed: Seed of the initial weights.
 
     Returns:
         Model from `(n, image_size, image_size, 3)` images in [-1, 1] to the parameters,
         `(n, 6 + n_identity + n_expression)`: log scale, x, y, axis-angle, identity, expression. All
-        of them zero are the mean face, seen from the front in the middle of the image.
+        zeros are the mean face, seen from the front in the middle of the image.
 
     Raises:
         InputError: Images of less than 32 pixels.
@@ -207,7 +207,7 @@ def build_ringnet(
         estimate = estimate + step(x)
     net = keras.Model(body.input, estimate, name=f"ringnet_{n_identity}_{n_expression}")
     draw_kernels(net, seed)
-    # So that training starts about the mean face, seen from the front.
+    # So that training starts near the mean face, seen from the front.
     step.kernel.assign(0.01 * step.kernel)
     return net
 
@@ -215,9 +215,9 @@ def build_ringnet(
 def draw_rings(
     members: list[np.ndarray], n_rings: int, ring_size: int, seed: int, epoch: int
 ) -> np.ndarray:
-    """Rings of an epoch: every subject as often as another, and one image of somebody else last.
+    """Rings of an epoch: every subject equally often, with an image of someone else last.
 
-    Of the row numbers of each subject's images, `(n_rings, ring_size)` are returned.
+    `members` has the row numbers of each subject's images; `(n_rings, ring_size)` are returned.
     """
     rng = np.random.default_rng([seed, Stream.RINGS, epoch])
     whose = face_order(len(members), n_rings, seed, epoch)
@@ -233,7 +233,7 @@ class RingNetLoss:
     """The weighted sum of RingNet's four losses, on a batch of whole rings.
 
     Called with `(n, 2L)` landmarks in [-1, 1] and `(n, P)` parameters of `build_ringnet`. A face
-    turns about the middle of the mean landmarks, so that turning it hardly shifts it. At log scale
+    rotates about the middle of the mean landmarks, so that rotation hardly shifts it. At log scale
     0, half the larger side of the landmarks' box in the image is `fill`.
     """
 

@@ -28,18 +28,17 @@ _UNUSABLE = {"PyFunc", "PyFuncStateless", "EagerPyFunc", "ReadFile", "WriteFile"
 class ReleasedRingNet:
     """The released RingNet, Sanyal et al. 2019, arXiv:1905.06817; inference only.
 
-    Its vertices are FLAME's, in the pose of the face in the image: what is compared with them is to
-    be aligned first. Any rotation is left in, and none is added.
+    Its vertices are FLAME's, in the pose of the face in the image; align before comparing.
 
     Args:
         checkpoint_prefix: Path of the checkpoint without its suffixes, `.../ring_6_68641`; its
-            `.meta`, `.index` and `.data-…` are to be there, see https://ringnet.is.tue.mpg.de.
+            `.meta`, `.index` and `.data-…` must exist, see https://ringnet.is.tue.mpg.de.
         landmark_vertices: `(L, 3)` int, the vertices of the triangle in which each landmark lies.
         landmark_weights: `(L, 3)` their barycentric weights.
 
     Raises:
-        InputError: A file is missing or damaged, or the graph lacks the tensors, has them in other
-            shapes or cannot be run; or landmarks of another mesh.
+        InputError: A file is missing or damaged; the graph lacks a tensor, has another shape or
+            cannot be run; or the landmarks belong to another mesh.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class ReleasedRingNet:
         """Landmarks of the faces in images.
 
         Args:
-            images: `(n, 224, 224, 3)` uint8, RGB, a loose square about each face.
+            images: `(n, 224, 224, 3)` uint8, RGB, a loose square around each face.
 
         Returns:
             `(n, L, 3)` millimetres.
@@ -100,7 +99,7 @@ class ReleasedRingNet:
 
 @contextmanager
 def _named(prefix: str) -> Iterator[None]:
-    """Make one line, which names the checkpoint, of whatever is wrong with it."""
+    """Turn any error into one InputError that names the checkpoint."""
     try:
         yield
     except Exception as error:  # TensorFlow and protobuf raise many kinds for a damaged file
@@ -118,7 +117,7 @@ def _tensor(graph: tf.Graph, name: str, shape: tuple[int, ...]) -> tf.Tensor:
 
 
 def _check_runnable(output: tf.Operation) -> None:
-    """The output must come of the image alone: no code outside the file, no other files."""
+    """Refuse an output that depends on more than the image: code or files outside the graph."""
     waiting, seen = [output], set()
     while waiting:
         op = waiting.pop()

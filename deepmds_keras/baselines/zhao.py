@@ -30,10 +30,10 @@ class Zhao(NetworkMethod):
     Args:
         n_landmarks: L.
         optimizer: `"adam"` or `"rmsprop"`.
-        learning_rate: Of the optimiser.
+        learning_rate: Learning rate of the optimiser.
         epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces in a mini-batch.
-        seed: Of the initial weights and the order of the faces.
+        batch_size: Faces per mini-batch.
+        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72
@@ -93,7 +93,7 @@ def build_zhao_net(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
 
     Args:
         n_landmarks: L. 72 gives 114,840 parameters (the paper's number), 51 gives 57,783.
-        seed: Of the initial weights.
+        seed: Seed of the initial weights.
 
     Returns:
         Model from `(n, 2L)` coordinates x1, y1, x2, … to `(n, L)` depths.

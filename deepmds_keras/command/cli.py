@@ -124,7 +124,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 
 
 def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
-    """What to print about a source that is done: its first faces, at most so many."""
+    """Lines to print about a finished source: its first faces, up to `most`."""
     if faces[0].frame_ref is not None:
         yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
         yield from tell_tracks(faces, most)
@@ -142,7 +142,7 @@ def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
 
 
 def fault_of(source: Path, faces: list[Face]) -> str | None:
-    """The faces that are gaps because they cannot be used."""
+    """Describe the faces that are gaps because they cannot be used."""
     faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
     if not faults:
         return None
@@ -155,7 +155,7 @@ def fault_of(source: Path, faces: list[Face]) -> str | None:
 
 
 def printable(text: str) -> str:
-    """On one line, whatever is in a file's name."""
+    """Text on one line, whatever a file's name contains."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
@@ -170,7 +170,7 @@ def _formats(text: str) -> tuple[str, ...]:
 
 
 def _number(least: float, wanted: str, kind: type = float) -> Callable[[str], float]:
-    """A type of argument: a finite number above what is the least, or -1 where that is wanted."""
+    """An argument type: a finite number in the wanted range."""
 
     def parsed(text: str) -> float:
         try:

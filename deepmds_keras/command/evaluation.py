@@ -1,4 +1,4 @@
-"""`deepmds evaluate`: how far lifted faces lie from true 3D landmarks that a user has."""
+"""`deepmds evaluate`: errors of lifted faces on a user's true 3D landmarks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deepmds_keras.predict.landmark_files import read_landmarks
 
 _SCHEMES = {51: "ibug51", 68: "ibug68"}
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
-_YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of bins, degrees to either side
+_YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
 _COLUMNS = ("landmarks", "method", "yaw", "n_faces", "error", "standard_error")
 _UNIT = 1e-3
 _LINES = {"mean shape": "s--", "lifting": "o-", "lifting, exact": "o:", "eos": "x-"}
@@ -37,25 +37,26 @@ def evaluate(
 ) -> list[dict]:
     """Score lifting on true 3D landmarks, against the mean shape and eos; print and write a table.
 
-    A face's error is the mean square of its coordinates after a similarity, in squared distances of
-    the outer corners of the eyes. It is of the landmarks without the jaw line, whose depth schemes
-    define differently; of 68 also of all. With eos it is of those that its model has.
+    A face's error is the mean squared difference of coordinates after alignment by a similarity,
+    relative to the squared distance between the outer corners of the eyes. It leaves out the jaw
+    line, whose depth schemes define differently; 68 landmarks are also scored with it. With eos, it
+    covers the landmarks that its model has.
 
     Args:
-        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or `.csv` with a landmark a row: columns `x`,
-            `y`, `z` and, of several faces, `face`. Faces as the camera sees them, in any unit;
-            the directions of y and z are inferred from the faces.
-        landmarks: File of the 2D landmarks to lift; None takes the x and y of the truth.
-        y_up: y grows upwards in `landmarks`.
+        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or `.csv` with one landmark per row: columns
+            `x`, `y`, `z` and, for several faces, `face`. Faces as the camera sees them, in any
+            unit; the directions of y and z are inferred from the faces.
+        landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
+        y_up: Whether y grows upwards in `landmarks`.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
-        out: Folder for `errors.csv` and the figure `errors.png` (which matplotlib draws).
-        overwrite: Whether files that are there may be replaced.
+        out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
+        overwrite: Whether existing files may be replaced.
 
     Returns:
         Rows of the table: `landmarks, method, yaw, n_faces, error, standard_error`.
 
     Raises:
-        InputError: A file is missing or damaged or has other landmarks or faces, or is in the way.
+        InputError: A file is missing or damaged, has other landmarks or faces, or already exists.
     """
     out = Path(out)
     files = [out / "errors.csv", out / "errors.png"]
@@ -103,7 +104,7 @@ def read_truth(path: str | Path) -> np.ndarray:
     """True landmarks, `(n, 51, 3)` or `(n, 68, 3)`, see `evaluate`.
 
     Raises:
-        InputError: The file is missing or damaged, or holds anything else.
+        InputError: The file is missing, damaged, or holds anything else.
     """
     path = Path(path)
     is_table = path.suffix.lower() == ".csv"
@@ -139,7 +140,7 @@ def _read_csv(path: Path) -> np.ndarray:
 
 
 def _oriented(shapes: np.ndarray, scheme: str, mean: np.ndarray) -> np.ndarray:
-    """The shapes with y up and z towards the viewer, as most of the faces tell."""
+    """The shapes with y up and z towards the viewer, as inferred from most of the faces."""
     if np.median(eyes_to_mouth(shapes, scheme)[:, 1]) > 0:
         shapes = shapes * (1, -1, 1)
     means, mirrored = np.broadcast_to(mean, shapes.shape), shapes * (1, 1, -1)

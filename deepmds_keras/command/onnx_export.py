@@ -18,7 +18,7 @@ from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
 from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
 from deepmds_keras.weights import PRETRAINED
 
-_OPSET, _IR_VERSION = 18, 8  # of the end of 2022, which runtimes in use read
+_OPSET, _IR_VERSION = 18, 8  # from the end of 2022; runtimes in use read them
 _DOC = """\
 3D face landmarks from the 2D landmarks of one image (deepmds-keras). The batch n may be any.
 Inputs: view (n, L, 2), x to the right and y UP, any scale and place, NaN where a landmark is
@@ -31,15 +31,15 @@ units are in the metadata."""
 
 
 def export(path: str | Path, model: str) -> None:
-    """Write a lifter as an ONNX model, complete or not at all.
+    """Write a lifter as an ONNX model, whole or not at all.
 
     Its inputs are those of `LandmarkLifter.estimate`, its outputs the shapes, their standard
-    deviations and the camera. Its metadata have the landmarks by number and name, units, axes and
+    deviations and the camera. Its metadata give the landmarks by number and name, units, axes and
     licence.
 
     Args:
-        path: Of the model, a new file.
-        model: File of `LandmarkLifter.save`, or name of weights that ship.
+        path: File to write; it must not exist.
+        model: File that `LandmarkLifter.save` wrote, or name of shipped weights.
 
     Raises:
         InputError: The weights cannot be read, the package onnx is not installed, or the file
@@ -90,7 +90,7 @@ def export(path: str | Path, model: str) -> None:
 
 @np.errstate(all="ignore")  # of the examples
 def _traced(lifter: LandmarkLifter):
-    """The graph of `predict`, which does in float32 what `prepare_views` does before."""
+    """The graph of `predict`, including what `prepare_views` does, in float32."""
     from onnx import helper, numpy_helper
 
     graph, xp, n_landmarks = Graph(), Tracer(), lifter.n_landmarks
@@ -105,7 +105,7 @@ def _traced(lifter: LandmarkLifter):
     seen = xp.float32(known)
     share = xp.mean(seen, 1, keepdims=True)[:, None]
     centre = 0
-    for _ in range(2):  # the second time takes off what was rounded
+    for _ in range(2):  # the second pass removes rounding errors
         middle = xp.mean(points, 2, keepdims=True) / share
         points, centre = (points - middle) * seen[:, None], middle + centre
     square = xp.mean(points * points, 2, keepdims=True) / share

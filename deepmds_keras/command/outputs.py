@@ -40,29 +40,29 @@ SCALE = {
     "a face is about 0.8 with 51 landmarks, 0.67 with the others",
 }
 _COLUMNS = "number,name,x,y,z,std_x,std_y,std_z,image_x,image_y,image_z,residual"
-# What the comments above the table describe.
+# Lines of the comments above a table.
 _DESCRIBED = {
     "std": "std_x, std_y, std_z",
     "image_xyz": "image_x, image_y, image_z",
     "residual": "residual",
 }
-_DIGITS = 7  # significant ones
+_DIGITS = 7  # significant digits
 _MESH = "mesh: head of the open head model (CC0) through the landmarks; far from them it is a guess"
 
 
 def output_files(
     folder: Path, name: str, faces: Sequence[Face], formats: Iterable[str]
 ) -> dict[Path, Sequence[Face]]:
-    """Files of the faces of one source, each with the faces that it holds.
+    """Files of the faces of one source, each with the faces in it.
 
-    `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`, gaps as NaN or null; of the
-    other formats every face has its own, by the face's name.
+    `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`, with gaps as NaN or null; in the
+    other formats every face has its own file, under the face's name.
 
     Args:
-        folder: Of the results.
-        name: Of the source.
-        faces: One or more, of one scheme and unit.
-        formats: Some of `FORMATS` and `MESH_FORMATS`, in whose order the files come.
+        folder: Folder of the results.
+        name: Name of the source.
+        faces: One or more, all in one scheme and unit.
+        formats: Some of `FORMATS` and `MESH_FORMATS`, whose order the files follow.
     """
     one_each = {face.name: [face] for face in faces if not face.is_gap}
     return {
@@ -76,9 +76,9 @@ def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
     """Write a file of `output_files`, whole or not at all.
 
     Args:
-        path: It ends in the format; its folder is created if it does not exist.
-        faces: That it holds.
-        model: What the shapes come from, as JSON has it; `"name"` and where its weights come from.
+        path: File to write; its suffix is the format. Its folder is created if needed.
+        faces: Faces to write.
+        model: Model of the shapes, as for JSON: `"name"` and where its weights come from.
 
     Raises:
         InputError, OSError: As for `atomic_write`.
@@ -90,10 +90,10 @@ def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
 
 
 def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """One landmark a row, with its number as the scheme's authors count and where it is seen."""
+    """One landmark per row, with its number in the scheme and its position in the image."""
     scheme = load_scheme(faces[0].scheme)
     number = f"%.{_DIGITS}g"
-    # What the model does not know stays empty.
+    # What the model does not estimate stays empty.
     std = [number if faces[0].std is not None else ""] * 3
     cells = ",".join([*[number] * 3, *std, *[number] * 4])
     rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, scheme.names, strict=True)]
@@ -103,7 +103,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
         yield f"# frame: {TIME}\n"
     yield ",".join(["face", *_frame(faces[0]), _COLUMNS]) + "\n"
     for face in faces:
-        # Quoted, so that no character of a file name is taken for one of the table.
+        # Quoted, so that no character of a file name is taken for part of the table.
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
         name += "".join(f"{value}," for value in _frame(face).values())
         std = () if face.std is None else (face.std,)
@@ -112,7 +112,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
 
 
 def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
-    """Everything that is known of the faces, one face a line."""
+    """Everything known about the faces, one face per line."""
     scheme = load_scheme(faces[0].scheme)
     described = _common(faces, model) | {"landmark_numbers": scheme.numbers}
     described["landmark_names"] = scheme.names
@@ -138,13 +138,13 @@ def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
 
 
 def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
-    """Arrays over all faces, for `numpy.load`: for sources of thousands of faces, in float32.
+    """Float32 arrays over all faces for `numpy.load`, for sources of thousands of faces.
 
-    `shape`, `image_xyz` and, if the model knows it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
-    `residual` `(n, L)`, `face` `(n,)` names; of the pose `yaw`, `pitch`, `roll`, `scale`,
-    `pose_residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; of videos `frame`,
-    `time` and `track` `(n,)`;
-    `landmark_numbers` and `landmark_names` `(L,)`; `description`, the rest as JSON.
+    `shape`, `image_xyz` and, if the model estimates it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
+    `residual` `(n, L)`, `face` `(n,)` names; for the pose `yaw`, `pitch`, `roll`, `scale`,
+    `pose_residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; for videos `frame`,
+    `time` and `track` `(n,)`; `landmark_numbers` and `landmark_names` `(L,)`; `description`, the
+    rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
 
@@ -161,7 +161,7 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
     for key in poses[0]:
         name = f"pose_{key}" if key in measured else key
         measured[name] = over_faces(pose[key] for pose in poses)
-    np.savez(  # to compress the digits of measurements takes long and gains little
+    np.savez(  # compressing measurements takes long and gains little
         file,
         face=np.array([face.name for face in faces]),
         **{key: np.array([_frame(face)[key] for face in faces]) for key in _frame(faces[0])},
@@ -188,7 +188,7 @@ def ply_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> It
     ]
     text = "\n".join(header) + _rows("%.7g %.7g %.7g", vertices)
     text += _rows("3 %d %d %d", cells)
-    yield text.encode("ascii", "replace").decode()  # some readers take ASCII only
+    yield text.encode("ascii", "replace").decode()  # some readers accept ASCII only
 
 
 def obj_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> Iterator[str]:
@@ -218,7 +218,7 @@ def _common(faces: Sequence[Face], model: Mapping) -> dict:
 
 
 def description(faces: Sequence[Face], model: Mapping) -> list[str]:
-    """Lines of text: names are quoted as JSON has them, and so cannot begin another line."""
+    """Lines of text; names are quoted as in JSON, so that they cannot begin another line."""
     scheme, unit, detector = load_scheme(faces[0].scheme), faces[0].unit, faces[0].detector
     terms = [f"licence of the weights: {model['licence']}"] if "licence" in model else []
     if detector is not None:
@@ -235,7 +235,7 @@ def description(faces: Sequence[Face], model: Mapping) -> list[str]:
 
 
 def _frame(face: Face) -> dict[str, float]:
-    """Further columns of a face of a video."""
+    """Additional columns for a face of a video."""
     if face.frame_ref is None:
         return {}
     columns = vars(face.frame_ref)
@@ -243,7 +243,7 @@ def _frame(face: Face) -> dict[str, float]:
 
 
 def _vertices(faces: Sequence[Face], model: Mapping, mesh: bool) -> tuple[np.ndarray, list[str]]:
-    """Landmarks, or the head through them in their frame and unit; and lines that describe them."""
+    """Landmarks, or the head through them in their frame and unit, with describing lines."""
     face, described = faces[0], description(faces, model)
     if not mesh:
         return face.xyz, described
@@ -260,7 +260,7 @@ def _rounded_pose(face: Face) -> dict | None:
 
 
 def _rounded(values) -> list | float | None:
-    """With as many digits after the point as give the largest number its significant ones."""
+    """Values rounded to the decimals that give the largest one its significant digits."""
     if np.isnan(values).all():
         return None
     largest = max(np.nanmax(np.abs(values)), 1e-9)
@@ -269,7 +269,7 @@ def _rounded(values) -> list | float | None:
 
 
 def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:
-    """The writer of a format of text, which is in memory a face at a time."""
+    """The writer of a text format, with one face in memory at a time."""
 
     def write(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
         for part in parts(faces, model):

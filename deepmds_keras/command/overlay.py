@@ -13,8 +13,8 @@ from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 
-_SIDE = 1200  # pixels of the larger side of a picture at most
-_REACH = 1.05  # from the middle of the landmarks, in larger sides of their box; shows the head
+_SIDE = 1200  # largest side of a picture, pixels
+_REACH = 1.05  # from the middle of the landmarks, relative to their box; shows the head
 _TILE, _MARGIN, _COLUMNS = 300, 30, 6  # of faces without a photo, pixels
 _LINE, _DOT, _EDGE = "#FF9448", "#FFD000", "#333333"
 
@@ -39,12 +39,12 @@ class Cutout:
 
 
 def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800) -> Cutout:
-    """The square about landmarks, as far as the photo has it; all of the photo if it has none.
+    """The square around landmarks, clipped to the photo; the whole photo if it lies outside.
 
     Args:
         photo: `(H, W, 3)` uint8, RGB.
         landmarks: `(L, 2)` pixels of the photo, x right, y down.
-        side: Larger side of the result at most, in pixels; nothing is enlarged.
+        side: Largest side of the result in pixels; nothing is enlarged.
     """
     low, high = landmarks.min(0), landmarks.max(0)
     reach = _REACH * (high - low).max()
@@ -61,7 +61,7 @@ def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800) -> Cut
 
 
 def overlay(faces: Sequence[Face], photo: np.ndarray | None) -> Image.Image:
-    """All faces of a photo, or each face without one: dots are landmarks, lines the 3D shape.
+    """Draw the faces on their photo, or side by side: landmarks as dots, the 3D shape as lines.
 
     Args:
         faces: One or more of one source, in the pixels of the photo.
@@ -86,7 +86,7 @@ def overlay(faces: Sequence[Face], photo: np.ndarray | None) -> Image.Image:
 
 
 def write_overlay(path: Path, faces: Sequence[Face], photo: np.ndarray | None) -> None:
-    """Write the picture of `overlay` as PNG, complete or not at all.
+    """Write the picture of `overlay` as PNG, whole or not at all.
 
     Raises:
         InputError, OSError: As for `atomic_write`.
@@ -105,7 +105,7 @@ def _draw(image: Image.Image, face: Face, cutout: Cutout, label: str) -> None:
     for x, y in dots[~np.isnan(dots).any(1)]:
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), _DOT, _EDGE, width=1)
     corner = shape[:, 0].min(), shape[:, 1].min()
-    # Pillow's font has no letters beyond Latin ones.
+    # Pillow's font has Latin letters only.
     text = "".join(letter if " " <= letter <= "ÿ" else "?" for letter in label[-30:])
     font = ImageFont.load_default(max(12, side / 16))
     draw.text(corner, text, _EDGE, font, "lb", stroke_width=1, stroke_fill="white")

@@ -22,7 +22,7 @@ from deepmds_keras.predict.faces import Face
 from deepmds_keras.predict.mesh import fit_surfaces, surface_triangles
 
 _FOLDER = Path(__file__).parent
-_DIGITS = {"mm": 2}  # after the point; of what is normalised more
+_DIGITS = {"mm": 2}  # after the point; normalised shapes get more
 _BARE_SIDE, _BARE_MARGIN = 1000, 120  # of a drawing without a photo
 _MOST = 32767  # of an int16
 _HASHED = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
@@ -35,15 +35,15 @@ def write_page(
     *,
     mesh: bool = False,
 ) -> None:
-    """Write the page, complete or not at all.
+    """Write the page, whole or not at all.
 
-    It holds the part of each photo about the face, and needs no network: its policy forbids it to
-    load anything, and to run any script but its own.
+    It contains the part of each photo around the face, and needs no network: its policy forbids it
+    to load anything, or to run any script but its own.
 
     Args:
-        path: Of the page.
-        faces: In the order in which they are shown.
-        photos: Of each face the whole photo, `(H, W, 3)` uint8 RGB, or None if it has none.
+        path: Path of the page.
+        faces: Faces in the order in which they are shown.
+        photos: The whole photo of each face, `(H, W, 3)` uint8 RGB, or None if it has none.
         mesh: Whether to show the heads through the landmarks.
 
     Raises:
@@ -68,14 +68,14 @@ def write_page(
         "title": html.escape(title),
         "faces": json_in_html(shown),
     }
-    # In one go, so that a name that looks like a field stays a name.
+    # In one pass, so that a name that looks like a field stays a name.
     page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], page)
-    # A file name may hold bytes that are no text.
+    # A file name may contain bytes that are not text.
     write_bytes(path, page.encode("utf-8", "replace"))
 
 
 def json_in_html(value: object) -> str:
-    """JSON that is safe in a script element: no text in it can end the element or begin another."""
+    """JSON that is safe in a script element: its text can neither end the element nor open one."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")
 
@@ -84,7 +84,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
     digits = _DIGITS.get(face.unit, 4)
     return {
         "name": face.name,
-        "source": face.source.name,  # not its folder: pages are passed on
+        "source": face.source.name,  # without its folder: pages are passed on
         "scheme": face.scheme,
         "unit": face.unit,
         "scale": SCALE[face.unit],
@@ -98,7 +98,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
 
 
 def _picture(face: Face, photo: np.ndarray | None) -> dict:
-    """Picture next to the shape; in its pixels the landmarks, and the shape as the head turns."""
+    """Picture beside the shape; in its pixels the landmarks, and the shape in the head's pose."""
     if photo is None:
         low, extent = face.landmarks.min(0), np.ptp(face.landmarks, axis=0)
         scale, jpeg = _BARE_SIDE / extent.max(), None
@@ -121,7 +121,7 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
 
 
 def _mesh(face: Face) -> dict:
-    """Vertices of the head, as whole steps from the lowest."""
+    """Vertices of the head, as integer steps from the lowest."""
     vertices = fit_surfaces(face.xyz[None], face.scheme)[0].astype(float)
     lowest = vertices.min(0)
     step = np.ptp(vertices, axis=0).max() / _MOST

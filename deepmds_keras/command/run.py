@@ -52,7 +52,7 @@ from deepmds_keras.predict.models import (
 from deepmds_keras.predict.videos import portraits, read_stills, write_landmark_video
 
 _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
-_HIDDEN = ".deepmds-"  # begins the names of what is not for users
+_HIDDEN = ".deepmds-"  # prefix of files that are not for users
 
 
 def run(
@@ -65,23 +65,23 @@ def run(
     stopped: Callable[[], bool] = lambda: False,
     **settings,
 ) -> int:
-    """Write the results of all sources; what cannot be used gets a line on stderr.
+    """Write the results of all sources; an unusable one gets a line on stderr.
 
     Args:
         sources: Names of photos, folders, videos and files of landmarks.
         out: Folder of the results.
-        recursive: Whether to take the photos in subfolders.
-        overwrite: Whether to redo what is done, and to replace files that no run wrote.
-        jobs: Processes; -1 is one for each core.
-        stopped: Asked after every source whether to stop.
+        recursive: Whether to include the photos in subfolders.
+        overwrite: Whether to redo finished sources, and to replace files that no run wrote.
+        jobs: Number of processes; -1 is one per core.
+        stopped: Called after every source; whether to stop.
         settings: The other options of `cli`, by name.
 
     Returns:
-        How many sources could not be used.
+        Number of sources that could not be used.
 
     Raises:
-        InputError: Nothing can be done at all: no detector, no model, no folder of its own,
-            another run.
+        InputError: Nothing can be done at all: no detector, no model, a folder that is in use or
+            cannot hold results.
         OSError: The folder or the terminal cannot be written to.
         KeyboardInterrupt: It was stopped.
     """
@@ -104,7 +104,7 @@ def run(
         return len(errors)
     usable = _usable(todo, settings)
     failed = len(errors) + len(todo) - len(usable)
-    hidden = len(usable) == 1 or None  # None: where there is no terminal
+    hidden = len(usable) == 1 or None  # None hides it where there is no terminal
     with _locked(out) as folder, tqdm(total=len(usable), unit="source", disable=hidden) as bar:
         for files, lines, fault in _results(usable, folder, jobs, settings):
             if blocked := [path for file in files if _is_taken(path := out / file, overwrite)]:
@@ -128,12 +128,12 @@ def run(
 
 
 def _picture(source: Path, name: str) -> str:
-    """File that every source has when it is done."""
+    """File that exists once a source is done."""
     return f"{name}{'.mp4' if kind_of(source) == 'video' else '.png'}"
 
 
 def _is_done(out: Path, source: Path, name: str) -> bool:
-    """Whether there is a picture that is newer than the source: the last file that a run writes."""
+    """Whether the picture, the last file that a run writes, is newer than the source."""
     picture = out / _picture(source, name)
     return picture.is_file() and picture.stat().st_mtime_ns >= source.stat().st_mtime_ns
 
@@ -148,7 +148,7 @@ def _complain(error: object, kind: str = "error") -> None:
 
 @contextmanager
 def _locked(out: Path) -> Iterator[Path]:
-    """A folder for incomplete files within that of the results, which is locked meanwhile."""
+    """A folder for incomplete files within the folder of the results, which is locked meanwhile."""
     out.mkdir(parents=True, exist_ok=True)
     with open(out / LOCK, "wb") as file:
         try:
@@ -174,7 +174,7 @@ def _locked(out: Path) -> Iterator[Path]:
 
 
 def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, str]]:
-    """What can be done with what is installed; what is missing is said before the work begins."""
+    """Sources that the installed packages can process; reports the others before the work."""
     if settings["model"] not in (None, *FAMILIES):
         load_model(settings["model"])
     given = [pair for pair in todo if kind_of(pair[0]) == "landmarks"]
@@ -194,7 +194,7 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
 
 
 def _note_without_effect(paths: list[Path], settings: dict) -> None:
-    """Say which options have no effect on any of the sources."""
+    """Report options that have no effect on any of the sources."""
     kinds = {*map(kind_of, paths)}
     videos, files = "video" in kinds, "landmarks" in kinds
     without = {
@@ -209,7 +209,7 @@ def _note_without_effect(paths: list[Path], settings: dict) -> None:
 
 
 def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: dict) -> Iterator:
-    """What `_process` returns of each source, as soon as it is there."""
+    """What `_process` returns for each source, as soon as it is done."""
     # Videos one by one, after the others; they, and the paper's networks, use all processes.
     videos = [pair for pair in todo if kind_of(pair[0]) == "video"]
     others = [pair for pair in todo if kind_of(pair[0]) != "video"]
@@ -231,7 +231,7 @@ def _process(
     """Write the files of a source into a folder.
 
     Returns:
-        Names of the files, lines about it for the terminal, and what cannot be used, or None.
+        Names of the files, lines for the terminal, and what could not be used, or None.
     """
     try:
         photo, detections = _detect(source, name, **settings)
@@ -262,7 +262,7 @@ def _detect(
     smooth: float, every: int, y_up: bool, image_size: tuple[float, float] | None, jobs: int,
     **_,
 ) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
-    """The photo, or None of other sources, and the landmarks of its faces."""
+    """The photo, or None for other sources, and the landmarks of its faces."""
     options = {"detector": detector, "landmarker": landmarker, "model": model}
     if kind_of(source) == "video":
         options |= {"every": every, "smooth": smooth, "jobs": jobs}
@@ -299,7 +299,7 @@ def _pictures(
     folder: Path, source: Path, name: str, faces: list[Face], photo: np.ndarray | None, view: bool,
     mesh: bool, every: int,
 ) -> dict[Path, Callable[[Path], None]]:  # fmt: skip
-    """The page and the picture of a source, for a video that is a video, each with its writer."""
+    """The page and the picture of a source, for a video another video, each with its writer."""
     shown = [face for face in faces if not face.is_gap]
     if video := faces[0].frame_ref is not None:
         shown = portraits(shown, _DRAWN_FACES)

@@ -1,4 +1,4 @@
-"""What a run reads, and the names of its results."""
+"""The sources of a run, and the names of its results."""
 
 from __future__ import annotations
 
@@ -29,18 +29,17 @@ def kind_of(path: Path) -> str | None:
 def find_sources(
     paths: Iterable[str | Path], *, recursive: bool = False
 ) -> tuple[list[Path], list[InputError], Counter[str]]:
-    """All that is to be read, and what is wrong with the rest: one bad path does not stop others.
+    """Files to read, and what is wrong with the rest: one bad path does not stop others.
 
     Args:
-        paths: Photos, videos and files of landmarks, taken as they are, and folders, of which the
-            photos are taken, by name, but no hidden files.
-        recursive: Take those in subfolders too, but for hidden folders, links, and folders of
-            results.
+        paths: Photos, videos and files of landmarks, and folders, which stand for their photos, by
+            name, without hidden files.
+        recursive: Whether to include subfolders, except hidden ones, links, and folders of results.
 
     Returns:
         Files in the order of the paths, each once; an error for each path that does not exist,
-        each folder without photos, and each file with another suffix; and how many things in
-        folders were left out, by what they are.
+        each folder without photos, and each file with another suffix; and the number of entries
+        of folders that were skipped, by kind.
     """
     sources, errors, skipped = {}, [], Counter()
     for path in paths:
@@ -58,7 +57,7 @@ def find_sources(
 
 
 def list_skipped(skipped: Counter[str]) -> str:
-    """What `find_sources` left out, as text: `3 .mp4, 2 hidden, 1 subfolder (--recursive)`."""
+    """What `find_sources` skipped, as text: `3 .mp4, 2 hidden, 1 subfolder (--recursive)`."""
     return ", ".join(
         f"{n:,} {kind.replace('folder', 'folders') if n > 1 and kind[0] != '.' else kind}"
         for kind, n in skipped.most_common()
@@ -66,11 +65,11 @@ def list_skipped(skipped: Counter[str]) -> str:
 
 
 def name_sources(sources: Sequence[Path]) -> list[str]:
-    """A name for the results of each source, its stem where that is free.
+    """A name for the results of each source, its stem if that is free.
 
-    Names differ by more than capitals, and none is another with a number behind a hyphen, as
-    `name_faces` makes them: of `a.jpg`, `a.png` and `a-1.jpg` come `a`, `a_png` and `a-1_jpg`. None
-    is that of a mesh.
+    Names differ by more than case, and none is another one plus a hyphen and a number, which
+    `name_faces` appends: `a.jpg`, `a.png` and `a-1.jpg` give `a`, `a_png` and `a-1_jpg`. None is
+    that of a mesh.
     """
     names, used, numbered = [], set(), set()
     for source in sources:
@@ -88,7 +87,7 @@ def name_sources(sources: Sequence[Path]) -> list[str]:
 
 
 def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str]) -> list[Path]:
-    """Photos by name, those of a folder before those within; what cannot be read is appended."""
+    """Photos by name, those of a folder before its subfolders'; appends to errors and skipped."""
 
     def unreadable(error: OSError) -> None:
         errors.append(InputError(f"{error.filename} must be a folder that can be read. "
@@ -96,7 +95,7 @@ def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str
 
     photos, before = [], len(errors)
     for place, folders, files in os.walk(folder, onerror=unreadable):
-        # Files are looked at by `os`: Path raises where a folder may be listed but not entered.
+        # Files are tested by `os`: Path raises if a folder may be listed but not entered.
         for path in sorted(Path(place, name) for name in files):
             if path.name.startswith("."):
                 skipped["hidden"] += 1

@@ -21,17 +21,17 @@ Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Detector:
-    """Landmarks of all faces in photos, by one program.
+    """A program that finds the landmarks of all faces in a photo.
 
     Attributes:
-        scheme: Of the landmarks.
-        open: Called with the file of the user's model, or None; returns what gives of an RGB photo
-            `(H, W, 3)` the landmarks `(n, L, 2)` of its faces in pixels, x right and y down, the
-            largest face first; and their scores `(n,)`, 0 to 1, NaN where the detector has none
-            and finds upright faces only. InputError says how the detector is installed.
-        is_installed: Loads nothing.
-        licence: Of its landmark model.
-        commercial: Whether that may be used commercially.
+        scheme: Scheme of its landmarks.
+        open: Takes the user's model file, or None, and returns a function. From an RGB photo
+            `(H, W, 3)` that gives the landmarks `(n, L, 2)` of its faces in pixels, x right and y
+            down, the largest face first; and scores `(n,)`, 0 to 1, NaN if the detector has none
+            and finds upright faces only. If it is not installed, an InputError says how to.
+        is_installed: Whether it is installed; loads nothing.
+        licence: Licence of its landmark model.
+        commercial: Whether that allows commercial use.
     """
 
     scheme: str
@@ -42,7 +42,7 @@ class Detector:
 
 
 def default_detector() -> str:
-    """The first that is installed, or the first of all where none is."""
+    """The first detector that is installed, or the first of all if none is."""
     return next((name for name, row in DETECTORS.items() if row.is_installed()), [*DETECTORS][0])
 
 
@@ -56,12 +56,12 @@ def describe_detector(name: str, landmarker: str | None) -> dict[str, str]:
 def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
     """Landmarks of a detector, moved to where iBUG 300-W has them.
 
-    By the mean offset, in `landmarks/detectors.csv`, in the axes of the upright face.
+    They move by the mean offset in `landmarks/detectors.csv`, in the axes of the upright face.
 
     Args:
         landmarks: `(n, L, 2)` pixels, x right and y down, or NaN.
         detector: One of `DETECTORS`.
-        scheme: Of the landmarks; those of a scheme that is not in the table stay.
+        scheme: Scheme of the landmarks; without a row in the table they do not move.
     """
     rows = _measured(detector, scheme)
     return landmarks if rows is None else move(landmarks, scheme, rows[:, :2])
@@ -74,11 +74,11 @@ def move(landmarks: np.ndarray, scheme: str, offsets: np.ndarray) -> np.ndarray:
 
 
 def upright_axes(landmarks: np.ndarray, scheme: str) -> tuple[np.ndarray, np.ndarray]:
-    """Where an upright face has x right and y down, and how large it is.
+    """Axes and size of each face.
 
     Args:
         landmarks: `(n, L, 2)` as for `to_ibug`.
-        scheme: Of the landmarks.
+        scheme: Scheme of the landmarks.
 
     Returns:
         `(n, 2, 2)` unit vectors, the first from the subject's right to the left, the second from

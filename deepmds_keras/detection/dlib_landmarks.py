@@ -19,8 +19,8 @@ from deepmds_keras.detection.photos import check_photo
 from deepmds_keras.errors import InputError, brief, needs
 
 N_LANDMARKS = 68
-# What the detector needs grows with the image: at 64 million pixels 3.5 s and 1.1 GB, and four
-# times as much where the image is doubled.
+# Time and memory of the detector grow with the image: 3.5 s and 1.1 GB at 64 million pixels, four
+# times as much if the image is doubled.
 SEARCHED_PIXELS = 6_000_000
 _FILE = "shape_predictor_68_face_landmarks.dat"
 _PACKAGE = "face_recognition_models"
@@ -31,9 +31,9 @@ def find_shape_predictor() -> Path:
     """The 68-landmark model, in the package face_recognition_models or of Debian's libdlib-data.
 
     Raises:
-        InputError: There is neither.
+        InputError: Neither is installed.
     """
-    # Found but not imported: on import it asks for pkg_resources, which setuptools has dropped.
+    # Located without importing: the package imports pkg_resources, which setuptools has dropped.
     spec = find_spec(_PACKAGE)
     folders = [Path(place) / "models" for place in spec.submodule_search_locations] if spec else []
     for folder in (*folders, _DEBIAN_FOLDER):
@@ -47,7 +47,7 @@ def find_shape_predictor() -> Path:
 
 @cache
 def shared_detector() -> DlibLandmarks:
-    """One for each process: its model is large."""
+    """The dlib detector of this process: its model is large."""
     return DlibLandmarks()
 
 
@@ -72,17 +72,17 @@ class DlibLandmarks:
     def detect_all(self, image: np.ndarray) -> np.ndarray:
         """Landmarks of every face, the largest first.
 
-        Faces of some 80 pixels and more are looked for first; only where there is none, the image
-        is doubled, which finds those of half that size. An image of more than 6 million pixels
-        is made smaller for the search; the landmarks are placed in the image itself.
+        Faces of about 80 pixels and more are searched for first. If there is none, the image is
+        doubled, which finds those of half that size. An image of more than 6 million pixels is
+        reduced for the search; the landmarks are then located in the original.
 
         Args:
             image: `(H, W, 3)` uint8 RGB.
 
         Returns:
             `(n, 68, 2)` float64 pixels, x right and y down, in iBUG's order; n may be 0. dlib
-            names a pixel by its index, and rounds to it; half is added, so that the middle of the
-            first pixel is (0.5, 0.5) and the left upper corner of the image (0, 0).
+            rounds to indices of pixels; 0.5 is added, so that the middle of the first pixel is
+            (0.5, 0.5) and the upper left corner of the image (0, 0).
 
         Raises:
             InputError: Not such an image.
@@ -91,7 +91,7 @@ class DlibLandmarks:
         scale = math.sqrt(SEARCHED_PIXELS / (image.shape[0] * image.shape[1]))
         if scale >= 1:
             boxes = self._find_faces(image, 0) or self._find_faces(image, 1)
-        else:  # to make the image smaller and then double it would lose what is in it
+        else:  # reducing the image and then doubling it would lose detail
             boxes = self._boxes(image, scale) or self._boxes(image, min(2 * scale, 1.0))
         faces = [
             [(point.x, point.y) for point in self._predict(image, box).parts()]
@@ -100,7 +100,7 @@ class DlibLandmarks:
         return np.array(faces, float).reshape(-1, N_LANDMARKS, 2) + 0.5
 
     def _boxes(self, image: np.ndarray, scale: float):
-        """Rectangles about the faces of an image that is searched at another scale."""
+        """Rectangles around the faces of an image that is searched at another scale."""
         size = tuple(round(scale * side) for side in image.shape[1::-1])
         small = Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)
         x, y = np.divide(image.shape[1::-1], size)

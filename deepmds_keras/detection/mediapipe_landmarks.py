@@ -1,7 +1,7 @@
 """FaceMesh's 468 points of faces in images, by MediaPipe, and the 51 landmarks of them.
 
 FaceMesh (Kartynnik et al. 2019, arXiv:1907.06724) comes with MediaPipe up to 0.10.21; later
-releases bring no model, and take a face landmarker from a file of the user's (`.task`).
+releases contain no model and need a face landmarker file (`.task`) from the user.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _HOW_TO = (
     "from the repository, pip install '.[mediapipe]', for Python 3.11 and 3.12 on x86-64 and "
     "macOS; a later MediaPipe takes a model by --landmarker FILE; or take --detector dlib"
 )
-_LOCK = RLock()  # of two threads the second would take the silence for stderr, and keep it
+_LOCK = RLock()  # a second thread would take the silenced stderr for the real one, and keep it
 
 
 @cache
 def shared_detector() -> MediaPipeLandmarks:
-    """One by FaceMesh for each process: it takes a while to start."""
+    """The FaceMesh detector of this process: it takes a while to start."""
     return MediaPipeLandmarks()
 
 
@@ -44,11 +44,11 @@ class MediaPipeLandmarks:
 
     Args:
         landmarker: File of a face landmarker (`.task`), for a MediaPipe later than 0.10.21; None
-            takes the FaceMesh that 0.10.21 brings.
-        max_faces: Of one image.
+            uses the FaceMesh in 0.10.21.
+        max_faces: Maximum number of faces per image.
 
     Raises:
-        InputError: No such MediaPipe is installed, or the file is no such model.
+        InputError: No such MediaPipe is installed, or the file is not such a model.
     """
 
     def __init__(self, landmarker: str | Path | None = None, *, max_faces: int = 20):
@@ -60,26 +60,26 @@ class MediaPipeLandmarks:
         self._lock, self._has_found = Lock(), False
 
     def detect_all(self, image: np.ndarray) -> np.ndarray:
-        """Points of every face, the first of what `detect_scored` gives."""
+        """Points of every face, without the scores of `detect_scored`."""
         return self.detect_scored(image)[0]
 
     def detect_scored(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points of every face, the largest first, and how much each looks like a face.
+        """Points of every face, the largest first, and the detector's scores.
 
         Args:
             image: `(H, W, 3)` uint8 RGB.
 
         Returns:
-            `(n, 468, 3)` float32 pixels, x right and y down from the left upper corner, z of the
-            same scale and growing towards the viewer; n may be 0. `(n,)`: above 0.9 for most
-            upright faces, and less where the image lies on its side or is upside down; NaN of a
-            landmarker, which does not tell.
+            `(n, 468, 3)` float32 pixels, x right and y down from the upper left corner, z in the
+            same scale and growing towards the viewer; n may be 0. `(n,)` scores: above 0.9 for
+            most upright faces, and less if the image lies on its side or is upside down; NaN for
+            a landmarker, which gives none.
 
         Raises:
             InputError: Not such an image.
         """
         image = np.ascontiguousarray(check_photo(image))
-        # What the library logs it logs until it has found a face.
+        # The library logs only until it has found a face.
         with self._lock, nullcontext() if self._has_found else _silenced():
             faces, scores = self._find(image)
         self._has_found |= len(faces) > 0
@@ -106,7 +106,8 @@ def landmarks51(points: np.ndarray, which: str = "corrected") -> np.ndarray:
 
     Args:
         points: `(n, 468, 3)` as from `detect`.
-        which: `"corrected"`, or `"authors"`: their published list, whose left brow is off by one.
+        which: `"corrected"`, or `"authors"` for their published list, whose left brow is off by
+            one.
 
     Returns:
         `(n, 51, 3)` pixels: x right, y up (from the upper edge, so negative inside the image),
@@ -120,12 +121,12 @@ def landmarks51(points: np.ndarray, which: str = "corrected") -> np.ndarray:
 
 
 def has_face_mesh() -> bool:
-    """Whether a MediaPipe is installed that brings FaceMesh; loads nothing."""
+    """Whether a MediaPipe that contains FaceMesh is installed; loads nothing."""
     return _face_mesh_file() is not None
 
 
 class _FaceMesh:
-    """The model that MediaPipe 0.10.21 brings, as a function of one image."""
+    """The model in MediaPipe 0.10.21, as a function of one image."""
 
     def __init__(self, max_faces: int):
         file = _face_mesh_file()
@@ -152,16 +153,16 @@ class _FaceMesh:
             {
                 "num_faces": make.create_int(max_faces),
                 "with_attention": make.create_bool(False),
-                # Else the search for a face would begin where the last image had one.
+                # Otherwise the search for a face would begin where the last image had one.
                 "use_prev_landmarks": make.create_bool(False),
             }
         )
         self._graph.wait_until_idle()  # until its threads have loaded the models
 
     def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`(n, 468, 3)`: x, z in shares of the width, y of the height, z smaller when nearer.
+        """`(n, 468, 3)`: x, z in units of the width, y of the height, z smaller when nearer.
 
-        And `(n,)` scores: of each face that of the nearest box of a face.
+        Also `(n,)` scores: each face takes that of the nearest detected box.
         """
         mp = self._mp
         frame = mp.packet_creator.create_image_frame(image, image_format=mp.ImageFormat.SRGB)
@@ -184,9 +185,9 @@ class _FaceMesh:
 
 
 class _FaceLandmarker:
-    """The model in a file of the user's, by a MediaPipe that has the task API.
+    """The model in the user's file, by a MediaPipe that has the task API.
 
-    It must be let go of before the interpreter ends, or MediaPipe complains then.
+    It must be released before the interpreter ends, or MediaPipe prints an error.
     """
 
     def __init__(self, path: str | Path, max_faces: int):
@@ -212,7 +213,7 @@ class _FaceLandmarker:
         self._path, self._image = path, lambda data: mp.Image(mp.ImageFormat.SRGB, data)
 
     def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `_FaceMesh`, without the points of the irises; scores are NaN."""
+        """As for `_FaceMesh`, without the points of the irises; scores are NaN."""
         faces = _points(self._model.detect(self._image(image)).face_landmarks)
         if faces.shape[1] < N_POINTS:
             raise _no_landmarker(self._path, f"{faces.shape[1]} points a face")
@@ -245,11 +246,11 @@ def _no_landmarker(path: str | Path, received: str) -> InputError:
 
 @contextmanager
 def _bare_package() -> Iterator[None]:
-    """Lets parts of MediaPipe be imported without all of it.
+    """Allow parts of MediaPipe to be imported without all of it.
 
-    The file of the package itself imports OpenCV, matplotlib, and where they are installed
-    TensorFlow and JAX, of which FaceMesh needs nothing (0.2 s instead of 5 to 20 s, and no libGL).
-    Whoever imports MediaPipe later gets all of it, and the same compiled library.
+    The package's `__init__` imports OpenCV, matplotlib and, if installed, TensorFlow and JAX;
+    FaceMesh needs none of them (0.2 s instead of 5 to 20 s, and no libGL). A later import of
+    MediaPipe gets all of it, with the same compiled library.
     """
     if "mediapipe" in sys.modules:
         yield
@@ -265,7 +266,7 @@ def _bare_package() -> Iterator[None]:
 
 @contextmanager
 def _silenced() -> Iterator[None]:
-    """Nothing comes on stderr, where MediaPipe logs in spite of its settings; by turns."""
+    """Silence stderr, where MediaPipe logs in spite of its settings; threads take turns."""
     with _LOCK, open(os.devnull, "w") as nowhere, redirect_stderr(nowhere):
         kept = os.dup(2)
         os.dup2(nowhere.fileno(), 2)

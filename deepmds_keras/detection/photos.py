@@ -21,24 +21,24 @@ _MAX_BYTES = 1 << 29
 def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
     """A photo, in colour and upright.
 
-    A grey photo becomes one of three equal channels, transparency white, and the camera's note on
-    which way is up is followed.
+    A grey photo gets three equal channels, transparency becomes white, and the camera's
+    orientation tag is applied.
 
     Args:
-        source: File, its content, or an open binary file. Any kind that Pillow reads, but
-            PostScript, and HEIC where pillow-heif is installed; of several frames the first.
+        source: File, its content, or an open binary file. Any format that Pillow reads except
+            PostScript, and HEIC if pillow-heif is installed; the first of several frames.
 
     Returns:
         `(H, W, 3)` uint8, RGB.
 
     Raises:
-        InputError: The file is missing, damaged or no photo, has a side below 32 pixels or more
+        InputError: The file is missing, damaged or not a photo, has a side below 32 pixels or more
             than 256 million pixels, or is larger than 512 MiB.
     """
     name = source if isinstance(source, (str, os.PathLike)) else "image"
     before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS  # Pillow's limit is lower
     try:
-        with warnings.catch_warnings(action="ignore"):  # of what is above half its limit
+        with warnings.catch_warnings(action="ignore"):  # about images above half its limit
             content = _content(source)
             # By the content: telephones send HEIC files called `.jpg`.
             if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
@@ -72,7 +72,7 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:
-    """A photo as `open_photo` returns it.
+    """Check that a photo is as `open_photo` returns it.
 
     Raises:
         InputError: Not `(H, W, 3)` uint8, or without pixels.
@@ -88,7 +88,7 @@ def check_photo(photo: np.ndarray) -> np.ndarray:
 
 def in_colour(photo: Image.Image) -> Image.Image:
     """The photo as RGB; transparency becomes white."""
-    if photo.mode.startswith("I"):  # 16 bits a pixel, which Pillow would cut off at 255
+    if photo.mode.startswith("I"):  # 16 bits per pixel, which Pillow would clip at 255
         photo = Image.fromarray(np.uint8(np.asarray(photo, float).clip(0, 65535) / 257))
     if photo.has_transparency_data:
         photo = photo.convert("RGBA")

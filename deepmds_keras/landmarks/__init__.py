@@ -26,10 +26,10 @@ class LandmarkScheme:
             Everything below counts from 0 in this order instead.
         names: `L` unique anatomical names, or none; right and left are the subject's.
         groups: `L` names of facial parts, such as `right_brow` or `outer_mouth`, or none.
-        mirror: `(L,)` int, the landmark that the other half of the face has; its each inverse.
+        mirror: `(L,)` int, the landmark at the mirrored place; its own inverse.
         polylines: Lines that draw the face, each a tuple of landmarks.
-        ibug68: iBUG landmark number, 1-based, to the landmark that is the same point.
-        sizes: How many points a face may have: L, or some more that are left out.
+        ibug68: 1-based iBUG landmark number → the landmark at the same point.
+        sizes: Accepted numbers of points: L, or more, of which the rest is dropped.
     """
 
     name: str
@@ -48,7 +48,7 @@ class LandmarkScheme:
         """Return the 0-based index of a landmark.
 
         Raises:
-            InputError: None has that name.
+            InputError: No landmark has that name.
         """
         if name not in self.names:
             raise InputError(f"The scheme must have a landmark {name}. Received {self.name}.")
@@ -62,10 +62,10 @@ def load_schemes() -> dict[str, LandmarkScheme]:
 
 
 def load_scheme(name: str) -> LandmarkScheme:
-    """Return the scheme of a name.
+    """Return the scheme of that name.
 
     Raises:
-        InputError: There is none.
+        InputError: Unknown name.
     """
     schemes = load_schemes()
     if name not in schemes:
@@ -78,19 +78,19 @@ def convert(
 ) -> np.ndarray:
     """Landmarks in the order of another scheme.
 
-    Points are picked, never moved: coordinates, unit and axes stay those of the source. Points that
-    two schemes share are those of `ibug68` that both have, see `LandmarkScheme.ibug68`.
+    Points are selected, never moved: coordinates, unit and axes stay those of the source. Two
+    schemes share the points of `ibug68` that both have, see `LandmarkScheme.ibug68`.
 
     Args:
-        landmarks: `(n, L, d)` or `(L, d)`, `d` 2 or 3; `L` as `source` has it, or 478 points of
-            MediaPipe, whose last ten, of the irises, are left out.
-        source: Name of the scheme that the landmarks are in.
-        target: Name of the scheme that they are wanted in.
-        missing: What becomes of landmarks that the source lacks: `"raise"` refuses, `"nan"` gives
-            NaN.
+        landmarks: `(n, L, d)` or `(L, d)`, `d` 2 or 3; `L` as in `source`, or MediaPipe's 478
+            points, whose last ten, of the irises, are dropped.
+        source: Name of the scheme of the landmarks.
+        target: Name of the scheme to convert to.
+        missing: What to do about landmarks that the source lacks: `"raise"` an error, or fill in
+            `"nan"`.
 
     Returns:
-        `(n, M, d)` or `(M, d)` of floats, `M` as `target` has it.
+        `(n, M, d)` or `(M, d)` floats, `M` as in `target`.
 
     Raises:
         InputError: Unknown scheme or choice, landmarks of another shape, or the source lacks some
@@ -125,10 +125,10 @@ def convert(
 
 
 def scheme_of(n_landmarks: int) -> str:
-    """Return the name of the scheme that has so many landmarks, or takes so many.
+    """Return the name of the scheme with that number of landmarks.
 
     Raises:
-        InputError: None has.
+        InputError: There is none.
     """
     for name, scheme in load_schemes().items():
         if n_landmarks in scheme.sizes:
@@ -137,7 +137,7 @@ def scheme_of(n_landmarks: int) -> str:
 
 
 def face_sizes() -> tuple[int, ...]:
-    """Return the numbers of landmarks that a face may have, of any scheme, ascending."""
+    """Return the numbers of landmarks of all schemes, in ascending order."""
     return tuple(sorted({n for scheme in load_schemes().values() for n in scheme.sizes}))
 
 

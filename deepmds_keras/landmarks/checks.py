@@ -16,11 +16,11 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
 
     Args:
         points: `(n, L, d)`, or `(L, d)` for one face.
-        name: What to call the argument in an error.
+        name: Name of the argument in an error message.
         n_dimensions: `d`, 2 for views and 3 for shapes.
 
     Raises:
-        InputError: Wrong shape, or a face with one of `find_faults`.
+        InputError: Wrong shape, or a face with one of the faults of `find_faults`.
     """
     try:
         points = points if np.ma.isMaskedArray(points) else np.asarray(points)
@@ -45,11 +45,11 @@ def find_faults(points: np.ndarray) -> dict[int, str]:
     """Faces of `(n, L, d)` points from whose landmarks no shape can be estimated.
 
     Returns:
-        For each such face, 0-based, why: NaN or infinity, landmarks that all coincide or (in two
-        or more dimensions) lie on one line. Ascending.
+        Number of each such face, 0-based and ascending, → the reason: NaN or infinity, landmarks
+        that all coincide or (in two or more dimensions) lie on one line.
     """
     finite = np.isfinite(points).all((1, 2))
-    # In units of the largest coordinate, of which squares neither overflow nor vanish.
+    # In units of the largest coordinate, so that squares neither overflow nor vanish.
     points = np.where(finite[:, None, None], points, 0)
     size = np.abs(points).max((1, 2), keepdims=True)
     scaled = points / np.where(size > 0, size, 1)
@@ -69,7 +69,7 @@ def find_faults(points: np.ndarray) -> dict[int, str]:
 
 
 def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.ndarray:
-    """`check_points`; another number of landmarks raises InputError, too."""
+    """`check_points`, which also refuses another number of landmarks."""
     check_n_landmarks(n_landmarks)
     points = check_points(points, name, n_dimensions)
     if points.shape[1] != n_landmarks:
@@ -80,7 +80,7 @@ def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.nd
 
 
 def check_n_landmarks(n_landmarks: int) -> None:
-    """Raise InputError for what is no whole number of landmarks, or fewer than 3."""
+    """Raise InputError unless the number of landmarks is whole and at least 3."""
     if not isinstance(n_landmarks, Integral) or n_landmarks < 3:
         raise InputError(
             f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}."
@@ -91,7 +91,7 @@ def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:
     """Views `(n, L, 2)` and shapes `(n, L, 3)` of the same faces.
 
     Raises:
-        InputError: As `check_points`, or unequal numbers of faces or landmarks.
+        InputError: As for `check_points`, or unequal numbers of faces or landmarks.
     """
     views, shapes = check_points(views, "views", 2), check_points(shapes, "shapes", 3)
     if views.shape[:2] != shapes.shape[:2]:
@@ -117,8 +117,8 @@ def check_fitted(estimator: object, attribute: str, setters: str = "fit") -> Any
     """The attribute that `fit`, or another of `setters`, sets.
 
     Raises:
-        InputError: None of them was called. Where scikit-learn is installed, it is its
-            `NotFittedError` too.
+        InputError: None of them was called. If scikit-learn is installed, the error is also its
+            `NotFittedError`.
     """
     if not hasattr(estimator, attribute):
         raise _not_fitted_error()(

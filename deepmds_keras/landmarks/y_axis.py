@@ -34,28 +34,28 @@ _MIRRORED = (
 def check_y_axis(
     landmarks: np.ndarray, scheme: str, name: str, *, advice: str = _PASS_Y_UP
 ) -> dict[int, str]:
-    """Refuse landmarks most of whose faces stand on their heads or are mirrored.
+    """Refuse landmarks if most of the faces are upside down or mirrored.
 
     Then y grows upwards, or right and left are swapped. A batch is judged as a whole: single faces
-    may stand oddly. Eyes and mouth decide: the eyes are above the mouth, and whoever looks from the
-    mouth up to the eyes has the subject's right eye on his left. A face may lean by nearly 90
-    degrees. One in profile passes, whichever side it shows. One with a NaN is not judged.
+    may be oriented oddly. Eyes and mouth decide: the eyes must be above the mouth, and seen from
+    the mouth towards the eyes, the subject's right eye must be on the left. A face may lean by
+    nearly 90 degrees. Profiles pass, whichever side they show; faces with a NaN are not judged.
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
         scheme: Name of their scheme.
-        name: Of the file or argument, for the message.
-        advice: What to do where y grows upwards, for the message.
+        name: Name of the file or argument, for the message.
+        advice: What to do if y grows upwards, for the message.
 
     Returns:
-        The single faces that stand oddly, 0-based and ascending, each with what is wrong.
+        Number of each face with an odd orientation, 0-based and ascending, → what is wrong.
 
     Raises:
-        InputError: The landmarks are not of the scheme's shape, or most faces are not upright: the
-            message says in which of the three ways and what to do; of several it names the first.
+        InputError: The landmarks do not have the scheme's shape, or most faces are not upright. The
+            message says which of the three faults it is, how to mend it, and the first such face.
     """
     faces, across, down = _eyes_and_mouth(landmarks, scheme)
-    # The area that the two span is negative for a mirrored face, however it leans.
+    # The signed area that the two vectors span is negative for a mirrored face, however it leans.
     area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
     faults = {}
     for face in np.flatnonzero((down[:, 1] < 0) | (area < 0)).tolist():  # few, if any
@@ -74,13 +74,13 @@ def check_y_axis(
 
 
 def check_views(views: np.ndarray) -> None:
-    """As `check_y_axis`, of views whose y grows upwards; those of no known scheme pass.
+    """`check_y_axis` for views whose y grows upwards; views of an unknown scheme pass.
 
     Args:
         views: `(n, L, 2)`; faces with a NaN are not judged.
 
     Raises:
-        InputError: Of most faces y grows downwards, or they are mirrored or upside down.
+        InputError: y grows downwards, or most faces are mirrored or upside down.
     """
     if views.shape[1] not in face_sizes():
         return
@@ -94,7 +94,7 @@ def check_views(views: np.ndarray) -> None:
 
 
 def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
-    """How often each face must be turned by 90 degrees to the left, as `np.rot90` does, to stand.
+    """Number of quarter turns to the left, as `np.rot90` makes, that bring each face upright.
 
     Args:
         landmarks: `(n, L, 2)` as for `check_y_axis`.
@@ -104,7 +104,7 @@ def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
         `(n,)` int, -2 to 2: 0 for a face that leans by less than 45 degrees.
 
     Raises:
-        InputError: The landmarks are not of the scheme's shape.
+        InputError: The landmarks do not have the scheme's shape.
     """
     _, _, down = _eyes_and_mouth(landmarks, scheme)
     lean = np.arctan2(-down[:, 0], down[:, 1])
@@ -112,15 +112,15 @@ def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
 
 
 def eyes_to_mouth(landmarks: np.ndarray, scheme: str) -> np.ndarray:
-    """The ways from the middle of the eyes to that of the mouth, `(n, 2)`, of `(n, L, 2)`."""
+    """Vectors from the middle of the eyes to that of the mouth: `(n, L, 2)` → `(n, 2)`."""
     return _eyes_and_mouth(landmarks, scheme)[2]
 
 
 def _eyes_and_mouth(
     landmarks: np.ndarray, scheme: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Landmarks with those parts, and the ways from the right eye to the left, and to the mouth."""
-    # In the latter a part may be unknown: NaN.
+    """Checked landmarks, and the vectors from the right eye to the left, and to the mouth."""
+    # A part may be unknown: then the vectors are NaN.
     judged = scheme if {*_PARTS} <= {*load_scheme(scheme).groups} else "ibug51"
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
@@ -130,7 +130,7 @@ def _eyes_and_mouth(
 
 @cache
 def _middles(scheme: str) -> np.ndarray:
-    """`(3, L)`: times landmarks it gives the middles of the parts."""
+    """`(3, L)`: multiplied by landmarks it gives the middles of the three parts."""
     groups = np.array(load_scheme(scheme).groups)
     members = np.array([groups == part for part in _PARTS], float)
     return members / members.sum(1, keepdims=True)

@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Precision of the prior on turn (3), log scale, perspective and shift (2); that on the perspective
-# is about 0, the others keep what landmarks leave open where it is.
+# Precision of the prior on rotation (3), log scale, perspective and shift (2). That of the
+# perspective pulls it to 0; the others only fix what the landmarks leave open.
 _CAMERA_PRECISION = np.float32([1, 1, 1, 1, 4, 1, 1])
 _PERSPECTIVE = 4
 _MOST_PERSPECTIVE = 1.0
-_LEAST_DISTANCE = 0.4  # of a landmark from a perspective camera, the face's being 1
+_LEAST_DISTANCE = 0.4  # of a landmark from a perspective camera, relative to the face's
 _LONGEST_STEP = 0.5  # of the log scale
 _RIDGE = 1e-4
 _TINY = 1e-12
 
 
 class Camera(NamedTuple):
-    """Sees a landmark `S`, at `P = rotation S`, at `scale P_xy / (1 - perspective P_z) + shift`."""
+    """Projects `S`, with `P = rotation S`, to `scale P_xy / (1 - perspective P_z) + shift`."""
 
     rotation: Any  # (n, 3, 3)
     scale: Any  # (n, 1)
@@ -31,19 +31,19 @@ class Camera(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """A shape as a camera sees it, and the derivatives, all in standard deviations of the noise."""
+    """A projected shape and its derivatives, all in standard deviations of the noise."""
 
-    posed: Any  # (n, 3, L): the shape as it is turned
-    near: Any  # (n, 1, L): one over the distance from the camera
-    certainty: Any  # (n, 1, L): one over the standard deviation, 0 for what is not seen
+    posed: Any  # (n, 3, L): the rotated shape
+    near: Any  # (n, 1, L): inverse distance from the camera
+    certainty: Any  # (n, 1, L): inverse standard deviation, 0 for missing landmarks
     seen: Any  # (n, 2, L): the image
     residual: Any  # (n, 2 L): view less image
-    along: Any  # (n, 1, L): by what is moved in the image plane
-    across: Any  # (n, 2, L): by what is moved towards the viewer
+    along: Any  # (n, 1, L): derivative by motion in the image plane
+    across: Any  # (n, 2, L): derivative by motion towards the viewer
 
 
 def starting_camera(xp, views, visible, mean) -> Camera:
-    """The scaled orthographic camera nearest to the affine one that sees the mean shape best."""
+    """The scaled orthographic camera nearest to the best affine one for the mean shape."""
     homogeneous = xp.concatenate([mean, xp.ones_like(mean[:1])], 0)
     weighted = visible[:, None] * homogeneous
     scatter = weighted @ xp.transpose(homogeneous) + _RIDGE * np.eye(4, dtype=np.float32)
@@ -60,7 +60,7 @@ def starting_camera(xp, views, visible, mean) -> Camera:
 
 
 def look(xp, camera: Camera, shapes, views, visible, variance) -> Sight:
-    """See a shape; `variance` `(n, L)` is that of the noise of a coordinate."""
+    """Project a shape; `variance` `(n, L)` is that of the noise of a coordinate."""
     posed = camera.rotation @ shapes
     perspective = camera.perspective[:, :, None]
     near = 1 / xp.maximum(1 - perspective * posed[:, 2:], _LEAST_DISTANCE)
@@ -73,13 +73,13 @@ def look(xp, camera: Camera, shapes, views, visible, variance) -> Sight:
 
 
 def project(xp, camera: Camera, sight: Sight, offsets):
-    """Offsets of the landmarks as they are seen: `(n, 3 L)` → `(n, 2 L)`."""
+    """Project offsets of the landmarks: `(n, 3 L)` → `(n, 2 L)`."""
     moved = camera.rotation @ xp.reshape(offsets, (-1, *sight.posed.shape[1:]))
     return _flat(xp, sight.along * moved[:, :2] + sight.across * moved[:, 2:])
 
 
 def back_project(xp, camera: Camera, sight: Sight, shifts):
-    """Do the transpose of `project`: `(n, 2 L)` → `(n, 3 L)`."""
+    """Apply the transpose of `project`: `(n, 2 L)` → `(n, 3 L)`."""
     shifts = xp.reshape(shifts, (-1, *sight.across.shape[1:]))
     depth = sight.across[:, :1] * shifts[:, :1] + sight.across[:, 1:] * shifts[:, 1:]
     moved = xp.concatenate([sight.along * shifts, depth], 1)
@@ -87,15 +87,15 @@ def back_project(xp, camera: Camera, sight: Sight, shifts):
 
 
 def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: int):
-    """Step to the code and camera of the highest posterior, the image taken for linear in both.
+    """Step to the code and camera of highest posterior, with the image linearised in both.
 
-    The code is standard normal. The seven parameters of the camera are eliminated exactly, the
-    code is found by conjugate gradients, which begin with what the view tells most about.
+    The code is standard normal. The seven parameters of the camera are eliminated exactly; the
+    code is solved for by conjugate gradients, which first fit what the view determines best.
 
     Args:
         basis: `(r, 3 L)` offsets of the landmarks for a coefficient of 1.
-        code: `(n, r)` coefficients that the shape seen has.
-        n_iterations: Of the conjugate gradients.
+        code: `(n, r)` coefficients of the projected shape.
+        n_iterations: Number of conjugate gradient iterations.
 
     Returns:
         The new code and camera.
@@ -108,7 +108,7 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
     transposed = xp.transpose(basis)
 
     def to_code(shifts, change):
-        """Tell the code what is left of shifts when the camera has changed."""
+        """Gradient for the code of the shifts that a change of the camera leaves."""
         left = shifts - (change[:, None] @ jacobian)[:, 0]
         return back_project(xp, camera, sight, left) @ transposed
 
@@ -124,8 +124,8 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
         step = step + length * direction
         change = change - length * matched
         if not last:
-            # What is left is at right angles to what was left before; in float32 it does not stay
-            # so by itself, and the code then depends on the order of sums.
+            # Residuals are orthogonal to earlier ones; in float32 they do not stay so by
+            # themselves, and the code would depend on the order of sums.
             earlier.append(left / xp.sqrt(size + _TINY))
             known = xp.stack(earlier, 1)
             left = left - length * image
@@ -136,10 +136,10 @@ def posterior_step(xp, camera: Camera, sight: Sight, basis, code, n_iterations: 
 
 
 def _camera_rows(xp, sight: Sight):
-    """Motion of the image with turn, log scale, perspective and shift, and the one wanted.
+    """Derivatives of the image by rotation, log scale, perspective and shift, and the residual.
 
     Returns:
-        `(n, 8, 2 L)`, of which the last row is the residual.
+        `(n, 8, 2 L)`; the last row is the residual.
     """
     x, y, depth = sight.posed[:, 0:1], sight.posed[:, 1:2], sight.posed[:, 2:3]
     nothing = 0 * depth
@@ -163,7 +163,7 @@ def _camera_rows(xp, sight: Sight):
 
 
 def _move(xp, camera: Camera, change) -> Camera:
-    """The camera after a step `(n, 7)`, of which the turn is Cayley's of half the vector."""
+    """The camera after a step `(n, 7)`; the rotation is the Cayley transform of half the vector."""
     half = change[:, :3] / 2
     x, y, z = half[:, 0:1], half[:, 1:2], half[:, 2:3]
     nothing = 0 * x

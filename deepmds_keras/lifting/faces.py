@@ -21,7 +21,7 @@ _FACES_OF_BASIS = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Views as `prepare_views` gives them, and the shapes seen: float32, landmarks last.
+    """Views as from `prepare_views`, and their true shapes: float32, landmarks last.
 
     Attributes:
         views: `(n, 2, L)` centred, of unit root mean square radius, 0 where not visible.
@@ -61,13 +61,13 @@ def read_faces(views, shapes, landmark_sd, n_landmarks: int) -> Faces:
 
 
 def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator) -> Faces:
-    """The faces with errors added to their landmarks, and some of these hidden.
+    """The faces with errors added to their landmarks, and some landmarks hidden.
 
     Args:
-        faces: Any number of them.
-        missing: Largest share that is hidden; each face gets one up to it, six landmarks stay.
-        noise: Largest standard deviation of the errors; each face gets one up to it.
-        rng: Source of the random numbers, of which as many are drawn whatever the other options.
+        faces: Any number of faces.
+        missing: Largest share to hide; each face draws a share up to it, and keeps six landmarks.
+        noise: Largest standard deviation of the errors; each face draws one up to it.
+        rng: Random generator; it draws the same amount whatever the other arguments.
     """
     n, n_landmarks = faces.visible.shape
     share = missing * rng.random((n, 1))
@@ -88,10 +88,10 @@ class Source(NamedTuple):
     """Where the faces of a training come from.
 
     Attributes:
-        shapes: `(n, 3, L)` of which the network begins with the principal components.
-        held_out: Faces to check the network on, disturbed as those in training.
-        block: From the number of a block and of faces to that many training faces.
-        number: Of the faces in memory, None where they are sampled.
+        shapes: `(n, 3, L)`, whose principal components initialise the network.
+        held_out: Faces to check the network on, disturbed like those in training.
+        block: Function of the number of a block and of faces that returns that many faces.
+        number: Number of faces in memory, None if they are sampled.
     """
 
     shapes: np.ndarray
@@ -101,7 +101,7 @@ class Source(NamedTuple):
 
 
 def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source:
-    """Faces in memory, a tenth of them held out; a block has every one as often as any other."""
+    """Faces in memory, a tenth of them held out; training sees all others equally often."""
     order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
     n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
     # Of fewer than ten faces none can be spared.
@@ -121,7 +121,7 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
 def sampled_faces(
     sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int
 ) -> Source:
-    """Faces that a function samples, none of them twice."""
+    """Faces that a function samples; none is seen twice."""
 
     def draw(n, *stream):
         rng = np.random.default_rng([seed, *stream])

@@ -1,6 +1,6 @@
 """The lifting network as one estimator: views of a face in, its 3D landmarks out.
 
-To predict, NumPy is enough; `fit` imports Keras, and scikit-learn is imported by its callers only.
+Predicting needs NumPy alone; `fit` imports Keras, and scikit-learn is imported only by its users.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces
 from deepmds_keras.lifting.network import SIZES, UNIT, check_weights, initial_weights, lift
 from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
 
-# Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view: of
-# 51 or 72 landmarks about 1 % of the distance between the outer corners of the eyes.
+# Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view:
+# about 1 % of the distance between the outer corners of the eyes, for 51 or 72 landmarks.
 DEFAULT_SD = 0.025
 _CHUNK = 250  # faces at a time, whose arrays stay in the cache
 _SETTERS = "fit, load or pretrained"
-_SHIPPED = "lifting-"  # begins the names of the files of weights
+_SHIPPED = "lifting-"  # prefix of the files of shipped weights
 
 
 class Estimate(NamedTuple):
@@ -49,36 +49,36 @@ class Estimate(NamedTuple):
 class LandmarkLifter:
     """3D landmarks of a face from the 2D landmarks of one image, by a network that solves cameras.
 
-    The network is a fit of a face model that is learnt with it, unrolled: a few steps that solve
+    The network is an unrolled fit of a face model that is learnt with it: a few steps that solve
     for the camera and, by conjugate gradients, for the coefficients of the shape, then a learnt
-    correction. It stands in the line of cascaded regression (Xiong and De la Torre 2013,
-    doi:10.1109/CVPR.2013.75) and of optimisers that are learnt (Gregor and LeCun 2010; Song, Chen
-    and Hilliges 2020; for morphable models Choutas et al. 2021, arXiv:2111.14824). To turn a view
-    in its plane, scale or move it changes nothing; landmarks may be missing.
+    correction. It follows cascaded regression (Xiong and De la Torre 2013,
+    doi:10.1109/CVPR.2013.75) and learnt optimisers (Gregor and LeCun 2010; Song, Chen and Hilliges
+    2020; for morphable models Choutas et al. 2021, arXiv:2111.14824). The result is invariant to
+    rotating a view in its plane, scaling and moving it; landmarks may be missing.
 
     Args:
         n_landmarks: L, at least 6.
         size: `"small"` (at 72 landmarks fewer parameters than Deep-MDS) or `"large"`.
-        steps: Mini-batches to train for.
-        batch_size: Faces in a mini-batch.
-        learning_rate: Of Adam at the start; a cosine takes it to 0.
-        missing: Largest share of the landmarks that are hidden in training; for each face a share
-            up to it is drawn, then the landmarks.
-        noise: Largest standard deviation of errors that are added to the landmarks in training,
-            in units of the root mean square radius of the view; for each face one up to it is
-            drawn, and given to the network as input.
-        seed: Of weights, order of the faces, missing landmarks and noise.
+        steps: Number of mini-batches.
+        batch_size: Faces per mini-batch.
+        learning_rate: Adam's initial learning rate; it decays to 0 along a cosine.
+        missing: Largest share of landmarks hidden in training; each face draws a share up to it,
+            then the landmarks.
+        noise: Largest standard deviation of the errors added to the landmarks in training, in
+            units of the root mean square radius of the view; each face draws one up to it, which
+            the network gets as an input.
+        seed: Seed of weights, order of the faces, missing landmarks and noise.
 
     Attributes:
         weights_: Trained arrays by name.
-        default_sd_: What `predict` takes where it is not given a standard deviation, in units of
-            the root mean square radius: `DEFAULT_SD`, or the mean of training where that is less.
-        history_: Losses by block of 100 steps.
-        n_parameters: Trainable parameters, all of `weights_`.
+        default_sd_: Standard deviation that `predict` assumes if none is given, in units of the
+            root mean square radius: `DEFAULT_SD`, or the mean in training if that is less.
+        history_: Losses of each block of 100 steps.
+        n_parameters: Number of trainable parameters, all of `weights_`.
 
     Landmarks are in the order of a scheme, `load_scheme("ibug51").names` (docs/landmarks.md).
-    Weights that ship: `"ibug51"`, `"ibug68"` and `"bfm72"`. scikit-learn's `clone`, `Pipeline`,
-    `cross_val_score` and `GridSearchCV` take it as theirs.
+    Weights ship for `"ibug51"`, `"ibug68"` and `"bfm72"`. It works with scikit-learn's `clone`,
+    `Pipeline`, `cross_val_score` and `GridSearchCV`.
 
     Examples:
         >>> from deepmds_keras import LandmarkLifter
@@ -122,18 +122,18 @@ class LandmarkLifter:
         progress: Callable[[dict], object] | None = None,
         checkpoint: str | Path | None = None,
     ) -> LandmarkLifter:
-        """Train on faces that are given, or that are sampled as they are needed.
+        """Train on given faces, or on faces that a function samples.
 
         Args:
             views: `(n, L, 2)` landmarks in the image, y up, any scale and place, NaN where one is
                 missing; or a function of a number of faces and a `numpy.random.Generator` that
-                returns views, shapes and `landmark_sd`, as they would be given here.
+                returns views, shapes and `landmark_sd` as described here.
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale. A tenth of the faces,
                 at most 1,000, is held out, and the weights that do best on them are kept.
             landmark_sd: Standard deviation of the errors that the landmarks already have, in the
-                unit of the views, as for `predict`; None for exact ones.
+                unit of the views, as for `predict`; None if they are exact.
             progress: Called after every 100 steps with the losses.
-            checkpoint: File to go on from after a stop, and to write after every 100 steps.
+            checkpoint: File to resume from, written after every 100 steps.
 
         Raises:
             InputError: Wrong number of landmarks, unequal numbers of faces, infinity, a face with
@@ -205,12 +205,12 @@ class LandmarkLifter:
                 landmark with a coordinate that is NaN is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
                 views: one number, one for each face `(n,)` or for each landmark `(n, L)`. None
-                takes `default_sd_`, which suits good landmarks; 0 is for exact ones.
+                assumes `default_sd_`, which suits good landmarks; use 0 for exact ones.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing, whatever `views`
                 has there.
-            return_std: Whether to return standard deviations, too.
+            return_std: Whether to return standard deviations too.
             check_orientation: Whether to refuse a batch, in a known landmark scheme, most of which
-                is upside down or mirrored. Single faces that stand oddly are estimated.
+                is upside down or mirrored. Single faces of odd orientation are estimated.
 
         Returns:
             `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
@@ -219,9 +219,8 @@ class LandmarkLifter:
             standard deviations of the errors, where the mean of the true landmarks is 0.
 
         Raises:
-            InputError: Another number of landmarks, infinity, or not six visible landmarks that
-                are not on one line; `visible` or `landmark_sd` of another shape; wrong
-                orientation.
+            InputError: Another number of landmarks, infinity, fewer than six visible landmarks or
+                all on one line; `visible` or `landmark_sd` of another shape; wrong orientation.
         """
         seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         if check_orientation:
@@ -236,7 +235,7 @@ class LandmarkLifter:
         landmark_sd: float | np.ndarray | None = None,
         visible: np.ndarray | None = None,
     ) -> HeadPose:
-        """The cameras that see the faces, as the last step solved for them.
+        """The cameras of the views, as solved for in the last step.
 
         Args:
             views, landmark_sd, visible: As for `predict`.
@@ -253,7 +252,7 @@ class LandmarkLifter:
         landmark_sd: float | np.ndarray | None = None,
         visible: np.ndarray | None = None,
     ) -> Estimate:
-        """Shapes, standard deviations and cameras in one pass, however the faces stand.
+        """Shapes, standard deviations and cameras in one pass; orientation is not checked.
 
         Args:
             views, landmark_sd, visible: As for `predict`.
@@ -268,13 +267,13 @@ class LandmarkLifter:
         return sum(array.size for array in check_fitted(self, "weights_", _SETTERS).values())
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
-        """How good predictions are, as `metrics.explained_share` of them and true shapes."""
+        """`metrics.explained_share` of the predicted and the true shapes."""
         from deepmds_keras.metrics import explained_share  # SciPy is slow to import
 
         return explained_share(self.predict(views), shapes)
 
     def save(self, path: str | Path) -> None:
-        """Write parameters and weights into one `.npz` file, complete or not at all."""
+        """Write parameters and weights to one `.npz` file, whole or not at all."""
         arrays = check_fitted(self, "weights_", _SETTERS)
         described = {
             "parameters": self.get_params(),

@@ -1,4 +1,4 @@
-"""The lifting network: its weights, and what comes out of it."""
+"""The lifting network: its weights and its output."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from deepmds_keras.weights import Stream
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
 _N_STATE = 8  # inputs of the hidden units besides the code
 _LEAST_VARIANCE = 1e-8
-# At most one in eight views in training has less. The learnt correction knows nothing far below;
-# from a view that the basis meets exactly, as that of the mean face, it would go astray.
+# At most one in eight training views lies below. The learnt correction would extrapolate far below
+# it, and go astray on a view that the basis fits exactly, such as that of the mean face.
 _LEAST_MISFIT = 0.15
-_FIRST_FLOOR = -4.0  # log standard deviation that exact landmarks are taken to have at first
+_FIRST_FLOOR = -4.0  # initial log standard deviation of exact landmarks
 
 
 class Size(NamedTuple):
     """Size of a network.
 
     Attributes:
-        rank: Coefficients of the code.
-        hidden: Units that correct the code.
-        spread: Units that predict the standard deviation.
-        iterations: Of the conjugate gradients, in each of the steps.
+        rank: Number of coefficients of the code.
+        hidden: Number of units that correct the code.
+        spread: Number of units that predict the standard deviation.
+        iterations: Conjugate gradient iterations of each step.
     """
 
     rank: int
@@ -52,12 +52,12 @@ class Lift(NamedTuple):
 
 
 def initial_weights(shapes: np.ndarray, size: Size, seed: int) -> dict[str, np.ndarray]:
-    """Weights by which the network is a fit of the principal components of the shapes.
+    """Weights that make the network a fit of the shapes' principal components.
 
     Args:
         shapes: `(n, 3, L)` centred shapes.
-        size: Of the network; of small sets of faces the rank is less.
-        seed: Of the kernels.
+        size: Size of the network; small sets of faces have a lower rank.
+        seed: Seed of the kernels.
     """
     n, _, n_landmarks = shapes.shape
     flat = shapes.reshape(n, -1).astype(float)
@@ -85,7 +85,7 @@ def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) 
     """Check that weights are of a network of this size.
 
     Raises:
-        ValueError: One is missing, not of finite numbers, or of another shape.
+        ValueError: One is missing, not finite, or of another shape.
     """
     rank = len(weights["basis"])
     needed = _shapes(n_landmarks, rank, size)
@@ -120,7 +120,7 @@ def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x)
     Args:
         xp: NumPy or `keras.ops`.
         weights: Arrays as from `initial_weights`.
-        iterations: Of a `Size`.
+        iterations: As in `Size`.
         views: `(n, 2, L)` centred views of unit root mean square radius, 0 where not visible.
         visible: `(n, L)` 1 or 0.
         sd: `(n, L)` standard deviation of the errors of a coordinate, in the unit of the views.
@@ -163,7 +163,7 @@ def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x)
     state = xp.concatenate(state, 1)
     hidden = state @ weights["hidden_kernel"] + weights["hidden_bias"]
     code = code + hidden / (1 + xp.exp(-hidden)) @ weights["code_kernel"]
-    # What the basis does not span: every coordinate of a landmark is taken to be off by itself.
+    # What the basis does not span: each coordinate has an independent error.
     trusted = back_project(xp, camera, sight, sight.residual)
     shapes = with_code() + rest * xp.reshape(trusted, (-1, 3, n_landmarks))
     spread = stop_gradient(state) @ weights["spread_hidden_kernel"]

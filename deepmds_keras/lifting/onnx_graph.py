@@ -1,4 +1,4 @@
-"""Graphs of programs on arrays that take `xp`: what they do becomes nodes, as ONNX has them."""
+"""Traces array programs that take `xp` into graphs of ONNX nodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ELEMENTWISE = {
 
 
 class Node(NamedTuple):
-    """Operator of ONNX, the names of its inputs and output, and its attributes."""
+    """An ONNX operator, the names of its inputs and output, and its attributes."""
 
     kind: str
     inputs: list[str]
@@ -25,10 +25,10 @@ class Node(NamedTuple):
 
 
 class Graph:
-    """The nodes and constants of a graph, as they are traced.
+    """The nodes and constants traced so far.
 
     Attributes:
-        nodes: In the order of the computation.
+        nodes: Nodes in the order of the computation.
         constants: Arrays by name.
     """
 
@@ -38,7 +38,7 @@ class Graph:
         self._names: dict[tuple, str] = {}
 
     def input(self, name: str, shape: tuple[int, ...], kind: str = "f") -> Tensor:
-        """Make an input with a batch of any size before `shape`; `kind` as NumPy has it."""
+        """Add an input with a batch axis of any size before `shape`; `kind` is NumPy's."""
         return Tensor(self, name, np.ones((2, *shape), kind))
 
     def add(self, kind: str, example: np.ndarray, *inputs, **attributes) -> Tensor:
@@ -50,7 +50,7 @@ class Graph:
     def _name(self, value) -> str:
         if isinstance(value, Tensor):
             return value.name
-        # Lists are axes and sizes; all else is of the arithmetic.
+        # Lists are axes and sizes; everything else takes part in the arithmetic.
         value = np.asarray(value, np.int64 if isinstance(value, list) else np.float32)
         name = self._names.setdefault(
             (value.dtype, value.shape, value.tobytes()), f"c{len(self.constants)}"
@@ -70,7 +70,7 @@ def _operator(kind: str, function: Callable, swapped: bool = False) -> Callable:
 
 
 class Tensor:
-    """An array whose numbers are not known yet, which does what NumPy's would do."""
+    """An array with unknown values that supports NumPy's operations."""
 
     __array_ufunc__ = None  # so that NumPy leaves `array @ tensor` to the tensor
 
@@ -117,7 +117,7 @@ def _example(value):
 
 
 class Tracer:
-    """The part of NumPy's functions that is used, for tensors; what is known is computed."""
+    """The NumPy functions in use, for tensors; known values are computed at once."""
 
     def __getattr__(self, name):
         function = getattr(np, name)
@@ -166,8 +166,7 @@ class Tracer:
     def inv(self, a: Tensor) -> Tensor:
         """Invert symmetric positive definite matrices `(n, k, k)` by Gauss-Jordan elimination.
 
-        ONNX has no inverse. Scaled to a diagonal of ones no pivot exceeds one, and none must be
-        looked for.
+        ONNX has no inverse. With the diagonal scaled to ones, pivoting is not needed.
         """
         eye = np.eye(a.shape[-1], dtype=np.float32)
         scale = 1 / self.sqrt(self.sum(a * eye, 2, keepdims=True))

@@ -1,4 +1,4 @@
-"""Training of the lifting network, block by block, so that a stopped run goes on where it was."""
+"""Training of the lifting network in blocks, so that an interrupted run can resume."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Recipe:
     """Adam with a cosine schedule on clipped gradients.
 
     Attributes:
-        steps: Mini-batches in all.
-        batch_size: Faces in a mini-batch.
-        learning_rate: At the start.
+        steps: Total number of mini-batches.
+        batch_size: Faces per mini-batch.
+        learning_rate: Initial learning rate.
     """
 
     steps: int
@@ -38,7 +38,7 @@ class Recipe:
 
     @property
     def blocks(self) -> list[int]:
-        """Number of steps of each block."""
+        """Number of steps in each block."""
         whole, left = divmod(self.steps, STEPS_PER_BLOCK)
         return [STEPS_PER_BLOCK] * whole + [left] * (left > 0)
 
@@ -54,21 +54,21 @@ def train_lifting_net(
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, list[float]]]:
-    """Train, and keep the weights that were best on faces held out.
+    """Train, and keep the weights that are best on held-out faces.
 
     Args:
         initial: Weights as from `initial_weights`.
-        iterations: Of the `Size`.
+        iterations: As in `Size`.
         faces_of_block: From the number of a block and of faces to that many training faces, which
             depend on the numbers alone.
         held_out: Faces that the network is checked on after each block.
         recipe: Steps, batch size and learning rate.
         label: What else identifies the run; the checkpoint of another run is refused.
-        checkpoint, progress: As for `train_by_epoch`, of which an epoch is a block here.
+        checkpoint, progress: As for `train_by_epoch`; a block counts as an epoch.
 
     Returns:
-        The best weights, and by block the loss `train` while the weights changed and the mean
-        squared error `inference` on the faces held out, in the unit of `normalise` squared.
+        The best weights and, by block, the loss `train` during training and the mean squared error
+        `inference` on the held-out faces, in the unit of `normalise` squared.
 
     Raises:
         InputError: The checkpoint is of another run, or damaged.
@@ -101,21 +101,21 @@ def train_lifting_net(
 
 
 def error_of(weights, iterations, faces: Faces) -> float:
-    """Mean squared error of the shapes, as they are used: by NumPy."""
+    """Mean squared error of the shapes, computed by NumPy as in use."""
     shapes = lift(np, weights, iterations, faces.views, faces.visible, faces.sd).shapes
     return float(np.mean((shapes - faces.shapes) ** 2))
 
 
 class Lifting(layers.Layer):
-    """Views, what of them is visible and the landmarks' errors in, shapes and their spread out.
+    """From views, visibility and the landmarks' errors to shapes and standard deviations.
 
     Args:
         initial: Weights as from `initial_weights`.
-        iterations: Of a `Size`.
+        iterations: As in `Size`.
 
     Attributes:
         arrays: The weights by name.
-        best: Those that were best so far, and `least_error`, their error: not trained, but part of
+        best: The best weights so far, with `least_error`, their error: not trained, but part of
             every checkpoint.
     """
 
@@ -144,7 +144,7 @@ class Lifting(layers.Layer):
 def build_lifting_net(initial: dict[str, np.ndarray], iterations: tuple[int, ...]) -> keras.Model:
     """Uncompiled model from views `(n, 2, L)`, visible and sd `(n, L)` to `(n, 6, L)`.
 
-    The output is that of `lift`, shapes over logarithms of standard deviations.
+    The output is that of `lift`: shapes, then logarithms of standard deviations.
     """
     n_landmarks = initial["mean"].shape[1]
     shapes = {"views": (2, n_landmarks), "visible": (n_landmarks,), "sd": (n_landmarks,)}
@@ -154,9 +154,9 @@ def build_lifting_net(initial: dict[str, np.ndarray], iterations: tuple[int, ...
 
 
 def lifting_loss(truth, output):
-    """Squared error of the shapes, and likelihood of it under the predicted spread.
+    """Squared error of the shapes, and its likelihood under the predicted standard deviations.
 
-    The likelihood sees the error as given, so that spread is learnt and no shape is changed by it.
+    The likelihood takes the error as constant, so that it trains the standard deviations only.
     """
     error = output[:, :3] - truth
     log_sd = output[:, 3:]

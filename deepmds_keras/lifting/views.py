@@ -1,4 +1,4 @@
-"""Views of faces as the lifting network takes them."""
+"""Prepares views of faces for the lifting network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from deepmds_keras.errors import InputError
 
 LEAST_VISIBLE = 6
-_FLAT = 1e-6  # variance across a line as a share of all: less is rounding
+_FLAT = 1e-6  # variance across a line relative to the whole: less is rounding
 
 
 class Views(NamedTuple):
@@ -28,19 +28,19 @@ class Views(NamedTuple):
 
 
 def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> Views:
-    """Check views, tell what is missing, centre and scale what is visible.
+    """Check views, mark what is missing, centre and scale what is visible.
 
     Args:
         points: `(n, L, 2)` or `(L, 2)`, NaN where a landmark is missing.
         n_landmarks: L.
         visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
         landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the points:
-            one number, one for each face `(n,)`, or one for each landmark `(n, L)`; None where it
-            is not known.
+            one number, one for each face `(n,)`, or one for each landmark `(n, L)`; None if
+            unknown.
 
     Raises:
         InputError: Another number of landmarks, infinity, an unusable `visible` or `landmark_sd`,
-            or not six visible landmarks that are not on one line.
+            fewer than six visible landmarks, or all of them on one line.
     """
     points = _check_points(points, n_landmarks)
     known = np.ones(points[:, 0].shape, bool)
@@ -80,7 +80,7 @@ def standardise(points, visible):
         visible: `(n, L)`.
 
     Returns:
-        `(n, 2, L)` views of unit root mean square radius, 0 where not visible, their centres
+        `(n, 2, L)` views of unit root mean square radius, 0 where not visible; their centres
         `(n, 2)` and radii `(n, 1)` in the unit of the points.
     """
     seen = visible[:, None]
@@ -88,7 +88,7 @@ def standardise(points, visible):
     middle = (points @ np.swapaxes(seen, 1, 2))[:, :, 0] / counts
     centred = (points - middle[:, :, None]) * seen
     largest = np.abs(centred).max((1, 2), keepdims=True)
-    centred /= np.where(largest > 0, largest, 1)  # squares then neither overflow nor vanish
+    centred /= np.where(largest > 0, largest, 1)  # so that squares neither overflow nor vanish
     flat = centred.reshape(len(centred), 1, -1)
     relative = np.sqrt((flat @ np.swapaxes(flat, 1, 2)) / counts[:, :, None])
     centred /= np.where(relative > 0, relative, 1)

@@ -1,4 +1,4 @@
-"""Landmarks of every face in photos and videos, in the order that the model takes."""
+"""Landmarks of every face in photos and videos, in the order of the model's scheme."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from deepmds_keras.predict.faces import Detections, FrameRef, name_faces
 from deepmds_keras.predict.models import target_scheme
 from deepmds_keras.predict.videos import Video
 
-_TURNS = (0, 1, 3, 2)  # quarters to the left; of what is equally good the first is taken
+_TURNS = (0, 1, 3, 2)  # quarter turns to the left, in order of preference
 # MediaPipe's score is 0.90 to 0.96 for upright photos, and at most 0.88 for the same photos turned.
 _SURE = 0.9
-# Mean distance of the landmarks beyond which it is another face, in larger sides of their box. A
-# head that moves fast comes to 0.2 from frame to frame; heads side by side are 1.2 and more apart.
+# Mean distance of the landmarks beyond which it is another face, relative to the larger side of
+# their box. A fast head moves by 0.2 per frame; heads side by side are 1.2 and more apart.
 _FAR = 0.75
 _PATIENCE = 1.0  # seconds for which a face may be lost
-# At a cut to another scene the picture changes by so much of its range, and so many times as much
-# as in the frames about it. A face that moves by less than this there is still the same: a flash.
+# At a cut to another scene the picture changes by this part of its range, and this many times as
+# much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
-_CUT_GRID, _CUT_FRAMES = 48, 5  # pixels a side that are compared; frames to either side
+_CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
 
 
 def open_detector(detector: str, landmarker: str | None) -> Find:
-    """A detector of `DETECTORS`, opened once in a process; InputError says what it lacks."""
+    """A detector of `DETECTORS`, opened once per process; InputError says what is missing."""
     return _opened(DETECTORS[detector].open, landmarker)
 
 
@@ -48,11 +48,11 @@ def no_face(source: Path, detector: str, where: str) -> InputError:
 def find_upright(photo: np.ndarray, find: Find) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a photo `(H, W, 3)` uint8 RGB, which may lie on its side.
 
-    A photo in which there is none for sure is turned by quarters: one without the camera's note on
-    which way is up. dlib finds no face then, MediaPipe often a wrong one.
+    If no face is certain, quarter turns are tried: the photo may lack the camera's orientation tag.
+    On such a photo dlib finds no face, and MediaPipe often a wrong one.
 
     Returns:
-        `(n, L, 2)` pixels of the photo as it is, from left to right, and scores `(n,)`.
+        `(n, L, 2)` pixels of the original photo, from left to right, and scores `(n,)`.
     """
     tries = []
     for n in _TURNS:
@@ -83,11 +83,11 @@ def find_in_photo(
 
     Args:
         photo: `(H, W, 3)` uint8 RGB.
-        source: Its file; None of what is in memory.
-        name: Of its results.
+        source: Its file; None for a photo in memory.
+        name: Name of its results.
         detector: One of `DETECTORS`.
-        landmarker: What its `open` takes.
-        model: That will take the landmarks, as for `target_scheme`.
+        landmarker: Model file for its `open`, or None.
+        model: Model that will take the landmarks, as for `target_scheme`.
 
     Raises:
         InputError: The detector cannot be used, or there is no such model.
@@ -117,15 +117,15 @@ def find_in_video(
     smooth: float = 0,
     jobs: int = 1,
 ) -> Detections:
-    """Landmarks of the faces in a video, by frame and then by track; memory holds a few frames.
+    """Landmarks of the faces in a video, by frame and then by track, with few frames in memory.
 
     Args:
         source: The video.
-        name: Of its results.
+        name: Name of its results.
         detector, landmarker, model: As for `find_in_photo`.
-        every: 1 looks at every frame, 2 at every other.
-        smooth: Standard deviation in looked-at frames of the smoothing over time.
-        jobs: Processes.
+        every: 1 uses every frame, 2 every other.
+        smooth: Standard deviation of the smoothing over time, in used frames.
+        jobs: Number of processes.
 
     Raises:
         InputError: It cannot be read, or no frame has a face.
@@ -135,7 +135,7 @@ def find_in_video(
     target = target_scheme(scheme, model)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
     find = delayed(_points_in)
-    # Frames are sent to the processes, not left for them in files.
+    # Frames are sent to the processes through memory, not files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
         while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
             found = parallel(find(frame.image, detector, landmarker) for frame in batch)
@@ -164,7 +164,10 @@ def find_in_video(
 
 
 def find_cuts(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """Frames `(n,)` bool at which a video cuts to another scene, of pictures all of one shape."""
+    """Whether a video cuts to another scene at each of its frames, `(n,)` bool.
+
+    All pictures have the same shape.
+    """
     changes = [np.abs(a - b).mean() / 255 for a, b in zip(pictures, pictures[1:], strict=False)]
     changes = np.array([0.0, *changes])
     cuts = changes > _CUT
@@ -177,22 +180,21 @@ def find_cuts(pictures: Sequence[np.ndarray]) -> np.ndarray:
 def follow_faces(
     faces: Sequence[np.ndarray], times: Sequence[float], cuts: Sequence[bool]
 ) -> list[np.ndarray]:
-    """Number the tracks of the faces: one for each face, as long as it is where it was.
+    """Assign the faces of all frames to tracks, one for each person in view.
 
-    Of all pairings of the tracks with the faces of a frame the one is taken that moves the
-    landmarks least (linear assignment). A track is given up after a second without its face, or
-    after the next frame where that is later; who comes back then has another. At a cut all are
-    given up but those whose face hardly moves.
+    Tracks and faces of a frame are paired so that the landmarks move least (linear assignment). A
+    track ends after a second without its face, or after the next frame if that is later; a person
+    who returns then gets another. At a cut all tracks end but those whose face hardly moves.
 
     Args:
-        faces: Of each frame `(n, L, 2)` landmarks, n from 0.
-        times: Of each frame, in seconds, growing.
-        cuts: Of each frame, whether another scene begins with it.
+        faces: Landmarks `(n, L, 2)` of each frame; n may be 0.
+        times: Time of each frame in seconds, increasing.
+        cuts: Whether another scene begins, for each frame.
 
     Returns:
-        Of each frame `(n,)` int, the tracks of its faces, numbered from 1 as they appear.
+        For each frame the tracks of its faces, `(n,)` int, numbered from 1 as they appear.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to load, and photos do without
+    from scipy.optimize import linear_sum_assignment  # slow to load, and not needed for photos
 
     tracks, n_tracks, known, before = [], 0, {}, -np.inf
     for here, time, cut in zip(faces, times, cuts, strict=True):
@@ -223,16 +225,16 @@ def smooth_over_time(
     tracks: np.ndarray | None = None,
     step: int = 1,
 ) -> np.ndarray:
-    """Landmarks smoothed by a Gaussian over each run of frames without a gap, one face at a time.
+    """Smooth the landmarks of each face by a Gaussian over every run of frames without a gap.
 
-    At the ends of a run its first and last landmarks are taken to go on.
+    A run is extended at both ends by its first and last landmarks.
 
     Args:
         landmarks: `(n, L, d)`, a row for each face in each frame.
         frames: `(n,)` int, the frame of each row, in any order.
         deviation: Standard deviation in rows; 0 changes nothing.
-        tracks: `(n,)` int, which face each row is of; None: all are of one.
-        step: From one frame to the next; where more lies between two, there is a gap.
+        tracks: `(n,)` int, the face of each row; None if all show one face.
+        step: Distance from one frame to the next; a larger one is a gap.
 
     Returns:
         `(n, L, d)` float, in the order of the rows given.
@@ -240,7 +242,7 @@ def smooth_over_time(
     smooth = np.array(landmarks, float)
     if not deviation or not len(smooth):
         return smooth
-    from scipy.ndimage import gaussian_filter1d  # slow to load, and seldom asked for
+    from scipy.ndimage import gaussian_filter1d  # slow to load, and rarely needed
 
     tracks = np.zeros(len(smooth), int) if tracks is None else tracks
     order = np.lexsort((frames, tracks))
@@ -251,24 +253,24 @@ def smooth_over_time(
 
 
 def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
-    """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme, in any process."""
+    """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
     return open_detector(detector, landmarker)(image)[0]
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """`(n, m)` mean distances of landmarks, in mean sizes of the two faces."""
+    """`(n, m)` mean distances of landmarks, relative to the mean size of the two faces."""
     apart = np.linalg.norm(first[:, None] - second, axis=-1).mean(-1)
     sizes = [np.ptp(faces, axis=1).max(-1) for faces in (first, second)]
     return 2 * apart / (sizes[0][:, None] + sizes[1])
 
 
 def _sampled(image: np.ndarray) -> np.ndarray:
-    """`(48, 48, 3)` of an image's pixels."""
+    """A sample of an image's pixels, `(48, 48, 3)`."""
     rows, columns = (np.linspace(0, side - 1, _CUT_GRID).astype(int) for side in image.shape[:2])
     return np.float32(image[np.ix_(rows, columns)])
 
 
 @cache
 def _opened(open_, landmarker: str | None) -> Find:
-    """Once in a process: a landmarker takes a while to load."""
+    """Open a detector once per process: a landmarker takes a while to load."""
     return open_(landmarker)

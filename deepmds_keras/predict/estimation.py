@@ -1,4 +1,4 @@
-"""From landmarks of faces to their shapes: the model, the scale, and what to note of each face."""
+"""From landmarks of faces to their shapes: the model, the scale, and notes on single faces."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from deepmds_keras.landmarks.y_axis import quarter_turns
 from deepmds_keras.predict.faces import Detections, Face
 from deepmds_keras.predict.models import Model, load_model, name_for
 
-_POSE_ERROR = 5  # degrees, root mean square, of the poses of heads
-# A landmark is misplaced if it lies this many times farther from where the shape has it than the
-# median of the face's landmarks, and by this part of the face's size; distances count the less, the
-# more the detector errs at that landmark.
+_POSE_ERROR = 5  # root mean square error of head poses, degrees
+# A landmark is misplaced if its distance from the projected shape is this many times the median of
+# the face's landmarks, and this part of the face's size. Distances are weighted by the accuracy of
+# the detector at that landmark.
 _ASTRAY, _ASTRAY_SIZE = 4, 0.05
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 
@@ -32,20 +32,20 @@ def estimate(
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> list[Face]:
-    """The shapes of all faces of a source; gaps stay gaps.
+    """Estimate the shapes of all faces of a source; gaps stay gaps.
 
     Args:
-        detections: Their landmarks, at least one face that is no gap.
-        model: One of `FAMILIES`, whose weights for the scheme are taken; the name of shipped
+        detections: Their landmarks, with at least one face that is not a gap.
+        model: One of `FAMILIES`, which uses the weights for the scheme; the name of shipped
             weights; or a file that `LandmarkLifter.save` or `DeepMDS.save` wrote. None is
             `DEFAULT`.
         interocular: Millimetres between the outer corners of the eyes; None leaves the shapes in
             the unit of `normalise`.
-        jobs: Processes for the embedding of the paper's method.
+        jobs: Number of processes for the embedding of the paper's method.
         progress: Called with the number of faces just done.
 
     Raises:
-        InputError: The model cannot be read or takes other landmarks, or `interocular` is not
+        InputError: The model cannot be read or needs other landmarks, or `interocular` is not
             positive and finite.
     """
     check_interocular(interocular)
@@ -63,7 +63,7 @@ def estimate(
     sd = _landmark_sd(detections, seen, views)
     progress = progress or (lambda n: None)
     turns = _turns(quarters)
-    # 0 of what is not turned, whose digits then stay.
+    # 0 for faces that are not rotated, whose digits stay as they are.
     middle = np.nanmean(views, axis=1, keepdims=True) * (quarters != 0)[:, None, None]
     upright = (views - middle) @ np.swapaxes(turns, 1, 2) + middle
     shapes, std, poses = chosen.predict(upright, sd, jobs, progress)
@@ -106,13 +106,13 @@ def estimate(
 
 
 def check_interocular(interocular: float | None) -> None:
-    """Raise InputError at what is neither None nor positive and finite."""
+    """Raise InputError unless it is None, or positive and finite."""
     if interocular is not None and not 0 < interocular < np.inf:
         raise InputError(f"interocular must be millimetres, above 0. Received {interocular}.")
 
 
 def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) -> np.ndarray | None:
-    """`(n, L)` s.d. of the errors of the landmarks, in their unit: given, or measured."""
+    """`(n, L)` s.d. of the landmarks' errors, in their unit: as given, or as measured."""
     if detections.landmark_sd is not None:
         sd = np.asarray(detections.landmark_sd, float)
         return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
@@ -124,7 +124,7 @@ def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) ->
 
 
 def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> HeadPose:
-    """Cameras that see as these see after turns about a middle `(n, 1, 2)`."""
+    """The cameras of views that were rotated by quarters about their middle `(n, 1, 2)`."""
     rotation = poses.rotation.copy()
     rotation[:, :2] = np.swapaxes(turns, 1, 2) @ rotation[:, :2]
     translation = (poses.translation[:, None] - middle) @ turns + middle
@@ -132,13 +132,13 @@ def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> Head
 
 
 def _turns(quarters: np.ndarray) -> np.ndarray:
-    """`(n, 2, 2)`, to be multiplied from the left: so many quarters to the left."""
+    """Rotations by quarters to the left, `(n, 2, 2)`, multiplied from the left."""
     cosines, sines = np.rint(np.cos(quarters * np.pi / 2)), np.rint(np.sin(quarters * np.pi / 2))
     return np.array([[cosines, -sines], [sines, cosines]]).transpose(2, 0, 1)
 
 
 def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -> dict[int, str]:
-    """Notes on faces with landmarks far from where the shape has them, `off` `(n, L)` sizes."""
+    """Notes on faces with landmarks far from the projected shape; `off` is relative to its size."""
     sd = np.ones_like(off) if sd is None else sd + 1e-12  # which may all be 0
     weighted = off * sd.mean(1, keepdims=True) / sd
     whole = not np.isnan(weighted).any()  # as nearly always; NumPy's nanmedian is slow
@@ -159,7 +159,7 @@ def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -
 
 def _notes(poses: HeadPose, quarters: np.ndarray, model: Model) -> list[list[str]]:
     angles = {name: getattr(poses, name) for name in ("yaw", "pitch", "roll")}
-    # Of the face that was turned.
+    # The face may have been rotated.
     upright = angles | {"roll": (angles["roll"] + 90 * quarters + 180) % 360 - 180}
     notes = []
     for i, residual in enumerate(poses.residual):

@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 class FaceLifter:
     """Photos, videos and landmarks to 3D faces; detector and weights are loaded once.
 
-    It may be called from several threads: they take turns at the detector and at the model.
+    Several threads may use it; they take turns at the detector and at the model.
 
     Args:
-        detector: `"mediapipe"` or `"dlib"`; None takes the first that is installed.
+        detector: `"mediapipe"` or `"dlib"`; None uses the first that is installed.
         landmarker: File of a face landmarker (`.task`) for a MediaPipe later than 0.10.21.
-        model: `"lifting"` (None takes it), `"deepmds"`, the paper's method, or a file of
-            `LandmarkLifter.save` or `DeepMDS.save`.
+        model: `"lifting"` (the default), `"deepmds"`, the paper's method, or a file that
+            `LandmarkLifter.save` or `DeepMDS.save` wrote.
         interocular: Millimetres between the outer corners of the eyes, which sets the scale.
 
     Raises:
-        InputError: There is no such detector, or `interocular` is not positive and finite.
+        InputError: Unknown detector, or `interocular` is not positive and finite.
 
     Examples:
         >>> lifter = FaceLifter(interocular=90)
@@ -76,15 +76,15 @@ class FaceLifter:
         """3D landmarks of the faces in a photo.
 
         Args:
-            image: A file, its content, an open binary file, an image of Pillow, or an array
-                `(H, W, 3)` uint8 in the order RGB (OpenCV's is BGR: `image[..., ::-1]`).
+            image: A file, its content, an open binary file, a Pillow image, or an array
+                `(H, W, 3)` uint8 in RGB order (OpenCV's is BGR: `image[..., ::-1]`).
 
         Returns:
-            The faces from left to right, as `Face` describes them; none if none is found.
+            The faces from left to right; an empty list if there is none.
 
         Raises:
-            InputError: The photo cannot be read, the detector is not installed, or there is no
-                such model.
+            InputError: The photo cannot be read, the detector is not installed, or the model does
+                not exist.
         """
         image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
@@ -109,20 +109,20 @@ class FaceLifter:
         Args:
             points: `(n, L, 2)` or `(L, 2)`, x to the right and y down, as in an image; 51 or 68 of
                 iBUG, the paper's 72, or 468 or 478 of MediaPipe. A landmark that is NaN or masked
-                is missing; a face of which all are comes out as a gap.
-            scheme: Name of the landmark scheme; None tells it by L.
+                is missing; a face without any landmark gives a gap.
+            scheme: Name of the landmark scheme; None infers it from L.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                points: one number, `(n,)` or `(n, L)`; None takes 2.5 % of their
-                r.m.s. radius, about 1 % of the distance between the outer corners of the eyes.
+                points: one number, `(n,)` or `(n, L)`; None assumes 2.5 % of their r.m.s. radius,
+                about 1 % of the distance between the outer corners of the eyes.
 
         Returns:
-            A face for each row. One that seems to be upside down or mirrored among others that
-            are not has a note.
+            A face for each row. One that seems upside down or mirrored, unlike most others, gets
+            a note.
 
         Raises:
-            InputError: Not such landmarks; most faces are upside down or mirrored; a face has
-                fewer than six landmarks, or all on one line; or no such model.
+            InputError: Landmarks of another shape; most faces are upside down or mirrored; a face
+                has fewer than six landmarks, or all on one line; or an unknown model.
         """
         points = _check_points(points)
         n, size = points.shape[:2]
@@ -159,17 +159,16 @@ class FaceLifter:
     def predict_video(
         self, path: str | Path, every: int = 1, smooth: float = 0
     ) -> Iterator[tuple[Frame, list[Face]]]:
-        """3D landmarks of the faces in a video, which is looked at as a whole first.
+        """3D landmarks of the faces in a video; the whole video is analysed first.
 
         Args:
-            path: Any kind of file that FFmpeg reads.
-            every: 1 looks at every frame, 2 at every other, and so on.
-            smooth: Standard deviation, in these frames, of the smoothing of the landmarks over
-                time; 0 is none.
+            path: Any file that FFmpeg reads.
+            every: 1 uses every frame, 2 every other, and so on.
+            smooth: Standard deviation of the smoothing over time, in used frames; 0 is none.
 
         Yields:
             Each frame, with its index, time and image `(H, W, 3)` uint8 RGB; and its faces, each
-            with `frame_ref.track`, the number that a person keeps.
+            with `frame_ref.track`, the same number for a person in all frames.
 
         Raises:
             InputError: PyAV is missing, the video cannot be read, no frame has a face, or
@@ -208,7 +207,7 @@ def predict_photo(
     """3D landmarks of the faces in a photo: `FaceLifter.predict`, whose options are the same.
 
     Args:
-        photo: A file, its content, an image of Pillow, or an array `(H, W, 3)` uint8, RGB.
+        photo: A file, its content, a Pillow image, or an array `(H, W, 3)` uint8, RGB.
         detector, model, interocular: As for `FaceLifter`.
     """
     return FaceLifter(detector, model=model, interocular=interocular).predict(photo)
@@ -227,7 +226,7 @@ def predict_landmarks(
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x right and y down.
-        scheme, visible, landmark_sd: As there.
+        scheme, visible, landmark_sd: As in the method.
         model, interocular: As for `FaceLifter`.
     """
     lifter = FaceLifter(model=model, interocular=interocular)
@@ -235,7 +234,7 @@ def predict_landmarks(
 
 
 def _check_points(points) -> np.ndarray:
-    """`(n, L, 2)` floats, NaN where they are masked."""
+    """`(n, L, 2)` floats, NaN where the input is masked."""
     try:
         masked = isinstance(points, np.ma.MaskedArray)
         points = points.astype(float).filled(np.nan) if masked else np.asarray(points)
@@ -252,7 +251,7 @@ def _check_points(points) -> np.ndarray:
 
 
 def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:
-    """What is given for all landmarks, or for those of each face."""
+    """Broadcast a value for all landmarks, for each face, or for each landmark."""
     value = np.asarray(value)
     try:
         return np.broadcast_to(value.astype(dtype, casting="safe"), shape)
@@ -264,7 +263,7 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
 
 
 def _check_faces(landmarks: np.ndarray) -> None:
-    """Refuse faces from which no shape can be estimated; those without any landmark are gaps."""
+    """Refuse faces from which no shape can be estimated, except gaps: no landmark at all."""
     if len(landmarks) and np.isnan(landmarks).all():
         raise InputError("landmarks must not all be missing. Received nothing but NaN.")
     for face, fault in find_unusable(landmarks).items():

@@ -35,19 +35,19 @@ class Detections:
     """Landmarks of the faces of one source.
 
     Attributes:
-        source: The photo, video or file of landmarks; None of what is in memory.
-        names: Of the faces.
-        scheme: Of the landmarks.
-        landmarks: `(n, L, 2)`, x right and y down; a landmark that is NaN is missing, and a face
-            of which all are is a gap.
+        source: The photo, video or file of landmarks; None for input in memory.
+        names: Names of the faces.
+        scheme: Scheme of the landmarks.
+        landmarks: `(n, L, 2)`, x right and y down. A NaN landmark is missing; a face without any
+            landmark is a gap.
         is_photo: Whether the source is a photo.
-        faults: Of gaps that are faces which cannot be used, 0-based, why.
+        faults: Number of each gap that is an unusable face, 0-based, → the reason.
         detector: Name and licence of the detector, or None: the landmarks were given.
-        frame_refs: Of the faces of a video; None of other sources.
-        scores: Of the detector, 0 to 1, or None where it has none.
-        notes: Of faces, 0-based, what a reader must know of them.
+        frame_refs: Where in the video each face is; None for other sources.
+        scores: The detector's scores, 0 to 1, or None if it has none.
+        notes: Number of a face, 0-based, → what a reader must know about it.
         landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
-            landmarks: one number, `(n,)` or `(n, L)`; None where it is not known.
+            landmarks: one number, `(n,)` or `(n, L)`; None if unknown.
     """
 
     source: Path | None
@@ -67,26 +67,26 @@ class Detections:
 class Face:
     """One face of one photo, of one frame of a video, or of one row of landmarks.
 
-    All is NaN of a gap.
+    All numbers of a gap are NaN.
 
     Attributes:
-        name: Unique among the faces of a run; begins the names of its files.
-        source: The photo, the video, or the file of landmarks; None of what is in memory.
-        photo: The photo, or None of other sources.
+        name: Unique among the faces of a run; the names of its files begin with it.
+        source: The photo, the video, or the file of landmarks; None for input in memory.
+        photo: The photo, or None for other sources.
         scheme: Name of the landmark scheme.
-        landmarks: `(L, 2)` pixels of the photo or frame, or whatever the file counts in; x right,
-            y down; NaN where a landmark is missing.
+        landmarks: `(L, 2)` in pixels of the photo or frame, or in the unit of the file; x right, y
+            down; NaN where a landmark is missing.
         xyz: `(L, 3)` from the front: +x to the subject's left, +y up, +z out of the face.
-        unit: Of `xyz` and `std`: `"mm"`, or `"normalised"`: the range of all coordinates of a face
-            together in the frames of the face models of training, see `normalise`. The largest
-            extent of a face is about 0.8 with 51 landmarks, 0.67 with the others.
-        pose: The camera that sees the shape where the landmarks are.
-        notes: What a reader must know of this face, such as a pose beyond those of training.
+        unit: Unit of `xyz` and `std`: `"mm"`, or `"normalised"`: the range of all coordinates of a
+            face together, in the frames of the face models of training, see `normalise`. A face
+            then measures about 0.8 with 51 landmarks, 0.67 with the others.
+        pose: The camera that projects the shape onto the landmarks.
+        notes: What a reader must know about this face, such as a pose beyond those of training.
         detector: Name and licence of the detector, or None: the landmarks were given.
-        frame_ref: Where in the video it is seen; None of other sources.
-        std: `(L, 3)` standard deviations of the errors of `xyz`, in its unit, or None: the model
-            does not know them.
-        score: Of the detector, 0 to 1, or None where it has none.
+        frame_ref: Where in the video it is seen; None for other sources.
+        std: `(L, 3)` standard deviations of the errors of `xyz`, in its unit, or None if the model
+            does not estimate them.
+        score: The detector's score, 0 to 1, or None if it has none.
     """
 
     name: str
@@ -118,10 +118,10 @@ class Face:
 
     @property
     def landmarks_3d(self) -> np.ndarray:
-        """`(L, 3)`: the landmarks as they lie in the image, and how far they are in front.
+        """`(L, 3)`: the landmarks in the image, with depth.
 
-        z is in pixels, as x and y, grows towards the viewer and is 0 at the shape's origin. A
-        missing landmark is where the shape has it.
+        z is in pixels, like x and y, grows towards the viewer and is 0 at the shape's origin. A
+        missing landmark lies where the shape projects to.
         """
         depth = self.pose.scale * self.xyz @ self.pose.rotation[2]
         seen = np.where(np.isnan(self.landmarks), self.seen_shape, self.landmarks)
@@ -129,12 +129,12 @@ class Face:
 
     @property
     def seen_shape(self) -> np.ndarray:
-        """Where the landmarks of the shape are seen, turned as the head is: `(L, 2)`, y down."""
+        """The landmarks of the shape, projected into the image: `(L, 2)`, y down."""
         return self.pose.project(self.xyz) * (1, -1)
 
     @property
     def residuals(self) -> np.ndarray:
-        """`(L,)` pixels between each landmark and where the shape has it; NaN of missing ones."""
+        """`(L,)` distances in pixels of the landmarks from the projected shape; NaN if missing."""
         return np.linalg.norm(self.seen_shape - self.landmarks, axis=1)
 
     @property
@@ -153,17 +153,17 @@ class Face:
 
     @property
     def is_gap(self) -> bool:
-        """Whether it stands for a row without a face, or with one that cannot be used."""
+        """Whether it stands for a row without a face, or for a face that cannot be used."""
         return math.isnan(self.xyz[0, 0])
 
     def gap(self, name: str, notes: tuple[str, ...]) -> Face:
-        """A gap among faces of which this is one."""
+        """A gap in the same source as this face."""
         pose = replace(self.pose, **_nan(vars(self.pose)))
         return replace(self, **_nan(vars(self)), name=name, pose=pose, notes=notes)
 
 
 def name_faces(name: str, n: int) -> list[str]:
-    """Names of the n faces of one source: its own, or with numbers from 1 if there are several."""
+    """Names of the n faces of one source: the source's, numbered from 1 if there are several."""
     if n == 1:
         return [name]
     return [f"{name}-{i:0{len(str(n))}d}" for i in range(1, n + 1)]

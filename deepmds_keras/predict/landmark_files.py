@@ -17,52 +17,52 @@ from deepmds_keras.landmarks import face_sizes, load_scheme, said_sizes
 from deepmds_keras.landmarks.checks import find_faults
 from deepmds_keras.lifting.views import LEAST_VISIBLE
 
-_FRACTION = 2  # at most, of the width or height of an image; a face may reach beyond it
-_TOO_LARGE = 1e9  # no image is, and the squares of far greater numbers overflow
+_FRACTION = 2  # largest fraction of the width or height of an image; a face may reach beyond it
+_TOO_LARGE = 1e9  # for any image; squares of far larger numbers overflow
 _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
 SUFFIXES = tuple(_MAX_BYTES)
 _KEYS = ("faces", "landmarks", "faceLandmarks")  # the last is MediaPipe's in JavaScript
-_MATLAB_ORIGIN = 0.5  # whose first pixel has its middle at (1, 1), ours at (0.5, 0.5)
-# Columns of one landmark a row; x and y of our own output are those of the 3D shape.
+_MATLAB_ORIGIN = 0.5  # MATLAB's first pixel has its middle at (1, 1), ours at (0.5, 0.5)
+# Columns with one landmark per row; x and y in our own output are those of the 3D shape.
 _PAIRS = (("image_x", "image_y"), ("x", "y"))
 _EMPTY = ("", "nan", "null", "none")  # cells of a gap
-_SHOWN = 80  # letters of what is in a file
+_SHOWN = 80  # quoted characters of a file's content
 
 
 def read_landmarks(
     path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """2D landmarks of one or more faces, all with the same L, one of `face_sizes`.
+    """Read 2D landmarks of one or more faces, all with the same L, one of `face_sizes`.
 
-    x and y must be in the same unit, or be fractions of the width and of the height, as MediaPipe's
-    are. A third coordinate is ignored.
+    x and y must be in the same unit, or fractions of the width and of the height, as MediaPipe
+    gives them. A third coordinate is ignored.
 
     - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)` or `(n, L, 3)`.
-    - `.csv`, with commas and a header; lines of comments (`#`) may come first. One landmark a row:
-      columns `image_x` and `image_y`, as `deepmds predict` writes them, or `x` and `y`; of several
-      faces a column `face`; a column `number` must count up. Other columns are ignored.
+    - `.csv`, with commas and a header; comments (`#`) may come first. One landmark per row:
+      columns `image_x` and `image_y`, as `deepmds predict` writes them, or `x` and `y`; several
+      faces need a column `face`; a column `number` must count up. Other columns are ignored.
     - `.pts` (iBUG 300-W), one face, in MATLAB's pixels: 0.5 is subtracted.
-    - `.json`: a list of `[x, y]` or, as MediaPipe has it, of `{"x": …, "y": …}`; a list of such
+    - `.json`: a list of `[x, y]` or, like MediaPipe's, of `{"x": …, "y": …}`; a list of such
       faces; `{"landmarks": …}`, `{"faceLandmarks": …}` or `{"faces": [{"landmarks": …}, …]}`, as
       `deepmds predict` writes it.
 
-    NaN, empty cells and null are missing landmarks; a face of which all are is a gap. Nothing in
-    the file is executed.
+    NaN, empty cells and null are missing landmarks; a face without any landmark is a gap. Nothing
+    in the file is executed.
 
     Args:
-        path: The file; its suffix tells the format.
-        y_up: y grows upwards in the file; it comes back negated.
-        image_size: Width and height of the image, of which x and y are fractions in the file.
+        path: The file; its suffix gives the format.
+        y_up: Whether y grows upwards in the file; it is returned negated.
+        image_size: Width and height of the image if x and y are fractions of them.
 
     Returns:
         `(n, L, 2)` float64, x right, y down, in the unit of the file, or in pixels with
-        `image_size`; what is missing is NaN.
+        `image_size`; NaN where a landmark is missing.
 
     Raises:
-        InputError: The file is missing, damaged, too large or of no such format; it has another
+        InputError: The file is missing, damaged, too large or in another format; it has another
             number of landmarks or nothing but gaps; a face has text, infinity or fewer than six
-            landmarks, or is one point or one line; x and y are fractions as MediaPipe's are without
-            `image_size`, or are none with it.
+            landmarks, or is one point or one line; x and y seem to be fractions and there is no
+            `image_size`, or the reverse.
     """
     points, faults = read_faces(path, y_up=y_up, image_size=image_size)
     for face, fault in faults.items():
@@ -70,17 +70,17 @@ def read_landmarks(
     return points
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is no finite number is refused
+@np.errstate(over="ignore", invalid="ignore")  # numbers that are not finite are refused
 def read_faces(
     path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
 ) -> tuple[np.ndarray, dict[int, str]]:
-    """`read_landmarks`, with the faces that cannot be used as gaps.
+    """`read_landmarks`, with unusable faces turned into gaps.
 
     Returns:
-        The landmarks; and for each face that cannot be used, 0-based and ascending, why.
+        The landmarks; and the number of each unusable face, 0-based and ascending, → the reason.
 
     Raises:
-        InputError: As `read_landmarks`, but of faces only if none can be used.
+        InputError: As for `read_landmarks`, but for faces only if none can be used.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -106,14 +106,15 @@ def read_faces(
 
 
 def find_unusable(points: np.ndarray) -> dict[int, str]:
-    """Why no shape can be estimated from faces `(n, L, 2)`; NaN are missing landmarks.
+    """Faces `(n, L, 2)` from which no shape can be estimated; NaN are missing landmarks.
 
     Returns:
-        By face, 0-based and ascending; a face without any landmark is a gap, and none of them.
+        Number of the face, 0-based and ascending, → the reason. Gaps, faces without any landmark,
+        are not among them.
     """
     missing = np.isnan(points).any(2, keepdims=True)
     counts = (~missing).sum((1, 2))
-    # A line stays a line with its middle in the place of what is missing.
+    # Missing landmarks are replaced by the middle, which keeps a line a line.
     middles = np.where(missing, 0, points).sum(1) / np.maximum(counts, 1)[:, None]
     faults = find_faults(np.where(missing, middles[:, None], points))
     for face in np.flatnonzero(counts < LEAST_VISIBLE).tolist():
@@ -122,8 +123,8 @@ def find_unusable(points: np.ndarray) -> dict[int, str]:
 
 
 def _find_faults(points: np.ndarray) -> dict[int, str]:
-    """`find_unusable`, and faces with what is no coordinate of an image."""
-    bad = (np.abs(points) >= _TOO_LARGE).any(2)  # False where it is NaN
+    """`find_unusable`, and faces with numbers that cannot be image coordinates."""
+    bad = (np.abs(points) >= _TOO_LARGE).any(2)  # False for NaN
     faults = find_unusable(np.where(bad[..., None], 0, points))
     for face in np.flatnonzero(bad.any(1)).tolist():
         landmark = int(bad[face].argmax())
@@ -139,7 +140,7 @@ def _find_faults(points: np.ndarray) -> dict[int, str]:
 def _in_pixels(
     path: Path, points: np.ndarray, image_size: tuple[float, float] | None
 ) -> np.ndarray:
-    """Fractions of the image times its size."""
+    """Convert fractions of the image to pixels."""
     largest = np.nanmax(np.abs(points))
     if image_size is not None and largest > _FRACTION:
         raise InputError(
@@ -186,7 +187,7 @@ def _read_json(path: Path) -> np.ndarray:
     if isinstance(content, list):
         content = [_points(item) for item in content]
         some = next((face for face in content if face is not None), None)
-        if isinstance(some, list) and some and isinstance(some[0], list):  # faces, some are gaps
+        if isinstance(some, list) and some and isinstance(some[0], list):  # faces, perhaps gaps
             gap = [[np.nan] * len(some[0])] * len(some)
             content = [gap if face is None else face for face in content]
     try:
@@ -272,7 +273,7 @@ def _read_csv(path: Path) -> np.ndarray:
                 row += [""] * (len(header) - len(row))
                 values.extend([_number(row[column]) for column in columns])
                 faces.append("" if face is None else row[face])
-                end = len(faces) if any(row) else end  # lines without cells at the end are no gaps
+                end = len(faces) if any(row) else end  # empty lines at the end are not gaps
         except csv.Error as error:
             raise InputError(f"{path} must be a table of numbers. {_received(error)}") from None
     if not end:
@@ -289,7 +290,7 @@ def _read_csv(path: Path) -> np.ndarray:
 
 
 def _landmarks_per_face(path: Path, faces: list[str], named: bool) -> int:
-    """L of a table of one landmark a row, whose faces are runs of the same value."""
+    """L of a table with one landmark per row, where a face is a run of one value of `face`."""
     runs = [(face, len([*run])) for face, run in groupby(faces)]
     size = runs[0][1]
     for face, count in runs:
@@ -308,7 +309,7 @@ def _check_count(path: Path, n: int, where: str = "") -> None:
 
 
 def _number(cell: str) -> float:
-    """Infinite what is text, NaN what is nothing."""
+    """A cell's number; infinity for text, NaN if it is empty."""
     try:
         return float(cell)
     except ValueError:

@@ -12,11 +12,11 @@ from deepmds_keras.alignment import procrustes
 from deepmds_keras.files import read_npz
 
 FILE = Path(__file__).with_name("surface.npz")  # CC0, see data_gen/assets/LICENSE-openhead.md
-# Landmarks are off by themselves, and faces off the model by a smooth field: standard deviations of
-# a coordinate and the range of the field, mm. Chosen on exact landmarks of faces of both open
-# models, whose errors hardly change about these values.
+# Landmarks have independent errors, and faces differ from the model by a smooth field: standard
+# deviations of a coordinate and the range of the field, mm. Chosen on exact landmarks of faces of
+# both open models, whose errors hardly change near these values.
 _LANDMARK_SD, _MODEL_SD, _MODEL_RANGE = 1.0, 3.0, 20.0
-_ROUNDS = 3  # of alignment and conditional mean; more change less than 0.01 mm
+_ROUNDS = 3  # of alignment and conditional mean; further ones change less than 0.01 mm
 _CHUNK = 256  # faces at a time
 
 
@@ -41,15 +41,15 @@ def fit_surfaces(shapes: np.ndarray, scheme: str) -> np.ndarray:
     """Most probable heads, given their landmarks.
 
     Shape and landmarks are jointly Gaussian: principal components of the open head with its
-    expressions, and a smooth field of what they do not span (Lüthi et al. 2018, "Gaussian process
-    morphable models", doi:10.1109/TPAMI.2017.2739743). Only a similarity is not, for which the
-    landmarks are aligned first. What lies far from all landmarks, such as ears and crown, is a
+    expressions, and a smooth field for what they do not span (Lüthi et al. 2018, "Gaussian process
+    morphable models", doi:10.1109/TPAMI.2017.2739743). Landmarks are first aligned by a similarity,
+    which is not part of that model. Parts far from all landmarks, such as ears and crown, are a
     guess.
 
     Args:
-        shapes: `(n, L, 3)` landmarks of any unit, +x to the subject's left, +y up, +z out of the
+        shapes: `(n, L, 3)` landmarks in any unit, +x to the subject's left, +y up, +z out of the
             face.
-        scheme: Of the landmarks, `"ibug51"`, `"ibug68"` or `"bfm72"`.
+        scheme: Scheme of the landmarks, `"ibug51"`, `"ibug68"` or `"bfm72"`.
 
     Returns:
         `(n, V, 3)` float32 vertices in the frame and unit of the shapes.
@@ -88,7 +88,7 @@ def _head() -> _Head:
 
 @cache
 def _gain(scheme: str) -> np.ndarray:
-    """What offsets of the landmarks add to the vertices: `(3 L, 3 V)`."""
+    """Linear map from offsets of the landmarks to those of the vertices: `(3 L, 3 V)`."""
     head = _head()
     landmarks = head.landmarks[scheme]
     basis = head.basis.reshape(len(head.basis), -1)
@@ -102,5 +102,5 @@ def _gain(scheme: str) -> np.ndarray:
 
 
 def _columns(scheme: str) -> np.ndarray:
-    """Coordinates of the landmarks among those of all vertices."""
+    """Indices of the landmarks' coordinates among those of all vertices."""
     return (3 * _head().landmarks[scheme][:, None] + np.arange(3)).ravel()

@@ -1,4 +1,4 @@
-"""Models by name: the lifters, the paper's networks, or what a user has saved."""
+"""Models by name: the lifters, the paper's networks, or a user's saved model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MIT = "MIT licence"
 
 
 class Lifting:
-    """A lifter: what is known of the weights that ship, by landmark scheme, and how it predicts."""
+    """A lifter: facts about the shipped weights, by landmark scheme, and how it predicts."""
 
     family = "lifting"
     shipped: ClassVar = {s: f"lifting-{s}" for s in ("ibug51", "ibug68", "bfm72")}
@@ -28,10 +28,10 @@ class Lifting:
         "landmarks of the open head (CC0 assets) and of ICT-FaceKit (MIT), no photo of a person"
     )
     turns: ClassVar = {"yaw": 90, "pitch": 40}  # degrees to either side, in training
-    # Of a pose, beyond which landmarks hardly are those of the shape: with errors of 2 mm it is
-    # 0.01 to 0.03 where they are, 0.09 (median) where brows are swapped.
+    # Residual of a pose above which landmarks hardly belong to the shape: with errors of 2 mm it is
+    # 0.01 to 0.03 for correct landmarks, 0.09 (median) with swapped brows.
     max_residual = 0.045
-    centred = True  # takes faces anywhere in the image
+    centred = True  # accepts faces anywhere in the image
 
     def __init__(self, path: Path):
         self._lifter = LandmarkLifter.load(path)
@@ -47,7 +47,7 @@ class Lifting:
         """Faces in views `(n, L, 2)`, y up, NaN where a landmark is missing.
 
         Returns:
-            Shapes `(n, L, 3)`, their s.d. if the model knows it, and the cameras that see them.
+            Shapes `(n, L, 3)`, their s.d. if the model estimates it, and their cameras.
         """
         shapes, std, pose = self._lifter.estimate(views, landmark_sd=landmark_sd)
         progress(len(views))
@@ -55,7 +55,7 @@ class Lifting:
 
 
 class PaperNetworks:
-    """The networks of the paper, Deep-MDS; attributes and `predict` as of `Lifting`."""
+    """The networks of the paper, Deep-MDS; attributes and `predict` are those of `Lifting`."""
 
     family = "deepmds"
     shipped: ClassVar = {s: f"deepmds-{s}" for s in ("ibug51", "bfm72")}
@@ -78,7 +78,7 @@ class PaperNetworks:
         jobs: int = 1,
         progress: Callable[[int], object] | None = None,
     ) -> tuple[np.ndarray, None, HeadPose]:
-        """As of `Lifting`, but that no landmark may be missing; s.d. are neither read nor given."""
+        """As for `Lifting`, but no landmark may be missing, and s.d. are neither used nor given."""
         if np.isnan(views).any():
             raise InputError(
                 "landmarks must all be there for the model deepmds; the model lifting takes faces "
@@ -90,19 +90,19 @@ class PaperNetworks:
 
 
 Model = Lifting | PaperNetworks
-# Those that ship.
+# The shipped ones.
 FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (Lifting, PaperNetworks)}
-DEFAULT, FALLBACK = Lifting.family, "ibug51"  # of landmarks that there are no weights for
+DEFAULT, FALLBACK = Lifting.family, "ibug51"  # for landmarks without weights of their own
 
 
 def target_scheme(scheme: str, model: str | None) -> str:
-    """The scheme in which a model takes landmarks that are in another.
+    """The scheme to which landmarks must be converted for a model.
 
     Returns:
-        Its name; that of the landmarks if they lack some that the model takes.
+        Its name; that of the landmarks if they lack some that the model needs.
 
     Raises:
-        InputError: There is no such model, or it takes no known scheme.
+        InputError: There is no such model, or its landmarks are of no known scheme.
     """
     family = FAMILIES.get(model or DEFAULT)
     if family is not None:
@@ -114,7 +114,7 @@ def target_scheme(scheme: str, model: str | None) -> str:
 
 
 def name_for(scheme: str, model: str | None) -> str:
-    """Name of a model, and of a family that of its weights for landmarks of a scheme."""
+    """Name of a model; for a family, that of its weights for a landmark scheme."""
     family = FAMILIES.get(model or DEFAULT)
     return model if family is None else family.shipped[scheme]
 
@@ -131,10 +131,10 @@ def describe_model(scheme: str, model: str | None) -> dict[str, str]:
 
 
 def load_model(name: str) -> Model:
-    """Shipped weights by name, or a file; what was loaded is kept until the file changes.
+    """Load shipped weights by name, or a file; the model is cached until the file changes.
 
     Raises:
-        InputError: Neither.
+        InputError: It is neither.
     """
     path = weights_path(name).absolute()
     status = path.stat()
@@ -142,10 +142,10 @@ def load_model(name: str) -> Model:
 
 
 def weights_path(name: str) -> Path:
-    """File of weights: itself, or that of shipped ones by their name.
+    """File of weights: the path itself, or that of shipped weights by name.
 
     Raises:
-        InputError: There is no such file, and none of those that ship has the name.
+        InputError: There is no such file, and no shipped weights of that name.
     """
     path = Path(name)
     if path.is_file():

@@ -1,4 +1,4 @@
-"""Videos: read frame by frame, and written with the landmarks of their faces drawn on them."""
+"""Videos: reads them frame by frame, and writes them with the landmarks drawn in."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.predict.faces import Face
 
 _MAX_PIXELS = 64_000_000  # twice those of 8K
-_RATE = Fraction(25)  # frames a second where a file does not say
-_LOCAL = {"protocol_whitelist": "file"}  # no file, such as a playlist, has others fetched
-_STRETCH = 3  # of a pixel's sides at most: of television's it is up to 2.2, more is damage
-_SIDE = 1280  # pixels of the larger side of a written video at most
+_RATE = Fraction(25)  # frames per second if a file does not say
+_LOCAL = {"protocol_whitelist": "file"}  # no file, such as a playlist, may fetch others
+_STRETCH = 3  # largest aspect ratio of a pixel: television has up to 2.2, more is damage
+_SIDE = 1280  # largest side of a written video, pixels
 _TICK = Fraction(1, 1000)  # seconds
 _LINE, _DOT, _EDGE = "#FFFFFF", "#FFD000", "#333333"  # as in the pictures of photos
 _H264 = {"preset": "veryfast", "crf": "23"}
@@ -34,7 +34,7 @@ class Frame:
     """One picture of a video.
 
     Attributes:
-        index: From 0, of all frames that could be decoded.
+        index: Index among all frames that could be decoded, from 0.
         time: Seconds since the first of them.
         image: `(H, W, 3)` uint8 RGB, upright, of square pixels.
     """
@@ -45,19 +45,19 @@ class Frame:
 
 
 class Video:
-    """The frames of a file, as far as they can be decoded; each iteration reads it again.
+    """The frames of a file that can be decoded; each iteration reads it again.
 
     Attributes:
-        n_frames: How many an iteration gives, by what the file says; None if it does not.
+        n_frames: Number of frames of an iteration according to the file; None if it does not say.
 
     Args:
-        path: Any kind of file that FFmpeg reads.
+        path: Any file that FFmpeg reads.
         every: 1 gives every frame, 2 every other, and so on, from the first.
 
     Raises:
-        InputError: PyAV is missing; the file is missing, damaged from its beginning or no video;
+        InputError: PyAV is missing; the file is missing, damaged from its beginning or not a video;
             a frame has a side below 32 pixels or more than 64 million pixels. Iterating raises it
-            where no frame can be decoded.
+            if no frame can be decoded.
     """
 
     def __init__(self, path: str | Path, every: int = 1):
@@ -92,7 +92,7 @@ class Video:
             raise self._unreadable("no frame that can be decoded")
 
     def _decoded(self) -> Iterator:
-        """PyAV's frames, without what is damaged."""
+        """PyAV's frames, without damaged ones."""
         with self._opened() as (container, stream):
             packets = container.demux(stream)
             while True:
@@ -128,7 +128,7 @@ class Video:
 
 
 def portraits(faces: Sequence[Face], most: int) -> list[Face]:
-    """The face of each track that is seen most from the front; of many tracks, the longest."""
+    """The most frontal face of each track; of many tracks, the longest."""
     longest = sorted(_by_track(faces), key=len, reverse=True)[:most]
     chosen = [min(seen, key=lambda face: np.hypot(face.pose.yaw, face.pose.pitch))
               for seen in longest]  # fmt: skip
@@ -148,7 +148,7 @@ def read_stills(faces: Sequence[Face], every: int) -> list[np.ndarray]:
 
 
 def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
-    """Lines on the first tracks of a video: when each is seen, and how the head turns."""
+    """Lines about the first tracks of a video: when each is seen, and how the head turns."""
     tracks = _by_track(faces)
     for seen in tracks[:most]:
         first, last = seen[0].frame_ref, seen[-1].frame_ref
@@ -164,10 +164,10 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
 
 
 def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
-    """Write the frames that were looked at with the landmarks of all tracks, whole or not at all.
+    """Write the used frames with the landmarks of all tracks, whole or not at all.
 
-    An MP4 (H.264) without sound, at the times of the frames, at most 1280 pixels wide or high, all
-    of the size of the first frame.
+    The file is an MP4 (H.264) without sound, with the frames' times, at most 1280 pixels wide or
+    high; all frames have the size of the first.
 
     Raises:
         InputError: The video cannot be read any more, or the file cannot be written.
@@ -188,7 +188,7 @@ def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
                 height, width = frame.image.shape[:2]
                 scale = min(1, _SIDE / max(width, height))
                 stream = output.add_stream("libx264", rate=30, options=_H264)
-                # Colour is stored for two by two pixels.
+                # Colour is stored per two by two pixels.
                 stream.width, stream.height = (max(2, 2 * round(scale * side / 2))
                                                for side in (width, height))  # fmt: skip
                 stream.pix_fmt, stream.codec_context.time_base = "yuv420p", _TICK
@@ -229,12 +229,12 @@ def _by_track(faces: Sequence[Face]) -> list[list[Face]]:
 
 
 def _import_av():
-    """PyAV, imported where a video is read or written."""
+    """PyAV, imported only when a video is read or written."""
     with needs("PyAV, which reads videos,", "video"):
         import av
     return av
 
 
 def _url(path: str | Path) -> str:
-    """A path as PyAV opens it whatever its letters are: `a:b` is no address of the network."""
+    """A path that PyAV takes for a file whatever its name: `a:b` is not a network address."""
     return f"file:{path}"

@@ -61,7 +61,7 @@ def judge(run: Run) -> pd.DataFrame:
     """Write `numbers.csv` and `claims.csv` of a face model, from its tables of results.
 
     Returns:
-        What `claims.csv` holds: of each claim its verdict and the number that decides it.
+        The content of `claims.csv`: the verdict on each claim, and the number that decides it.
     """
     claims, by_claim = pd.read_csv(CLAIMS, dtype=str), numbers_of(Tables(run))
     known = ChainMap(*by_claim.values())

@@ -34,7 +34,7 @@ _MOST_NOISE = 5  # percent of the interocular distance
 
 
 def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
-    """By claim and name, each number that bears on it; NaN where the tables lack it."""
+    """Claim → name → each number that bears on it; NaN where the tables lack it."""
     ours, mean_shape, own_constant = map(t.seeds, ("ours", "mean_shape", "own_constant"))
     own_constant_mse = over_seeds(own_constant)
     if np.isnan(own_constant).all():  # tables before 0.3 know it of one training
@@ -161,7 +161,7 @@ def _ours_over(t: Tables, method: str, experiment: str) -> Estimate:
 
 
 def _noisy_over(t: Tables, method: str, other: str, percent: float = _MOST_NOISE) -> Estimate:
-    """Error of a method with most noise, in that of another with some noise."""
+    """Error of a method at the largest noise, relative to that of another at some noise."""
     noisy, of = (
         t.over_faces("curves", "mse", "sem", sweep="noise_percent", method=name, value=value)
         for name, value in ((method, _MOST_NOISE), (other, percent))
@@ -171,13 +171,13 @@ def _noisy_over(t: Tables, method: str, other: str, percent: float = _MOST_NOISE
 
 
 def _false_positives(t: Tables, samplings: str) -> Estimate:
-    """Rate at which a test takes methods for different that only chance tells apart."""
+    """Rate at which a test finds methods different that differ by chance alone."""
     share = t.measured("samplings", "rate", samplings=samplings).value
     return rate(share, t.run.preset.simulations, "simulations")
 
 
 def _least_p_value(n: int, kind: str = "p_value_normal") -> Estimate:
-    """Of n differences of one sign."""
+    """p-value of n differences of one sign."""
     return point(wilcoxon_table({"a": np.arange(1.0, n + 1), "b": np.zeros(n)})[kind][0])
 
 

@@ -12,7 +12,7 @@ from scipy.stats import binom, binomtest, chi2, ttest_1samp
 from experiments.run import SCHEMES, Run
 
 _LEVEL = 0.05
-_FEWEST_SEEDS = 5  # whose range is an interval of 94 %
+_FEWEST_SEEDS = 5  # the range of five is an interval of 94 %
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class Estimate:
     """A number with its 95 % interval.
 
     Attributes:
-        value: The number; NaN if what it is of is missing.
-        low, high: Ends of the interval; NaN where too little is known for one.
-        n: Number of the seeds, samplings or simulations that the interval is over, if known.
-        of: What it is over; empty for what is known exactly.
+        value: The number; NaN if its data are missing.
+        low, high: Ends of the interval; NaN if the data are too few for one.
+        n: Number of seeds, samplings or simulations behind the interval, if known.
+        of: What `n` counts; empty for an exact number.
     """
 
     value: float
@@ -37,12 +37,12 @@ NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
 
 
 def point(value: float) -> Estimate:
-    """Known exactly, or so well that its interval does not matter."""
+    """An exact number, or one whose interval is negligible."""
     return Estimate(float(value), float(value), float(value))
 
 
 def over_seeds(values: np.ndarray) -> Estimate:
-    """Median, with the interval that the ranks of the values give whatever their distribution."""
+    """Median, with the distribution-free interval from the ranks of the values."""
     ordered, n = np.sort(values), len(values)
     k = max(int(binom.ppf(_LEVEL / 2, n, 0.5)), 1)
     low, high = (ordered[k - 1], ordered[-k]) if n >= _FEWEST_SEEDS else (np.nan, np.nan)
@@ -66,7 +66,7 @@ def spread_of_seeds(values: np.ndarray) -> Estimate:
 
 
 def over_samplings(values: np.ndarray) -> Estimate:
-    """Mean and range of samplings of one test set: of one training."""
+    """Mean and range over samplings of one test set, for one training."""
     return Estimate(values.mean(), values.min(), values.max(), len(values), "samplings of faces")
 
 
@@ -79,10 +79,10 @@ def rate(share: float, n: float, of: str) -> Estimate:
 
 
 def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
-    """Geometric means of ratios over seeds, with intervals that decide as Holm's tests do.
+    """Geometric means of ratios over seeds, with intervals that agree with Holm's tests.
 
-    Paired t-tests of the logarithms are taken from the smallest p-value on, each at the level
-    divided by the number of those left, until one does not reject: all later ones keep its level.
+    Paired t-tests of the logarithms are taken in order of p-value, each at the level divided by
+    the number of those left, until one does not reject: all later ones keep its level.
     """
     if any(len(values) < 2 for values in ratios.values()):
         return dict.fromkeys(ratios, NOT_KNOWN)
@@ -99,7 +99,7 @@ def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
 
 @dataclass(frozen=True)
 class Tables:
-    """Tables of results on one face model, of a run of the BFM track. What is not there is NaN."""
+    """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN."""
 
     run: Run
 
@@ -132,7 +132,7 @@ class Tables:
         return self.samplings(method, "seeds", metric)
 
     def variant(self, variant: str, metric: str = "mse") -> np.ndarray:
-        """Of a variant of the ablation, from each seed."""
+        """A metric of a variant of the ablation, from each seed."""
         where = {"variant": variant, "metric": metric, "faces": self.run.preset.train_faces}
         return self.values("ablation", "metrics", "value", **where)
 

@@ -19,7 +19,7 @@ from experiments.run import Run
 from experiments.streams import Stream
 from experiments.tasks import single_threaded
 
-# Of each topic the module whose function of the same name measures it.
+# Topic → the module whose function of the same name measures it.
 TOPICS = dict.fromkeys(("poses", "noise", "perspective"), "poses") | dict.fromkeys(
     ("bias", "constants", "depth", "ranks", "samplings"), "shapes"
 )
@@ -36,7 +36,7 @@ def main(run: Run, topic: str) -> dict:
 
 
 class Evidence:
-    """What is measured on: test faces, trained methods and their errors, of the BFM track.
+    """Test faces, trained methods and their errors, on the BFM track.
 
     Args:
         run: The run, whose methods are trained and have predicted the test faces.
@@ -56,7 +56,7 @@ class Evidence:
 
     @cached_property
     def audited(self) -> np.ndarray:
-        """`(n,)` numbers of some test faces, on which what takes long is measured."""
+        """`(n,)` numbers of some test faces, for measurements that take long."""
         n = min(self.run.preset.audited_faces, len(self.test.views))
         chosen = self.rng(Stream.AUDITED_FACES).choice(len(self.test.views), n, replace=False)
         return np.sort(chosen)
@@ -84,6 +84,6 @@ class Evidence:
         """A trained method, which `experiments.methods.predict` takes."""
         model = load(self.run, method)
         if hasattr(model, "solver"):
-            # As scikit-learn to rounding, and many sweeps sooner.
+            # Equal to scikit-learn's to rounding, and many times faster.
             model.set_params(solver="numba", n_jobs=1)
         return model

@@ -34,7 +34,7 @@ CURVES = ["sweep", "value", "method", "mse", "sem"]
 _NOISY = ("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable")
 _POSED = (*_NOISY, "lifting")
 _FACES_SWEPT = 50  # of the audited ones: each is embedded for 42 views and two or three methods
-_NOISE_DRAWS = 3  # for each face, over which its MSE is averaged
+_NOISE_DRAWS = 3  # per face; its MSE is averaged over them
 _FIELD_OF_VIEW = 5.0  # degrees, the largest that the paper draws
 _CAMERAS_DRAWN = 10_000  # of each protocol
 
@@ -77,9 +77,9 @@ def perspective(evidence: Evidence) -> pd.DataFrame:
 
     Returns:
         `views`: those that the `text` describes, or those of the `released` generator, which never
-        divides by the fourth row of its matrix. `rms` and `max` distance of landmarks, as shares
-        of the face's size without shift, turn and scale of whole views, with the largest field of
-        view that the paper draws.
+        divides by the fourth row of its matrix. `rms` and `max` distance of landmarks, relative to
+        the face's size, after alignment of whole views by a similarity, at the largest field of
+        view in the paper.
     """
     rng, n = evidence.rng(Stream.AUDIT_CAMERAS), len(evidence.audited)
     rows = []

@@ -68,9 +68,9 @@ def constants(evidence: Evidence) -> pd.DataFrame:
 
 
 def depth(evidence: Evidence) -> pd.DataFrame:
-    """Depth correlation of answers that know little or nothing of the depth: `answer, share`.
+    """Depth correlation of answers with little or no knowledge of the depth: `answer, share`.
 
-    They are aligned as predictions are; the share is that of the maximum.
+    They are aligned like predictions; the share is relative to the maximum.
     """
     truth, rng = evidence.shapes, evidence.rng(Stream.AUDIT_CRITERIA)
     flat = truth.copy()
@@ -106,10 +106,10 @@ def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def samplings(evidence: Evidence) -> pd.DataFrame:
-    """How often samplings of one test set tell methods apart that only chance does.
+    """How often samplings of one test set separate methods that differ by chance alone.
 
     Returns:
-        `samplings` (their number, or `faces`: over all faces) and `rate` of false positives.
+        `samplings` (their number, or `faces` for all faces) and `rate` of false positives.
     """
     preset = evidence.run.preset
     rates = false_positives(
@@ -129,20 +129,20 @@ def false_positives(
     rng: np.random.Generator,
     simulations: int,
 ) -> dict[str, float]:
-    """Share of cases in which methods that only chance tells apart come out as different.
+    """Share of cases in which methods that differ by chance alone test as different.
 
-    In every simulation the two methods exchange their errors for a random half of the faces, so
-    that neither is the better one. Then the paper's procedure: random samplings of the faces, and
-    the Wilcoxon test over their mean differences.
+    In every simulation the two methods swap their errors on a random half of the faces, so that
+    neither is better. Then follows the paper's procedure: random samplings of the faces, and the
+    Wilcoxon test over their mean differences.
 
     Args:
         difference: `(n,)` error of one method less that of the other, for each face.
         samplings: Numbers of samplings.
-        size: Faces of each, at most n.
-        simulations: Their number.
+        size: Faces in each, at most n.
+        simulations: Number of simulations.
 
     Returns:
-        By number of samplings; and of the test over all faces under `"faces"`.
+        Number of samplings → share; that of the test over all faces is under `"faces"`.
     """
     n, most = len(difference), max(samplings)
     signs = rng.choice([-1.0, 1.0], (simulations, n))

@@ -1,8 +1,8 @@
-"""Step: time each part of the method on one core, ours and the way of the authors' released code.
+"""Step: time each part of the method on one core, ours and the authors' implementation.
 
-Ways are `released`, that of the authors' code, and `ours`, which for embeddings is scikit-learn's
-solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other method, `eos`
-(`SFM=`) eos's fit of the Surrey Face Model.
+The column `way` has `released` for the authors' implementation, and `ours`, which for embeddings is
+scikit-learn's solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other
+method, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def training(
 
 
 def with_ratios(rows: list[tuple]) -> pd.DataFrame:
-    """Times, and how many times as fast as the other ways of the same part each way is.
+    """Times, and the speed-up of each way over the other ways of the same part.
 
     Args:
         rows: `comparison, part, way, n_faces, seconds`.

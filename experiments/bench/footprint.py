@@ -1,4 +1,4 @@
-"""Step: what it takes to predict: size of a fresh installation, memory and time of the command.
+"""Step: the cost of predicting: size of a fresh installation, memory and time of the command.
 
 `make footprint` installs the package with each detector into a separate environment. Times are
 those of whole processes, as a user waits for them.

@@ -1,10 +1,10 @@
-"""The way of the authors' released code: one face at a time, one pair at a time.
+"""The authors' implementation: one face at a time, one pair at a time.
 
 Their MATLAB generator computes all vertices of each face and picks the landmarks. Their Python
-scripts join the features of a face in two nested loops over all L² ordered pairs. They call Keras'
-`predict` for each face, whose mini-batches are of 32 pairs. Textures, renders and files, which
-those scripts write too, are left out. scikit-learn's `MDS` replaces MATLAB's `mdscale(K, 3)`, which
-starts once, from classical scaling.
+scripts compute the features of a face in two nested loops over all L² ordered pairs, and call
+Keras's `predict` for each face, in mini-batches of 32 pairs. Textures, renders and files, which
+those scripts also write, are left out. scikit-learn's `MDS` replaces MATLAB's `mdscale(K, 3)`,
+which starts once, from classical scaling.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from deepmds_keras.pipeline import DeepMDS
 def make_faces(
     model: MorphableModel, faces: Dataset, n: int, scheme: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks `(n, L, 3)` and views `(n, L, 2)` of the first faces, by way of all vertices."""
+    """Landmarks `(n, L, 3)` and views `(n, L, 2)` of the first faces, via all vertices."""
     landmarks, views = [], []
     for k in range(n):
         landmarks.append(model.shape(faces.identity[k])[model.landmarks[scheme]])
@@ -76,6 +76,6 @@ def embed(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def shapes(model: DeepMDS, views: np.ndarray) -> np.ndarray:
-    """3D landmarks of views, `(n, L, 2)` → `(n, L, 3)`, all steps in the released way."""
+    """3D landmarks of views, `(n, L, 2)` → `(n, L, 3)`, by the authors' steps throughout."""
     frontal, matrices = predict(model, views)
     return resolve_orientation(embed(np.abs(matrices)), frontal, model.front_landmark_)

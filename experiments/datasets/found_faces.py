@@ -1,6 +1,6 @@
-"""Test faces found in photos, of scans or alone, of which those are used in which nothing failed.
+"""Test faces from photos, with or without scans; a face counts if every step succeeded.
 
-The search is done in pieces, side by side, and goes on where it was stopped.
+The work is done in pieces, in parallel, and resumes after a stop.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from experiments.tasks import unordered
 
 USED = "used"  # status of a scan, or photo, that gave a test face
 
-# From a run and the number of a piece to the name of each photo in it, the photo or why it cannot
-# be read, and what else is known of it.
+# Function of a run and the number of a piece: yields the name of each photo, the photo or why it
+# cannot be read, and what else is known about it.
 Source = Callable[[Run, int], Iterator[tuple[str, np.ndarray | InputError, object]]]
-# From a run, a photo, the 68 landmarks detected in it and what else is known to the columns of the
-# table; InputError says why there are none.
+# Function of a run, a photo, the 68 landmarks detected in it and what else is known: returns the
+# columns of the table; InputError says why there are none.
 Fit = Callable[[Run, np.ndarray, np.ndarray, object], dict[str, np.ndarray]]
 
 
@@ -39,24 +39,24 @@ def find_faces(
 ) -> dict:
     """Write the test set, its images, and the table `<kind>s.npz`.
 
-    The table has the name and status of all that was looked at; its other columns are of those that
-    gave a test face.
+    The table has the name and status of every photo; its other columns are about those that gave a
+    test face.
 
     Args:
         run: The run.
         kind: `"scan"` or `"photo"`.
-        pieces: Folder of what was found in each piece. Those of a stopped run are not done again.
-        sizes: Photos of each piece.
-        source, fit: Functions that other processes import. Columns that `fit` gives are `image`,
-            `(size, size, 3)` uint8 about the face, `crop_landmarks`, `(L, 2)` pixels in it, `view`,
-            what methods are given, `(L, 2)`, `landmarks`, `(L, 3)` millimetres, and the `rotation`
-            of the camera.
+        pieces: Folder with a file for each finished piece, which is not done again.
+        sizes: Number of photos of each piece.
+        source, fit: Functions that other processes import. The columns from `fit` are `image`,
+            `(size, size, 3)` uint8 around the face, `crop_landmarks`, `(L, 2)` pixels in it,
+            `view`, the input of methods, `(L, 2)`, `landmarks`, `(L, 3)` millimetres, and the
+            `rotation` of the camera.
 
     Returns:
-        For the record: how many of which status, and the images' checksums.
+        For the record: the number of photos by status, and the images' checksums.
 
     Raises:
-        InputError: None gave a test face.
+        InputError: No photo gave a test face.
     """
     missing = [k for k in range(len(sizes)) if not _table_file(pieces, k).exists()]
     done = sum(sizes) - sum(sizes[k] for k in missing)

@@ -1,4 +1,4 @@
-"""Step of MobileFace: an image of every face, the same view as its landmarks."""
+"""Step of MobileFace: an image of every face, in the view of its landmarks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from experiments.tasks import unordered
 
 
 def make_images(run: Run, part: str, seed: tuple[int, ...]) -> dict[str, str]:
-    """Write the images of a data set of the run, but for those that a stopped run has written.
+    """Write the images of a data set of the run that an earlier run has not written yet.
 
     Args:
         run: The run.
         part: Name of the data set, which lies in `<part>.npz`.
-        seed: Of light, skin and background.
+        seed: Seed of light, skin and background.
 
     Returns:
         Checksums of the files, by name.

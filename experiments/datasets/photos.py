@@ -1,7 +1,7 @@
 """Step of the CelebA experiment: the face model fitted to each photo, for truth and for views.
 
-As in the paper: what the fit finds is both the truth that methods are measured against and, seen
-by the camera of the fit, the landmarks that they are given.
+As in the paper, the fitted shape is both the truth against which methods are measured and, seen
+by the camera of the fit, the landmarks that they get.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def fit_photo(
         "detected": detected,
         "landmarks": shape,
         "pixels": pixels,
-        # As in training: where its origin is seen is part of the fit.
+        # As in training: the position of its origin is part of the fit.
         "view": shape @ rotation[:2].T,
         "rotation": rotation,
     }

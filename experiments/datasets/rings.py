@@ -11,7 +11,7 @@ from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream
 
-_N_IDENTITY = 100  # leading components that RingNet estimates, as many as the published one
+_N_IDENTITY = 100  # leading components that RingNet estimates, as many as in the published one
 
 
 def main(run: Run) -> dict:

@@ -1,4 +1,4 @@
-"""Step of the FLAME track: test faces, their landmarks detected in photos and found on scans."""
+"""Step of the FLAME track: test faces, with landmarks detected in photos and located on scans."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _source(run: Run) -> list[list[casia.CasiaScan]] | ScansStandin:
 
 
 def scans_of_subject(run: Run, subject: int) -> Iterator[tuple]:
-    """Name, image and all else of each scan of a subject, with whether it is kept for pictures."""
+    """Name, image and data of each scan of a subject, and whether it is kept for pictures."""
     source = _source(run)
     scans = source.subject(subject) if isinstance(source, ScansStandin) else source[subject]
     for number, scan in enumerate(scans):
@@ -86,7 +86,7 @@ def _ground_truth(run: Run) -> GroundTruth:
 
 
 def main(run: Run) -> dict:
-    model = face_model(run)  # if it is missing, that is to be said first
+    model = face_model(run)  # a missing one must be reported first
     source, folder = _source(run), run.folder_of("casia")
     index = [Path(run.casia_index)] if run.casia_index else []
     pieces = resumable(run.work / "scans", index, model=model.sha256, casia=listing(folder))

@@ -14,7 +14,7 @@ from experiments.figures.errors import Panel, error_lines, plain_log_ticks
 from experiments.figures.style import INK, Look, colour, styled
 from experiments.methods import title
 
-_FIRST_EPOCH = 3  # before it losses fall so far that no later difference would be seen
+_FIRST_EPOCH = 3  # earlier losses would hide all later differences
 _NETWORKS = {"autoencoder": "Autoencoder", "dissimilarity_net": "Dissimilarity net"}
 _IMAGE_LOSSES = {
     "mobileface": "Mean squared error of the mesh (mm²)",
@@ -35,13 +35,13 @@ def learning_curves(
     histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
     of_images: Mapping[str, Mapping[str, Sequence[float]]] = {},
 ) -> Figure:
-    """Loss of the training faces against time, a panel a network, from the third epoch.
+    """Loss on the training faces by epoch, one panel per network, from the third epoch on.
 
     Args:
         histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
-            each a record with one mean squared error an epoch, in squared normalised units:
-            `"train"` as seen by the optimiser, `"inference"` of the network after the epoch. What
-            a record lacks is not drawn.
+            each a record with one mean squared error per epoch, in squared normalised units:
+            `"train"` as seen by the optimiser, `"inference"` of the network after the epoch.
+            Missing entries are not drawn.
         of_images: Such records of `mobileface`, in square millimetres, or of `ringnet`.
     """
     label = "Mean squared error\n($10^{-4}$ squared normalised units)"
@@ -76,14 +76,14 @@ def learning_curves(
 def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[float]]]]) -> Figure:
     """The autoencoder's error by batch statistics and by moving ones: mean and range over seeds.
 
-    If the moving statistics of batch normalisation trail the weights, the network errs more at
-    inference than in training, on the same faces. It no longer does once the statistics are
-    estimated again for the final weights.
+    If the moving statistics of batch normalisation lag behind the weights, the error at inference
+    exceeds that in training, on the same faces. Re-estimating the statistics for the final weights
+    removes the difference.
 
     Args:
-        histories: `"constant"` and `"cosine"` to seed to a record with `"train"` and
-            `"inference"`, one mean squared error an epoch, and `"reestimated"`, the one after the
-            last epoch with statistics of all training faces; in squared normalised units.
+        histories: `"constant"` or `"cosine"` → seed → a record with `"train"` and `"inference"`,
+            one mean squared error per epoch, and `"reestimated"`, the one after the last epoch
+            with statistics of all training faces; in squared normalised units.
     """
     panels = []
     for schedule, runs in histories.items():

@@ -1,4 +1,4 @@
-"""Errors against pose, noise, condition or region: a line a method, with confidence intervals."""
+"""Errors against pose, noise, condition or region: one line per method, with intervals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
 
 _SHADE = "#EFEFEF"
-_MOST_TICKS = 8  # values on an axis that each get a tick
+_MOST_TICKS = 8  # up to so many values on an axis each get a tick
 _N_BINS = 9
 _PLAIN = ticker.FuncFormatter(lambda value, _: minus(f"{value:,g}"))
 
@@ -39,9 +39,9 @@ class Panel:
     Attributes:
         rows: A row per point: `method` (id), `mean`, and its standard error `sem`, or the ends
             `low` and `high` of an interval, or neither.
-        x: Column of `rows` along the x axis; strings are categories, which no line joins.
-        label: Of the x axis, with its unit; none if its categories explain themselves.
-        title: Above the axes.
+        x: Column of `rows` for the x axis; strings are categories, not joined by lines.
+        label: Label of the x axis, with its unit; none if its categories explain themselves.
+        title: Title above the axes.
         log_x: Whether the x axis is logarithmic.
         shaded: Range of x in the training views, which is shaded.
     """
@@ -65,16 +65,16 @@ def error_lines(
     n_columns: int | None = None,
     log_y: bool = True,
 ) -> Figure:
-    """Means against x on one axis, a line a method, with 95 % confidence intervals.
+    """Means against x, one line per method, with 95 % confidence intervals.
 
     Args:
-        panels: What is drawn.
-        quantity: That is on the y axis.
+        panels: Panels to draw.
+        quantity: Quantity on the y axis.
         unit: Power of ten in which the y axis counts, of `units`.
-        units: Of `mean` in the rows of the panels.
-        looks: Of ids in `method` that are no methods of the tables.
-        n_columns: Of the grid of panels; None puts all in one row.
-        log_y: Whether the y axis is logarithmic; else it begins at 0.
+        units: Unit of `mean` in the rows of the panels.
+        looks: Looks of ids in `method` that are not methods of the tables.
+        n_columns: Columns of the grid of panels; None puts all in one row.
+        log_y: Whether the y axis is logarithmic; otherwise it begins at 0.
     """
     n_columns = n_columns or len(panels)
     n_rows = -(-len(panels) // n_columns)
@@ -101,7 +101,7 @@ def _draw_panel(
 ) -> None:
     """Draw all of a panel but its y label, y ticks and legend."""
     if panel.shaded:
-        # Of one value it is as wide as a line.
+        # For a single value it is as wide as a line.
         axes.axvspan(*panel.shaded, facecolor=_SHADE, edgecolor=_SHADE, lw=2)
     x = panel.rows[panel.x]
     if is_numeric_dtype(x):
@@ -157,7 +157,7 @@ def _interval(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
 
 
 def plain_log_ticks(axis: Axis) -> None:
-    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each decade, or 1 where there are many."""
+    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each decade, or 1 if there are many."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5) if high < 1000 * low else (1,)))
     axis.set_major_formatter(_PLAIN)
@@ -195,7 +195,7 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
 
 @styled
 def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
-    """Share of the faces that have a smaller error, for every error.
+    """Cumulative distribution of the errors of faces.
 
     Args:
         errors: Method id to `(n,)` mean squared errors of the same faces.
@@ -221,7 +221,7 @@ def error_per_landmark(
     mean_shape: np.ndarray,
     maps: Sequence[str],
 ) -> Figure:
-    """The face coloured by error for a few methods, above all methods' errors by region.
+    """Faces coloured by error for a few methods; below, the errors of all methods by region.
 
     Args:
         errors: Method id to `(L,)` root-mean-square distances to the truth in millimetres.

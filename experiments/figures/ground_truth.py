@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
 
 _FIT_COLOUR = "#0072B2"
-# Landmarks of a scan to their legend entry and look; what lies beneath is larger and hollow.
+# Landmarks of a scan → legend entry and look; those drawn beneath are larger and hollow.
 _MARKS = {
     "detected": ("detected", {"color": DETECTED_COLOUR, "marker": "o", "ms": 1.6, "mew": 0}),
     "truth": ("true landmark",
@@ -54,12 +54,12 @@ def ground_truth(
         scans: Table of `datasets.scans`: `fitted`, `landmarks` and perhaps `truth`, `(n, L, 3)`
             millimetres, and `example_points`, `(k, m, 3)`, in one frame. Without the truth there
             are no errors.
-        shown: `(k,)` faces that are drawn, a column each.
-        images: `(k, S, S, 3)` uint8 photos about their landmarks.
+        shown: `(k,)` faces to draw, one per column.
+        images: `(k, S, S, 3)` uint8 photos around their landmarks.
         detected: `(k, L, 2)` pixels in these.
         scheme: Landmark scheme, for its polylines.
     """
-    # Fixed places: those that a layout solves for differ in the last digit from run to run.
+    # Fixed positions: a constrained layout differs in the last digit from run to run.
     marks = {name: mark for name, mark in _MARKS.items() if name in {"detected", *scans}}
     figure = Figure(figsize=(7.2, 8.0 if "truth" in scans else 5.8))
     low = 0.29 if "truth" in scans else 0.01
@@ -97,7 +97,7 @@ def _draw_scan(
 def _draw_errors(
     figure: Figure, scheme: LandmarkScheme, found: np.ndarray, truth: np.ndarray
 ) -> None:
-    """The face coloured by the median distance, next to the distances of all landmarks."""
+    """The face coloured by median distance, beside the distances of all landmarks."""
     distance = np.linalg.norm(found - truth, axis=2)
     median = np.median(distance, axis=0)
     colours = ScalarMappable(Normalize(0, median.max()), "viridis_r")
@@ -137,8 +137,8 @@ def fits(
         detected: `(n, D, 2)` landmarks of the detector, pixels.
         fitted: `(n, L, 2)` landmarks of the fitted model, pixels.
         scheme: Landmark scheme, for its polylines.
-        distances: Of the fit and of another method, by id, the root mean square distance of each
-            test face's landmarks from the truth, millimetres; empty where that is unknown.
+        distances: Id of the fit or of another method → the root mean square distance of each test
+            face's landmarks from the truth, millimetres; empty if that is unknown.
     """
     below = 1.75 if distances else 0
     height = 2.1 + below

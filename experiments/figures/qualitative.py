@@ -1,4 +1,4 @@
-"""Faces as pictures: contact sheets, and what methods make of views and of photos."""
+"""Pictures of faces: contact sheets, and the results of methods on views and photos."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _MARGIN = 0.28  # holds the row titles, of up to two lines
 _SHEET_COLUMNS = 6
 _SHEET_INCHES = 0.6  # 96 pixels, those of the image, at the resolution of `style.save`
 _PHOTO_INCHES, _PHOTO_HEAD = 1.15, 0.42
-_HALF = 0.58  # half the height of a panel of shapes, of theirs
-_ASPECT = 1.45  # width of a face's front and side view next to each other, per height
+_HALF = 0.58  # half the height of a panel of shapes, relative to theirs
+_ASPECT = 1.45  # width of a face's front and side view side by side, per height
 
 
 @styled
@@ -49,20 +49,20 @@ def qualitative(
 ) -> Figure:
     """Input view, frontal view, truth and every method's shape from the front and the side.
 
-    Every shape is drawn to one scale; the input views are fitted to the same box. The truth is
-    repeated in grey beneath each prediction and beneath the frontal view, which is shifted and
-    scaled to fit it best, since it may be normalised by itself. The lowest error of a row is bold.
-    N/A stands for a face that a method did not find.
+    All shapes have one scale; the input views are fitted to the same box. The truth is drawn in
+    grey beneath each prediction and beneath the frontal view, which is shifted and scaled to fit
+    it best, since it may be normalised by itself. The lowest error of a row is bold. N/A marks a
+    face that a method did not find.
 
     Args:
         views: `(n, L, 2)`.
         frontal: `(n, L, 2)`, the autoencoder's output for `views`.
         scores: Method id to its scores on these faces.
-        faces: Numbers of the R faces that are drawn, one a row.
+        faces: Numbers of the R faces to draw, one per row.
         row_titles: `R` names of these.
         scheme: Landmark scheme, for its polylines.
-        photos: `(R, S, S, 3)` uint8 in which the views were detected, to be drawn in their place,
-            and landmarks `(R, L, 2)` in their pixels, y down.
+        photos: `(R, S, S, 3)` uint8 in which the views were detected, drawn in their place, and
+            landmarks `(R, L, 2)` in their pixels, y down.
     """
     truth = next(iter(scores.values())).truth[faces]
     width, height, _ = np.ptp(truth, axis=1).max(axis=0)
@@ -126,7 +126,7 @@ def _write(axes: Axes, place: tuple[float, float], text: str, **look) -> None:
 def _draw_views(
     axes: Axes, shape: np.ndarray, truth: np.ndarray, scheme: LandmarkScheme, ink: str, y: float
 ) -> None:
-    """Draw a shape from the front and, below it, from the side; the truth is in the middle."""
+    """Draw a shape from the front and, below it, from the side, with the truth centred."""
     for view, shift in ((front_view, y), (side_view, -y)):
         points = view(shape) - _centre(view(truth)) + (0, shift)
         draw_wireframe(axes, points, scheme.polylines, colour=ink)
@@ -137,7 +137,7 @@ def _centre(points: np.ndarray) -> np.ndarray:
 
 
 def _fit_without_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """`source` shifted and scaled, but not rotated, to lie nearest `target`."""
+    """`source`, shifted and scaled but not rotated, to fit `target` best."""
     centred = source - source.mean(axis=0)
     scale = np.sum(centred * (target - target.mean(axis=0))) / np.sum(centred**2)
     return scale * centred + target.mean(axis=0)
@@ -187,7 +187,7 @@ def gallery(
 
 @styled
 def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -> Figure:
-    """A contact sheet in rows of six; in the lower half of the rows the landmarks are drawn in.
+    """A contact sheet in rows of six, with landmarks drawn in the lower half of the rows.
 
     Args:
         images: `(n, size, size, 3)` uint8.

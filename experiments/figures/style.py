@@ -1,4 +1,4 @@
-"""One look for every figure, with a fixed colour and marker a method, and the writer."""
+"""One look for all figures, with a fixed colour and marker per method, and the writer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from PIL import Image
 from deepmds_keras.files import write_bytes
 from experiments.methods import METHODS, title
 
-# Decorates a function so that it draws in this style, whatever the settings of its caller are.
+# Decorates a function to draw in this style, whatever the settings of its caller.
 styled = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"))
 
 TRUTH_COLOUR = "#B4B4B4"
@@ -24,7 +24,7 @@ INK = "#333333"
 DETECTED_COLOUR = "#FFD000"  # landmarks detected in a photo
 _DPI = 160
 _LARGEST = 300_000  # bytes of a picture that is committed
-_BOUND = "limit"  # no method: a dashed line without markers
+_BOUND = "limit"  # not a method: a dashed line without markers
 
 
 class Look(NamedTuple):
@@ -41,7 +41,7 @@ def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
 
     Args:
         method: Its id.
-        looks: Of ids that are no methods of the tables, such as parts of one.
+        looks: Looks of ids that are not methods of the tables, such as parts of one.
 
     Raises:
         InputError: The id is in neither.
@@ -111,7 +111,7 @@ def _small_png(figure: Figure) -> bytes:
     figure.savefig(buffer, format="png", dpi=_DPI)
     image = Image.open(buffer).convert("RGB")
     if not any(axes.images for axes in figure.axes):
-        # A palette of 256 colours looks the same for line drawings and takes a third of the room.
+        # A palette of 256 colours looks the same for line drawings and takes a third of the space.
         palette = {"method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
         return _encoded(image.quantize(256, **palette))
     # Photographs keep their colours, unless among many lines that makes the file large.

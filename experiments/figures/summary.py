@@ -1,4 +1,4 @@
-"""The headline figure, every method next to the paper's number, and the spread over seeds."""
+"""The headline figure, every method beside the paper's number, and the spread over seeds."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _NUMBERS = ["mean", "std", "paper_mean", "median", "lowest", "highest"]
 
 @styled
 def summary(table: pd.DataFrame, experiment: str) -> Figure:
-    """MSE and missing depth correlation of every method, filled ours, hollow the paper's.
+    """MSE and missing depth correlation of every method: filled here, hollow in the paper.
 
-    The depth correlation is a trace, whose greatest value is the number of landmarks; what is
-    missing from it is drawn, because the values themselves differ in the fourth digit only.
+    The depth correlation is a trace with the number of landmarks as its maximum. The figure shows
+    how much is missing, since the values themselves differ in the fourth digit only.
 
     Args:
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`; NaN
-            where there is no number. Over seeds `n_seeds`, `median`, `lowest` and `highest`, if it
-            has them.
+            where there is no number. Perhaps also `n_seeds`, `median`, `lowest` and `highest` over
+            seeds.
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
     """
     n_landmarks = len(load_scheme(SCHEMES[experiment]).numbers)
@@ -39,7 +39,7 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
     mse = rows.loc["mse"].reindex(methods) / _MSE_UNIT
     depth_corr = rows.loc["depth_corr"].reindex(methods)
     missing = (n_landmarks - depth_corr).assign(std=depth_corr["std"])
-    # The paper prints values above the greatest possible one for the FLAME landmarks.
+    # For the FLAME landmarks, the paper prints values above the maximum.
     missing["paper_mean"] = missing["paper_mean"].where(missing["paper_mean"] >= 0)
     figure = Figure(figsize=(7.2, 1.0 + 0.2 * len(methods)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
@@ -80,7 +80,7 @@ def _draw_rows(axes: Axes, rows: pd.DataFrame) -> None:
 
 @styled
 def seed_spread(table: pd.DataFrame) -> Figure:
-    """MSE of every training run, a dot a seed, with runs of the same seed joined.
+    """MSE of every training run, one dot per seed, with runs of the same seed joined.
 
     Args:
         table: One row a run: `method` (id), `seed`, `metric` (only `"mse"` is drawn), `value` in

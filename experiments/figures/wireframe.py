@@ -1,4 +1,4 @@
-"""A face drawn as its landmarks, joined by polylines, seen from the front or the side."""
+"""Draws a face as landmarks joined by polylines, seen from the front or the side."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def draw_wireframe(
         axes: Needs an equal aspect for the face to keep its proportions.
         points: `(L, 2)`, as given by `front_view` or `side_view`.
         polylines: 0-based landmark numbers of every line, `scheme.polylines`.
-        colour: Of lines and dots.
-        linewidth: In points.
-        dot_area: In points squared; 0 leaves the dots out.
+        colour: Colour of lines and dots.
+        linewidth: Width of the lines in points.
+        dot_area: Area of a dot in points squared; 0 leaves the dots out.
     """
     lines = [points[list(line)] for line in polylines]
     style = {"colors": colour, "linewidths": linewidth, "zorder": 2}
@@ -63,7 +63,7 @@ def draw_error_map(
         shape: `(L, 3)` in any unit, where the landmarks are drawn.
         polylines: As for `draw_wireframe`.
         errors: `(L,)`.
-        colours: From errors to colours.
+        colours: Map from errors to colours.
     """
     points = front_view(shape)
     pad = 0.05 * np.ptp(points[:, 1])

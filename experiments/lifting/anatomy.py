@@ -1,8 +1,8 @@
-"""Step: Deep-MDS with one part after the other replaced by a better one, down to the limit.
+"""Step: Deep-MDS with one part after another replaced by a better one, down to the limit.
 
-On the test faces of the paper's protocol, over several seeds of what is trained. Each row differs
-from the one that its title names in one thing. Dissimilarity matrices go through the non-metric MDS
-of the method and through metric MDS.
+It uses the test faces of the paper's protocol and several seeds of training. Each row differs in
+one thing from the row that its title names. Dissimilarity matrices go through the method's
+non-metric MDS and through metric MDS.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
 def measure(run: Run) -> pd.DataFrame:
     """Error of every step: `step, embedding, seed`, and of the faces `mse, sem, n_faces`.
 
-    What depends on no seed has that of the run.
+    Rows that depend on no seed have that of the run.
     """
     dataset, test = load_dataset(run.work / "test.npz"), load_faces(run, "test")
     rows = []
@@ -110,9 +110,10 @@ def measure(run: Run) -> pd.DataFrame:
 
 
 def over_seeds(errors: pd.DataFrame) -> pd.DataFrame:
-    """`step, embedding, mse, sem, low, high, n_seeds`: mean and, of several seeds, their range.
+    """`step, embedding, mse, sem, low, high, n_seeds`: mean and, for several seeds, their range.
 
-    `sem` is the standard error over seeds, or of one over faces; then the ends are 95 %'s.
+    `sem` is the standard error over seeds or, for one seed, over faces; the ends are then those of
+    a 95 % interval.
     """
     table = errors.groupby(["step", "embedding"], sort=False).agg(
         mse=("mse", "mean"), of_faces=("sem", "mean"), of_seeds=("mse", "sem"),

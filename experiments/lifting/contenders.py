@@ -1,10 +1,10 @@
-"""What networks are compared with on hard views: methods without one, and the limit of any method.
+"""Comparisons for the networks on hard views: simpler methods, and an approximate lower bound.
 
-The limit is the error that is left to a method which knows the camera and the face model.
-Coefficients of the face model are standard normal, and the view is nearly linear in them. With the
-camera known but for the place and size of the face in the image, their posterior is Gaussian:
-its precision is `A A^T / sd^2 + I`, where A is the Jacobian of the view at the true shape with a
-flat prior on translation and scale. The view cannot tell draws from it apart.
+The bound is the error of a method that knows the camera and the face model. Coefficients of the
+face model are standard normal, and the view is nearly linear in them. With the camera known except
+for the position and size of the face in the image, their posterior is Gaussian: its precision is
+`A A^T / sd^2 + I`, where A is the Jacobian of the view at the true shape with a flat prior on
+translation and scale. Draws from it are indistinguishable by the view.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from experiments.recipes import perceptron
 from experiments.run import Run
 
 _CHUNK = 500  # faces whose views are filled together
-_SEEN_SD_MM = 0.1  # by which the regression of missing coordinates trusts the others
+_SEEN_SD_MM = 0.1  # noise of the visible coordinates in the regression of missing ones
 _MISFIT_FACES = 1000
 _LEAST_VIEW_NOISE = 3.5e-3  # Aldrian's default
 _HINDSIGHT_SD, _HINDSIGHT_FACES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12), 500  # in radii
@@ -36,11 +36,11 @@ _LEAST_SD_MM = 1e-3  # of exact landmarks
 
 
 class Contenders:
-    """Methods of the protocol `hard` without a network: `Views` to shapes `(n, L, 3)`.
+    """The simpler methods of the protocol `hard`: from `Views` to shapes `(n, L, 3)`.
 
     Args:
         run: The run.
-        condition: Whose training views they learn from, and whose noise the fits are given.
+        condition: Condition of the training views, and of the noise that the fits assume.
     """
 
     def __init__(self, run: Run, condition: Condition):
@@ -56,20 +56,20 @@ class Contenders:
         return np.broadcast_to(mean, faces.shapes.shape)
 
     def linear(self, faces: Views) -> np.ndarray:
-        """Ridge regression; in training and test alike, missing coordinates are filled in first."""
+        """Ridge regression; in training and test, missing coordinates are filled in first."""
         return self._regress(Linear(), faces)
 
     def linear_upright(self, faces: Views) -> np.ndarray:
-        """The same on views that are turned upright."""
+        """The same on views rotated upright."""
         return self._regress(Linear(upright=True), faces)
 
     def perceptron(self, faces: Views) -> np.ndarray:
-        """The same by a dense network."""
+        """The same with a dense network."""
         return self._regress(perceptron(self._run), faces)
 
     @cached_property
     def _filled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Views and shapes of the training, normalised; nothing is missing."""
+        """Normalised training views, with missing landmarks filled in, and shapes."""
         return normalise(self.fill(self._train.views)), normalise(self._train.shapes)
 
     def _regress(self, model, faces: Views) -> np.ndarray:
@@ -77,12 +77,12 @@ class Contenders:
         return model.predict(normalise(self.fill(faces.views)))
 
     def aldrian(self, faces: Views) -> np.ndarray:
-        """Fit by Aldrian and Smith, given the noise; missing coordinates are filled in first."""
+        """Aldrian and Smith's fit with known noise; missing coordinates are filled in first."""
         model = self._landmarks.mean, self._landmarks.identity_basis_times_sd
         return fit_aldrian(*model, self.fill(faces.views), self._misfit("affine"))
 
     def model_fit(self, faces: Views) -> np.ndarray:
-        """The project's fit of the face model to the visible landmarks, given the noise."""
+        """The project's fit of the face model to the visible landmarks, with known noise."""
         sd, landmarks = self._misfit("orthographic"), self._landmarks
         options = {"n_identity": landmarks.n_identity, "n_expression": 0, "landmark_sd": sd}
         identity = []
@@ -93,9 +93,9 @@ class Contenders:
         return landmarks.shape(np.array(identity))
 
     def fill(self, views: np.ndarray) -> np.ndarray:
-        """Put missing coordinates of `(n, L, 2)` where a regression on the others expects them.
+        """Fill in missing coordinates of `(n, L, 2)` by a regression on the others.
 
-        That is their mean given the others, if views are Gaussian as those of training are.
+        It gives their conditional mean if views are Gaussian with the moments of training.
         """
         if np.isfinite(views).all():
             return views
@@ -104,7 +104,7 @@ class Contenders:
             flat = views[start : start + _CHUNK].reshape(-1, len(self._mean))
             known, places = np.isfinite(flat), range(len(self._mean))
             offsets = np.where(known, flat - self._mean, 0)
-            # Rows and columns of what is missing are those of the unit matrix: no influence.
+            # Missing coordinates get rows and columns of the unit matrix: no influence.
             among = np.where(known[:, :, None] & known[:, None], self._covariance, 0)
             among[:, places, places] += np.where(known, _SEEN_SD_MM**2, 1)
             weights = np.linalg.solve(among, offsets[..., None])[..., 0]
@@ -112,10 +112,9 @@ class Contenders:
         return np.concatenate(filled).reshape(views.shape)
 
     def _misfit(self, camera: str) -> float:
-        """R.m.s. distance of a coordinate from where a kind of camera sees the true landmarks, mm.
+        """R.m.s. residual in mm of a coordinate when a kind of camera is fitted to the true shapes.
 
-        A method with that camera takes it all for noise: the errors of the landmarks, and
-        perspective.
+        A method with that camera must treat all of it as noise: landmark errors and perspective.
         """
         faces = self._whole[:_MISFIT_FACES]
         if camera == "affine":
@@ -134,22 +133,22 @@ class Contenders:
 def fit_aldrian(
     mean: np.ndarray, basis: np.ndarray, views: np.ndarray, sd: float | np.ndarray
 ) -> np.ndarray:
-    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of an s.d.
+    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of known s.d.
 
-    The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`. The fit takes
-    one s.d. for all: the mean.
+    The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`. The fit assumes
+    one s.d. for all landmarks: the mean.
     """
     noise = np.mean(sd) / np.ptp(views, axis=1).max(1).mean()
-    # With less than its default the first, wrong cameras would be fitted too closely.
+    # Below its default, the first, wrong cameras would be fitted too closely.
     return Aldrian(mean, basis, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
 
 
 def fit_aldrian_in_hindsight(
     mean: np.ndarray, basis: np.ndarray, views: np.ndarray, shapes: np.ndarray
 ) -> np.ndarray:
-    """The same fit with the s.d., of several, that is best on some of the true shapes.
+    """The same fit with the best of several s.d. on some of the true shapes.
 
-    It stands for what neither the noise nor the face model tells: how far faces are from the model.
+    It accounts for what neither noise nor face model tells: the distance of faces from the model.
     """
     radius, some = rms_radius(views)[:, None], slice(_HINDSIGHT_FACES)
     known = np.isfinite(shapes[0, :, 0])  # the face model may lack landmarks
@@ -163,7 +162,7 @@ def fit_aldrian_in_hindsight(
 
 
 def limit(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
-    """Mean squared error of draws from the posterior, after alignment to the ground truth: `(n,)`.
+    """Mean squared error of draws from the posterior, aligned to the ground truth: `(n,)`.
 
     A missing landmark contributes nothing. The unit is that of `normalise`, squared.
     """
@@ -172,7 +171,7 @@ def limit(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
     for start in range(0, len(faces), _FACES):
         part = faces[start : start + _FACES]
         exact = project(part.shapes, part.cameras)
-        # By differences, since the camera is set up by the landmarks that it sees.
+        # By finite differences, since the camera depends on the landmarks that it sees.
         moved = part.shapes[:, None] + _STEP * basis
         cameras = part.cameras[np.repeat(np.arange(len(part)), len(basis))]
         views = project(moved.reshape(-1, *moved.shape[2:]), cameras)
@@ -194,9 +193,8 @@ def posterior_draws(
     Args:
         jacobian: `(n, K, L, 2)` derivatives of the views by standard-normal coefficients.
         views: `(n, L, 2)`, whose translation and scale are not known.
-        certainty: `(n, L)` one over the standard deviation of the errors of a landmark; 0 for one
-            that is missing.
-        rng: Source of the draws.
+        certainty: `(n, L)` inverse standard deviation of the errors of a landmark; 0 if missing.
+        rng: Random generator.
     """
     n, k = jacobian.shape[:2]
     shifts = np.broadcast_to(np.eye(2)[:, None], (n, 2, *views.shape[1:]))

@@ -1,7 +1,6 @@
 """Step: views far from the paper's, turned, near, noisy and incomplete, against the limit.
 
-Every condition is a column of the table. Methods that are trained are trained for each, on faces of
-one sampler.
+Every condition is a column of the table. Learning methods are trained for each, on the same faces.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     """Errors of every method on the test faces of a condition.
 
     Returns:
-        A row a face: `condition`, `method`, `seed`, `yaw` to either side in degrees, and `METRICS`,
-        of which the last two are NaN but for lifting.
+        One row per face: `condition`, `method`, `seed`, `yaw` to either side in degrees, and
+        `METRICS`, of which the last two are NaN except for lifting.
     """
     parts = []
     faces, contenders = hard_views(run, condition), Contenders(run, condition)
@@ -60,7 +59,7 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     def add(method: str, seed: int, errors: np.ndarray, **metrics: np.ndarray) -> None:
         bound = best[: len(errors)]
         ratio = errors.mean() / bound.mean()
-        # Of a ratio of means, to first order, so that its standard error is that of their mean.
+        # Linearised ratio of means, so that the standard error of its mean is that of the ratio.
         ratios = ratio + (errors - ratio * bound) / bound.mean()
         rows = pd.DataFrame({"mse": errors, "times_limit": ratios} | metrics)
         yaw = np.abs(faces.cameras.yaw[: len(errors)])
@@ -88,9 +87,9 @@ def _errors(shapes: np.ndarray, faces: Views) -> np.ndarray:
 
 
 def summarise(errors: pd.DataFrame) -> pd.DataFrame:
-    """Mean of every method in every condition, empty where it cannot be used.
+    """Mean of every method in every condition; empty if it cannot be used.
 
-    `standard_error` is over the faces, and like `mean` a mean over seeds; `std` is over seeds.
+    `standard_error` is over the faces and, like `mean`, averaged over seeds; `std` is over seeds.
     """
     cell = ["method", "condition", "metric"]
     values = errors.melt(["method", "condition", "seed"], METRICS, "metric").dropna()

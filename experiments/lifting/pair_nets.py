@@ -1,4 +1,4 @@
-"""Dissimilarity nets as a `Variant` has them: built, trained, and asked for all distances."""
+"""Dissimilarity nets of a `Variant`: building, training, and predicting all distances."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _AHEAD = 50  # mini-batches that are made while the net trains
 def build_pair_net(n_landmarks: int, variant: Variant, *, seed: int = 0) -> keras.Model:
     """The layers of the dissimilarity net on the paper's pair features and more.
 
-    A landmark is an embedding of 16 numbers. The sums and the products of two of them do not
-    depend on which comes first.
+    Each landmark has an embedding of 16 numbers. Sums and products of two embeddings do not depend
+    on their order.
 
     Returns:
-        Model from features `(P, 6)`, numbers of the landmarks `(P, 2)` if it knows them, and the
-        whole view `(P, 2L)` if it sees it, to distances `(P, 1)` in the unit of `normalise`.
+        Model from features `(P, 6)` and, if the variant has them, numbers of the landmarks `(P, 2)`
+        and the whole view `(P, 2L)`, to distances `(P, 1)` in the unit of `normalise`.
     """
     dense = dense_blocks(seed)
     features = keras.Input((N_FEATURES["paper"],), name="pair_features")
@@ -69,10 +69,10 @@ class PairNet:
     seed: int
 
     def fit(self, frontal, views, shapes, *, checkpoint: Path, progress: Callable) -> keras.Model:
-        """Train a net, or go on from a checkpoint.
+        """Train a net, or resume from a checkpoint.
 
         Args:
-            frontal: `(n, L, 2)` what pairs are of.
+            frontal: `(n, L, 2)` views whose pairs are used.
             views, shapes: `(n, L, 2)` and `(n, L, 3)`, normalised.
             checkpoint: File that is written after every epoch.
             progress: Called after every epoch with its losses.
@@ -94,7 +94,7 @@ class PairNet:
                 drawn = np.tile(np.arange(len(pairs)), (steps, 1))
 
             def batch(faces, drawn):
-                # Gathered only now: all pairs of an epoch would fill the memory.
+                # Gathered late: all pairs of an epoch would fill the memory.
                 faces, ends = tf.broadcast_to(faces, tf.shape(drawn)), tf.gather(pairs, drawn)
                 places = tf.stack([tf.stack([faces, faces], 1), tf.cast(ends, faces.dtype)], -1)
                 views, points = (
@@ -117,9 +117,10 @@ class PairNet:
 
 
 def dissimilarities(net: keras.Model, frontal: np.ndarray, views: np.ndarray) -> np.ndarray:
-    """Matrices `(n, L, L)` of the distances that a net predicts, with a diagonal of 0.
+    """Matrices `(n, L, L)` of the distances that a net predicts, with zero diagonal.
 
-    Of `build_pair_net`, or of the method; pairs are of `frontal`, and `views` are the whole views.
+    The net is one of `build_pair_net`, or the method's; pairs come from `frontal`, `views` are
+    whole.
     """
     frontal, views = np.float32(frontal), np.float32(views).reshape(len(views), -1)
     n_landmarks, pairs = frontal.shape[1], _pairs(frontal.shape[1])

@@ -1,4 +1,4 @@
-"""The Surrey Face Model at the landmarks of the inner face, to test on what nothing is trained on.
+"""The Surrey Face Model at the landmarks of the inner face: test faces unlike any in training.
 
 Huber et al. 2016, doi:10.5220/0005669500580067, from scans of 169 people; for non-commercial
 research, from https://github.com/patrikhuber/eos/tree/master/share.
@@ -13,7 +13,7 @@ import numpy as np
 from deepmds_keras.baselines.eos_fit import NUMBERS, read_surrey
 from deepmds_keras.landmarks import load_scheme
 
-# Weight of each of the six expressions, uniform from 0: with all at 1 faces are contorted.
+# Largest weight of each of the six expressions; with all of them at 1, faces are contorted.
 _MOST_EXPRESSION = 0.5
 
 
@@ -29,7 +29,7 @@ class Surrey:
 
     def __init__(self, path: str | Path):
         _, shape, blendshapes, _, vertices = read_surrey(path)
-        # Rows of a flat mesh: three to a vertex.
+        # Rows of a flat mesh: three per vertex.
         rows = (3 * np.array(vertices)[:, None] + range(3)).ravel()
         self._mean = np.ravel(shape.get_mean())[rows]
         self._identity = np.array(shape.get_rescaled_pca_basis())[rows].T

@@ -1,4 +1,4 @@
-"""Step: trains one network of `hard` or `transfer`, by its name, from a checkpoint on."""
+"""Step: trains one network of `hard` or `transfer`, by its name; resumes from its checkpoint."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lifting_networks(run: Run, study: str) -> list[str]:
 
 
 def transfer_models(run: Run) -> list[str]:
-    """What methods of `"transfer"` are trained on: the run's model, and of the open head both."""
+    """Training faces of `"transfer"`: the run's model and, for the open head, both open models."""
     both = run.model == OPEN[0] and not open_models(run.data)[1]
     return [run.model, BOTH] if both else [run.model]
 
@@ -58,7 +58,7 @@ def network_file(run: Run, name: str) -> Path:
 
 
 def load_network(file: Path):
-    """Read a `LandmarkLifter` or a `DeepMDS`, as the name of its file says."""
+    """Read a `LandmarkLifter` or a `DeepMDS`, depending on the name of the file."""
     if LIFTING in file.stem:
         from deepmds_keras.lifting.lifter import LandmarkLifter
 
@@ -98,7 +98,7 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
 
 
 def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces of a model, or equal parts of `BOTH` open ones, to train on.
+    """Training faces of a model, or in equal parts of `BOTH` open ones.
 
     Returns:
         Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's errors.

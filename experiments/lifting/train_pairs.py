@@ -1,6 +1,6 @@
 """Step: trains one network of `anatomy`, of those that `anatomy_trainings` lists.
 
-Nets that see the autoencoder's views see those of the run's: seeds are of what is trained here.
+Nets on views of the autoencoder use the run's; seeds concern what is trained here.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main(run: Run, name: str) -> None:
 
 @functools.cache
 def autoencoder(run: Run, frontal: str, schedule: str) -> Callable[[np.ndarray], np.ndarray]:
-    """What computes the views `(n, L, 2)` that pairs of a `Variant` are of, from views."""
+    """Function from views to the views `(n, L, 2)` whose pairs a `Variant` uses."""
     if frontal != "side":
         return load(run, "ours" if schedule == "constant" else DEEP_MDS).frontalise
     file = anatomy_file(run, SIDE_AUTOENCODER, run.seed)

@@ -1,7 +1,7 @@
-"""Step: methods trained on faces of one model and tested on those of another, as users do.
+"""Step: methods trained on faces of one model and tested on those of another, as in practice.
 
-Expressive faces in poses as photos show, with a detector's errors of random strength in training.
-The face model of the run is the one trained on; those tested on are the open ones, and itself.
+The faces have expressions, poses as in photos and, in training, a detector's errors of random size.
+Training uses the run's face model; the tests use the open ones, and the run's.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from experiments.tasks import single_threaded, unordered
 
 NOISES_MM = (0.0, 1.0, 3.0)
 SURREY = "surrey"
-# A component below it moves no landmark by what can be seen: the fit takes it for noise.
+# Components below it move no landmark visibly: the fit treats them as noise.
 _LEAST_SD_MM = 0.3
 _UNIT = 1e-5
 
@@ -84,10 +84,10 @@ class Trained:
         """Method to shapes `(n, L, 3)`.
 
         Args:
-            views: `(n, L, 2)`, y up; NaN where all faces lack a landmark. There, the methods that
-                cannot leave one out are given what a regression on the others expects.
-            sd: Of the errors, of all, or `(n, L)`.
-            truth: `(n, L, 3)`, for the fit that is given the best noise; None leaves it out.
+            views: `(n, L, 2)`, y up; NaN where all faces lack a landmark. Methods that need it get
+                the prediction of a regression on the others.
+            sd: Standard deviation of all errors, or `(n, L)`.
+            truth: `(n, L, 3)`, for the fit with the best noise; None leaves that out.
         """
         given, views = views, self._filled(views)
         seen = normalise(centre(views))
@@ -134,7 +134,7 @@ def trained(run: Run, faces: str) -> Trained:
 def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean `(L, 3)` of shapes `(n, L, 3)` and principal components times s.d., `(K, L, 3)`.
 
-    Expressions are not Gaussian: the components are the Gaussian nearest to them.
+    Expressions are not Gaussian: this is the Gaussian with their moments.
     """
     n, mean = len(shapes), shapes.mean(0)
     flat = (shapes - mean).reshape(n, -1)
@@ -145,8 +145,8 @@ def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Views with errors of an s.d. and shapes, `(n, 51, ·)`; NaN at what the model lacks."""
-    # The same faces, and the same errors but for their size.
+    """Views with errors, and shapes, `(n, 51, ·)`; NaN for landmarks that the model lacks."""
+    # The same faces and, except for their size, the same errors.
     rng, n = np.random.default_rng([run.seed, Stream.TRANSFER_TESTS]), run.preset.test_faces
     if tested != SURREY:
         model = load_model(tested, run.data, TRANSFER_SCHEME)
@@ -162,9 +162,9 @@ def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np
 
 
 def measure(run: Run, faces: str, tested: str, noise_mm: float) -> pd.DataFrame:
-    """A row a method: its error on faces of a model, whose landmarks have errors of that s.d.
+    """One row per method: its error on faces of a model, with landmark errors of that s.d.
 
-    Of the Surrey model also that of eos, whose model it is.
+    On the Surrey model also eos, to which it belongs.
     """
     views, shapes = tested_faces(run, tested, noise_mm)
     predicted = trained(run, faces).predict(views, noise_mm, shapes)

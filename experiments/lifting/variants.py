@@ -1,6 +1,6 @@
 """The dissimilarity nets of `anatomy`, each of which differs from another in one thing.
 
-The module is light to import, since the map of steps reads it.
+The module is light to import, since the Snakefile reads it.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ class Variant:
 
     Attributes:
         schedule: Learning rate of the net and of the autoencoder before it.
-        units: Of a hidden layer.
-        shuffled: Whether a mini-batch is as many pairs of all faces as one face has. With pairs of
-            one face, batch normalisation would take away what is the same for the whole face.
+        units: Units of each hidden layer.
+        shuffled: Whether a mini-batch has the same number of pairs drawn from all faces. With pairs
+            of one face, batch normalisation removes what the whole face has in common.
         identity: Whether the net knows which two landmarks it sees.
-        whole_view: Whether it also sees the whole view, as it was given.
-        frontal: What pairs are of: views of the `"autoencoder"`, `"true"` frontal views, or views
-            from the side (`"side"`) of an autoencoder that was trained to give these.
+        whole_view: Whether it also sees the whole input view.
+        frontal: Views whose pairs are used: from the `"autoencoder"`, the `"true"` frontal ones, or
+            from the side (`"side"`), by an autoencoder trained to predict those.
         rescaled: Whether views of the autoencoder are normalised again.
     """
 

@@ -13,7 +13,7 @@ from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream
 
-FACE_MM = 90.0  # between the outer corners of the eyes; noise is a share of it
+FACE_MM = 90.0  # between the outer corners of the eyes; noise is relative to it
 MOST_MISSING = 0.6  # share of the landmarks in training
 HIDDEN = "hidden"
 _CAMERAS = {"paper": sample_cameras, "hard": sample_hard_cameras}
@@ -21,14 +21,14 @@ _CAMERAS = {"paper": sample_cameras, "hard": sample_hard_cameras}
 
 @dataclass(frozen=True)
 class Condition:
-    """What views are like.
+    """Kind of views.
 
     Attributes:
-        id, title: In CSV, and in tables that are read.
-        protocol: Of the cameras, one of `_CAMERAS`.
+        id, title: Name in CSV files, and in tables for readers.
+        protocol: Protocol of the cameras, one of `_CAMERAS`.
         noise: Standard deviation of the errors of a coordinate, percent of `FACE_MM`.
-        missing: Share of the landmarks that are missing, each at random, in training up to this
-            one; or `HIDDEN`, those that the head hides.
+        missing: Share of randomly missing landmarks, in training the largest one; or `HIDDEN` for
+            those that the head hides.
     """
 
     id: str
@@ -39,7 +39,7 @@ class Condition:
 
     @property
     def training(self) -> Condition:
-        """The training views for it: one condition for all shares of missing landmarks."""
+        """Condition of its training views, the same for all shares of missing landmarks."""
         name = f"{self.protocol}_{self.noise:g}{'_missing' * bool(self.missing)}"
         return replace(self, id=name, missing=MOST_MISSING if self.missing else 0.0)
 
@@ -99,7 +99,7 @@ def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generato
     """Random neutral faces, their views and noise; no landmark is missing."""
     identity, shapes = landmark_model(run).sample(n, rng)
     cameras = _CAMERAS[condition.protocol](n, rng)
-    # No longer used, but what follows in the stream depends on it, and so do published numbers.
+    # No longer used, but later draws, and so the published numbers, depend on it.
     rng.random(n)
     sd = np.full(n, condition.noise / 100 * FACE_MM)
     views = project(shapes, cameras)
@@ -108,7 +108,7 @@ def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generato
 
 
 def training_views(run: Run, condition: Condition) -> Views:
-    """Faces to train on for a condition; of each, up to a share of the landmarks is missing."""
+    """Training faces for a condition; each lacks up to a share of its landmarks."""
     training, rng = condition.training, condition.rng(run, Stream.HARD_TRAINING)
     faces = sample_views(run, training, run.preset.train_faces, rng)
     if not training.missing:
@@ -120,7 +120,7 @@ def training_views(run: Run, condition: Condition) -> Views:
 def hard_views(run: Run, condition: Condition) -> Views:
     """The test faces: the same in every condition of a protocol, with the same errors in its unit.
 
-    What is missing at one share is missing at all larger ones.
+    A landmark missing at one share is missing at all larger ones.
     """
     rng = condition.rng(run, Stream.HARD_FACES)
     faces = sample_views(run, condition, run.preset.test_faces, rng)

@@ -1,4 +1,4 @@
-"""Step: draws photos of both open models, whose truth is known, and finds the faces in them."""
+"""Step: renders photos of both open models, with known truth, and detects the faces in them."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def main(run: Run) -> dict:
 
 
 def read_portraits(run: Run, model: str) -> dict[str, np.ndarray]:
-    """What is known of all photos of a model.
+    """Truth and detections of all photos of a model.
 
     Returns:
         `yaw` `(n,)` degrees; `landmarks_…` and `pixels_…` of the schemes, as `Photo` has them;
         `dlib` `(n, 68, 2)` and `mediapipe` `(n, 51, 2)` pixels, NaN where no face was found, and
-        `mediapipe_shape` `(n, 51, 3)`, y up, as far as the detectors are installed.
+        `mediapipe_shape` `(n, 51, 3)`, y up, if the detectors are installed.
     """
     return read_arrays(portraits_file(run, model))[0]
 
@@ -58,7 +58,7 @@ def portraits_file(run: Run, model: str) -> Path:
 
 
 def _draw(run: Run, model: str, numbers: range, detectors: list[str]) -> tuple[range, dict]:
-    """What is known of, and found in, some photos, by their numbers: arrays by name."""
+    """Truth and detections of some photos, by their numbers: arrays by name."""
     photos = [*_source(run, model).photos(numbers)]
     arrays = {"yaw": np.array([photo.yaw for photo in photos])}
     for scheme in photos[0].landmarks:

@@ -1,4 +1,4 @@
-"""Step: measures the weights for photos on rendered ones, whose truth is known, and ships them."""
+"""Step: measures the weights for photos on rendered ones, with known truth, and ships them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _YAWS = np.arange(-60.0, 61.0, 20.0)  # middles of bins, degrees
 # Root mean square error of a face, in radii, beyond which a detector has found something else.
 _GROSS = 0.3
 _UNIT = 1e-5
-_FEWEST = 4  # photos in which a face is found
+_FEWEST = 4  # least number of photos with a detected face
 
 
 @functools.cache
 def trained(run: Run, scheme: str) -> Trained:
-    """Every method, trained on the faces that the lifter of a scheme is trained on."""
+    """Every method, trained on the training faces of a scheme's lifter."""
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(scheme)])
     views, shapes, _ = photo_faces(run, scheme)(run.preset.train_faces, rng)
     names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
@@ -69,7 +69,7 @@ def measure(run: Run) -> Iterator[dict]:
                 scored = np.ones(truth.shape[1], bool)
                 if scheme == "ibug51" and run.sfm:
                     shapes["eos"] = EosFit(run.sfm).predict(views[found])
-                    scored = np.isfinite(shapes["eos"][0, :, 0])  # of all methods alike
+                    scored = np.isfinite(shapes["eos"][0, :, 0])  # for all methods alike
                 row = {"scheme": scheme, "faces": model, "views": kind, "landmarks": scored.sum()}
                 shapes = {method: shape[:, scored] for method, shape in shapes.items()}
                 for errors in _errors(shapes, truth[found][:, scored]):
@@ -89,9 +89,9 @@ def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | N
     """Landmarks of a scheme, `"exact"` or by a detector as prediction takes them; None if unknown.
 
     Args:
-        photos: Of a model, as from `read_portraits`.
+        photos: Photos of a model, as from `read_portraits`.
         kind: `"exact"` or a detector.
-        scheme: Of the landmarks.
+        scheme: Scheme of the landmarks.
     """
     source = "bfm72" if scheme == "bfm72" else "ibug68"
     truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))
@@ -109,9 +109,9 @@ def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | N
 
 
 def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
-    """Shapes by ridge regression on detections: of either half of the photos by the other.
+    """Shapes by ridge regression on detections, each half of the photos from the other.
 
-    The regression sees photos of all models. No other method of the table is trained on detections.
+    It sees photos of all models. No other method of the table is trained on detections.
     """
     inputs = {m: normalise(centre(each.views[each.found])) for m, each in faces.items()}
     truths = {m: each.truth[each.found] for m, each in faces.items()}
@@ -125,7 +125,7 @@ def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
 
 
 def _errors(shapes: dict[str, np.ndarray], truth: np.ndarray) -> Iterator[dict]:
-    """Error of each method, and the part of a face's offset from the mean that it recovers."""
+    """Error of each method, and the recovered fraction of a face's offset from the mean."""
     mean = align(shapes["mean_shape"], truth)
     for method, shape in shapes.items():
         aligned, offsets = align(shape, truth), truth - mean
@@ -137,22 +137,22 @@ def errors_of(photos: dict[str, np.ndarray], detector: str) -> tuple[np.ndarray,
     """Errors of a detector on photos, as `read_portraits` returns them.
 
     Returns:
-        `(n, L, 2)` errors in root mean square radii of the face's true `ibug51`, NaN where no face
-        was found; and `(n,)` whether the face was found, and nothing else in its place.
+        `(n, L, 2)` errors relative to the root mean square radius of the face's true `ibug51`, NaN
+        where no face was found; and `(n,)` whether the face itself was found.
     """
     pixels = photos["pixels_ibug68"]
     radius = rms_radius(convert(pixels, "ibug68", "ibug51"))[:, None, None]
     errors = (photos[detector] - convert(pixels, "ibug68", SCHEMES[detector][0])) / radius
-    return errors, np.sqrt((errors**2).sum(2).mean(1)) <= _GROSS  # False where it is NaN
+    return errors, np.sqrt((errors**2).sum(2).mean(1)) <= _GROSS  # False for NaN
 
 
 def detections(run: Run) -> pd.DataFrame:
-    """How many faces each detector finds, by how far they are turned, and how well.
+    """Share of faces that each detector finds, by yaw, and its accuracy.
 
     Returns:
-        Rows of `detector, yaw, n_photos, found, rms, faces`: the share of the photos, over these
-        the root mean square error of a coordinate of `ibug51` in percent of the face's radius, and
-        the face model.
+        Rows of `detector, yaw, n_photos, found, rms, faces`: the share of photos with a detection;
+        for these, the root mean square error of a coordinate of `ibug51` in percent of the face's
+        radius; and the face model.
     """
     parts = []
     for detector, (scheme, *_) in SCHEMES.items():
@@ -174,7 +174,7 @@ def detections(run: Run) -> pd.DataFrame:
 def main(run: Run) -> dict:
     table = pd.DataFrame(measure(run))
     table = table[[*table.columns.drop(["n_faces", "not_found"]), "n_faces", "not_found"]]
-    # Weights of one model's faces are not those of the docs.
+    # Weights trained on one model's faces are not those of the docs.
     if run.preset.name == "full" and not open_models(run.data)[1]:
         for name in NETWORKS:
             shutil.copyfile(weights_file(run, name), PRETRAINED / f"{name}.npz")

@@ -1,8 +1,8 @@
-"""Step: what photos of real people tell of detectors and methods, though nobody knows the truth.
+"""Step: what photos of real people, without ground truth, tell about detectors and methods.
 
-The landmarks of the same faces by two detectors. How far they differ gives the table by which
-prediction corrects a detector, `deepmds_keras/landmarks/detectors.csv`. A method is reliable if the
-shapes that it makes of both are alike, and unlike those of other people.
+It compares the landmarks of the same faces from two detectors. Their differences give the table by
+which prediction corrects a detector, `deepmds_keras/landmarks/detectors.csv`. A method is reliable
+if its shapes from both are similar, and unlike those of other people.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from experiments.studies.study_results import write_results
 
 _SCHEME = "ibug51"
 _EYES = ("right_eye_outer_corner", "left_eye_outer_corner")
-# Variance of the errors that a detector's landmarks are taken to have, both detectors together, in
-# that of their difference. Errors go together, of neighbouring landmarks and of the two detectors,
-# and weigh more than white ones of their strength: with 1 the shapes of the two agree less.
+# Assumed variance of the errors, of both detectors together, relative to that of their difference.
+# Errors are correlated, between neighbouring landmarks and between the two detectors, and weigh
+# more than white ones of the same size: with 1, the shapes from the two agree less.
 _STRENGTH = 6.0
 
 
@@ -56,7 +56,7 @@ def main(run: Run, file: str) -> dict:
 
 
 def _methods(run: Run) -> Trained:
-    """The weights that ship, and other methods trained on the faces of the lifter's training."""
+    """The shipped weights, and other methods trained on the lifter's training faces."""
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
     views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
     networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
@@ -73,9 +73,9 @@ def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
 def detector_table(run: Run, faces: dict[str, np.ndarray]) -> pd.DataFrame:
     """Rows of `detector, landmark, dx, dy, sd`, landmarks by their iBUG numbers.
 
-    dlib was trained on iBUG 300-W: its landmarks stay, MediaPipe's are moved by the mean
-    difference. From landmark to landmark s.d. are as on rendered photos; their common size makes
-    the difference on the real ones come out.
+    dlib was trained on iBUG 300-W: its landmarks stay, MediaPipe's move by the mean difference. The
+    s.d. of landmarks relative to each other are those on rendered photos; their common scale is set
+    by the difference on real ones.
     """
     apart = differences(faces)
     variances = {name: _variance(run, name) for name in SCHEMES}
@@ -98,13 +98,14 @@ def _variance(run: Run, detector: str) -> np.ndarray:
 
 
 def reliability(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
-    """How alike the shapes of a face by both detectors are, of each method.
+    """Similarity of a face's shapes from both detectors, for each method.
 
     Returns:
-        Rows of `method, ratio, within, between`: mean squared distance of the two shapes of a face
-        after alignment, over that of shapes of different faces by different detectors; 0 if the
-        detectors agree perfectly, 1 if a shape tells nothing of a person. The unit is that of
-        `normalise`, squared. Offsets come from one half of the faces, tested is the other.
+        Rows of `method, ratio, within, between`: mean squared distance between the two shapes of a
+        face after alignment, over that between shapes of different faces from different detectors;
+        0 if the detectors agree perfectly, 1 if a shape says nothing about a person. The unit is
+        that of `normalise`, squared. Offsets come from one half of the faces, the test from the
+        other.
     """
     apart, rows = differences(faces), []
     n = len(apart)
@@ -134,12 +135,12 @@ def _distances(first: np.ndarray, second: np.ndarray) -> dict[str, float]:
 
 
 def misfits(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
-    """How far the lifted shape, as its camera sees it, lies from the landmarks.
+    """Distance of the projected lifted shape from the landmarks.
 
     Returns:
-        Rows of `detector, given_sd, misfit`: the median over faces of the root mean square of a
-        coordinate, in distances of the outer corners of the eyes; with the detector's s.d., and
-        as anybody calls the lifter.
+        Rows of `detector, given_sd, misfit`: the median over faces of the root mean square residual
+        of a coordinate, relative to the distance between the outer corners of the eyes; with the
+        detector's s.d., and with the lifter's default.
     """
     right, left = map(load_scheme(_SCHEME).index, _EYES)
     rows = []

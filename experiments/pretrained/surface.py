@@ -1,4 +1,4 @@
-"""Step: writes the head of `deepmds predict --mesh`, and measures how far its meshes lie off."""
+"""Step: writes the head of `deepmds predict --mesh`, and measures the errors of its meshes."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[dict]:
     """Measure heads that are fitted to the landmarks of random faces, mean distances in mm.
 
     Yields:
-        What the landmarks are; the distance of the vertices of the face, without the eyes and the
-        inside of the mouth, from the true surface, of the mean head where it is aligned and of the
-        fitted ones; and the distance of these from the landmarks given.
+        The kind of landmarks; the distance of the face's vertices, without the eyes and the inside
+        of the mouth, from the true surface, for the aligned mean head and for the fitted ones; and
+        the distance of the latter from the given landmarks.
     """
     rng = np.random.default_rng([_SEED, Stream.SURFACES])
     true = model.shape(*sample_expressive(model, n, rng))
@@ -77,7 +77,7 @@ def measure(model: MorphableModel, n: int = _N_FACES) -> Iterator[dict]:
 
 
 def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
-    """Landmarks `(n, L, 3)` of several kinds, where the true ones are, by their description."""
+    """Landmarks `(n, L, 3)` of several kinds, from the true ones, with their description."""
     yield "exact", true
     yield f"off by {_ERROR_MM} mm a coordinate", true + rng.normal(0, _ERROR_MM, true.shape)
     cameras = sample_perspective_cameras(

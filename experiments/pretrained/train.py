@@ -1,8 +1,8 @@
-"""Step: trains one of the networks that ship with the package, on faces as photos show them.
+"""Step: trains one of the networks that ship with the package, on faces as in photos.
 
-The lifters see faces of both open models, with white errors whose strength they are given, if not
-exactly. Every face is changed beyond its model, since the people in photos are of no model at all.
-The networks of Deep-MDS are those of `ours_stable`, on faces of the open head alone.
+The lifters see faces of both open models, with white errors whose size they get as an approximate
+input. Every face is changed beyond its model, since real people are of no model at all. The
+networks of Deep-MDS are those of `ours_stable`, on faces of the open head alone.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
-# Standard deviation of the errors that Deep-MDS is trained with, mm. No detector finds the 72
-# landmarks: they come from fits of face models to photos.
+# Standard deviation of the errors in Deep-MDS's training, mm. No detector finds the 72 landmarks:
+# they come from fits of face models to photos.
 DEEP_MDS = {"ibug51": DETECTOR_SD_MM, "bfm72": 1.0}
 LIFTERS = ("ibug51", "ibug68", "bfm72")
 # Names of all networks, under which they ship, those that take long first.
@@ -40,16 +40,16 @@ _MISSING = 0.3
 _RATE, _BATCH = 3e-3, 256
 # Uniform, to either side, degrees; and the angle that the landmarks fill, from 0.
 _YAW, _PITCH, _ROLL, _FIELD_OF_VIEW = 90.0, 40.0, 40.0, 40.0
-# Of the difference between a model's mean face and the other's, the share that is added to a face,
-# uniform. The open head's nose is shallow: its tip lies 0.41 of the distance between the outer
-# corners of the eyes before these, ICT's 0.50, that of people about 0.52.
+# Share of the difference between the two models' mean faces that is added to a face, uniform. The
+# open head's nose is shallow: its tip lies 0.41 of the distance between the outer corners of the
+# eyes in front of them, ICT's 0.50, that of people about 0.52.
 _TOWARDS_OTHER = {"openhead": (0.5, 1.75), "ict": (-0.75, 0.5)}
 # S.d. of the errors in a view, of most much less; and the share of views that have none.
 _MOST_NOISE_MM, _EXACT = 6.0, 0.1
-# Of the logarithm of the s.d. that is given over the true one: nobody knows that of a detector's
-# errors exactly, and a network that takes it for exact trusts it too much.
+# S.d. of the logarithm of the ratio of the given to the true s.d.: a detector's is never known
+# exactly, and a network that takes it for exact trusts it too much.
 _GIVEN_SD = 0.4
-# What models do not have: larger features, smooth offsets, landmarks set elsewhere, other aspects.
+# Changes beyond the models: larger features, smooth offsets, displaced landmarks, other aspects.
 _IDENTITY = (0.8, 1.4)
 _SMOOTH_MM, _SMOOTH_SD_MM = 25.0, 3.0
 _OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.05
@@ -88,7 +88,7 @@ def main(run: Run, name: str) -> None:
         network.set_params(centre_views=True, solver="auto", n_jobs=None)
     network.set_params(n_landmarks=len(load_scheme(scheme)))
     fit(network, *data, checkpoint=checkpoint)
-    network.history_ = {}  # the curves would be a good part of the file
+    network.history_ = {}  # the curves would take a good part of the file
     network.save(weights_file(run, name))
 
 
@@ -98,8 +98,8 @@ def sample_faces(
     """Random faces with errors in their views, equal parts of models restricted to the landmarks.
 
     Returns:
-        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and what is given as the s.d. `(n,)`
-        of the errors.
+        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the stated s.d. of the errors,
+        `(n,)`.
     """
     share = np.arange(n) * len(models) // n
     shapes = [_beyond(models, k, int((share == k).sum()), rng) for k in range(len(models))]
@@ -114,9 +114,10 @@ def sample_faces(
 
 
 def _in_frame_of(first: MorphableModel, model: MorphableModel) -> MorphableModel:
-    """The model turned to where its mean face is nearest to that of the first.
+    """The model, rotated so that its mean face is nearest to that of the first.
 
-    ICT looks up by 4 to 6 degrees where the open head looks ahead: mixed faces would have no front.
+    ICT looks up by 4 to 6 degrees when the open head looks ahead: mixed faces would have no common
+    front.
     """
     turn = procrustes(model.mean[None], first.mean[None], scaling=False, reflection=False).rotation
     arrays = ("mean", "identity_basis_times_sd", "expression_basis")
@@ -126,7 +127,7 @@ def _in_frame_of(first: MorphableModel, model: MorphableModel) -> MorphableModel
 def _beyond(
     models: Sequence[MorphableModel], k: int, n: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """`(n, L, 3)` faces of one of the models, changed in ways that it does not have."""
+    """`(n, L, 3)` faces of one of the models, changed in ways beyond it."""
     model, mean = models[k], models[k].mean
     identity, expression = sample_expressive(model, n, rng)
     shapes = model.shape(identity * rng.uniform(*_IDENTITY, (n, 1)), expression)

@@ -1,4 +1,4 @@
-"""Write the report of a face model, `results/<model>/report/report.md`, from its results alone."""
+"""Writes the report of a face model, `results/<model>/report/report.md`, from its results alone."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
 from experiments.scoring.typesetting import cells, head_of, remarks
 
-# Folder of results to its title and the target of `make` that writes it, in the report's order.
-# Words on folders and figures are in the template.
+# Folder of results → title, and the target of `make` that writes it, in the report's order. Texts
+# about folders and figures are in the template.
 RESULTS = {
     "bfm": ("The paper's BFM table", "reproduce-bfm"),
     "bfm-evaluator-released": ("BFM, authors' evaluator", "reproduce-bfm EVALUATOR=released"),
@@ -46,8 +46,8 @@ RESULTS = {
     "lifting/transfer": ("Transfer between face models", "lifting"),
 }
 _MACHINE = ("platform", "processor", "python")
-_LONG = 40  # rows; a longer table gets a column for each metric instead of a row
-# `code`, **strong** words and links are kept; other characters are shown as they are.
+_LONG = 40  # rows; a longer table gets a column per metric instead of a row
+# `code`, **strong** words and links are kept; other characters are escaped.
 _MARKUP = re.compile(r"`[^`]+`|\*\*|\]\([^)]+\)|([\\`*_{}<>|#~]|&(?=#?\w+;))")
 _NUMBER = r"[-−+<>×]? ?[\d(].*|–"
 
@@ -68,13 +68,13 @@ class Result:
 
     @property
     def base(self) -> str:
-        """The longest of `RESULTS` that its name begins with: other seeds and so on follow."""
+        """The longest name in `RESULTS` that begins its own; a seed or the like may follow."""
         bases = [base for base in RESULTS if f"{self.name}-".startswith(f"{base}-")]
         return max(bases, key=len, default=self.name)
 
     @property
     def title(self) -> str:
-        """Title, with what is not the default in brackets."""
+        """Title, with settings other than the default in brackets."""
         variant = self.name[len(self.base) :].strip("-").replace("-", " ")
         name = RESULTS.get(self.base, (self.name,))[0]
         return f"{name} ({variant})" if variant else name
@@ -140,7 +140,7 @@ def report(run: Run, results: list[Result]) -> str:
 
 
 def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
-    """Title, texts and remarks of the tables of a result; the first needs no title."""
+    """Title, cells and remarks of the tables of a result; the first needs no title."""
     if result.track:
         table = pd.read_csv(result.folder / "table.csv")
         of = table, result.track, "terminal"
@@ -164,7 +164,7 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
 
 
 def _glance(result: Result) -> dict[str, str]:
-    """Error of the paper's method, and of two that know less, in an experiment."""
+    """Error of the paper's method, and of two simpler ones, in an experiment."""
     head = head_of(METRICS["mse"], result.track)
     table = pd.read_csv(result.folder / "table.csv")
     errors = cells(table, result.track, "terminal")[head].T.to_dict()
@@ -176,7 +176,7 @@ def _glance(result: Result) -> dict[str, str]:
 
 
 def _steps(result: Result) -> pd.DataFrame:
-    """Time, memory and commit of the steps behind a result, and what became of scans and photos."""
+    """Time, memory and commit of the steps behind a result, and counts of scans and photos."""
     return pd.DataFrame(
         {
             "Step": step.get("step") or step["stage"],
@@ -194,7 +194,7 @@ def _steps(result: Result) -> pd.DataFrame:
 
 
 def _facts(records: list[dict]) -> pd.DataFrame:
-    """Names and values of records, all values where they differ."""
+    """Names and values of records; several values where they differ."""
     names = dict.fromkeys(name for record in records for name in record)
     values = {n: dict.fromkeys(_text(r[n]) for r in records if r.get(n, "") != "") for n in names}
     rows = [(_head(name), "; ".join(texts)) for name, texts in values.items() if texts]
@@ -202,14 +202,14 @@ def _facts(records: list[dict]) -> pd.DataFrame:
 
 
 def readable(table: pd.DataFrame) -> pd.DataFrame:
-    """Texts of a table of names and numbers; a long one of metrics gets a column for each."""
+    """Cells of a table of names and numbers; a long one gets a column per metric."""
     if len(table) > _LONG and {"metric", "mean"} <= {*table}:
         table = _by_metric(table)
     return table.convert_dtypes().map(_text).rename(columns=_head)
 
 
 def _by_metric(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean ± spread of each metric; what stands left of the metric names a row."""
+    """Mean ± spread of each metric; the columns to the left of the metric name a row."""
     keys = [*table.columns[: table.columns.get_loc("metric")]]
     spread = table["standard_error" if "standard_error" in table else "std"]
     typical = table["mean"].abs().groupby(table["metric"]).transform("median")
@@ -226,12 +226,12 @@ def _by_metric(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _head(name: str) -> str:
-    """A name of a column, metric or entry as it is read."""
+    """Name of a column, metric or entry for readers."""
     return METRICS[name].head if name in METRICS else name.replace("_", " ")
 
 
 def _text(value: object) -> str:
-    """A cell: names of methods and metrics as in all tables, numbers to four digits."""
+    """Text of a cell: methods and metrics by their titles, numbers to four digits."""
     if isinstance(value, list):
         return ", ".join(map(_text, value))
     if pd.isna(value) or value == "":
@@ -246,12 +246,12 @@ def _text(value: object) -> str:
 
 
 def escaped(text: object) -> str:
-    """Text that Markdown shows as it is, but for what `_MARKUP` keeps."""
+    """Text that Markdown shows unchanged, except for the markup in `_MARKUP`."""
     return _MARKUP.sub(lambda mark: f"\\{mark[1]}" if mark[1] else mark[0], str(text))
 
 
 def markdown_table(texts: pd.DataFrame) -> str:
-    """A table in GitHub's Markdown; a lower head is shown where its upper one has several.
+    """A table in GitHub's Markdown; lower heads appear only below an upper head with several.
 
     Args:
         texts: A named index becomes the first column.

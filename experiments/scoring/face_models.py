@@ -1,4 +1,4 @@
-"""Face models as texts name them."""
+"""Names of the face models in texts."""
 
 TITLES = {
     "openhead": "the open head",

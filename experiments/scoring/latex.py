@@ -22,9 +22,9 @@ def tabular(cells: pd.DataFrame, columns: str, notes: Sequence[str] = ()) -> str
     r"""A `tabular` in small type, with booktabs' rules.
 
     Args:
-        cells: Texts. Where its columns have two levels, the upper ones are heads of groups.
+        cells: Texts. If the columns have two levels, the upper one heads groups.
         columns: Types of the columns, as `tabular` takes them.
-        notes: To stand below the table, a paragraph each.
+        notes: Paragraphs below the table.
     """
     styler = cells.style.format(tex).format_index(tex, axis=1).hide(axis=0)
     body = styler.to_latex(
@@ -39,10 +39,10 @@ def tabular(cells: pd.DataFrame, columns: str, notes: Sequence[str] = ()) -> str
 
 
 def plain_tabular(table: pd.DataFrame) -> str:
-    r"""A table of names and numbers as it is, with five digits each, to `\input`.
+    r"""A plain table of names and numbers, with five digits each, to `\input`.
 
     Args:
-        table: Its columns' names become the heads; NaN and empty cells stay empty.
+        table: The names of its columns become the heads; NaN and empty cells stay empty.
     """
     numeric = {*table.select_dtypes("number")}
     cells = table.map(_plain).rename(columns=lambda name: name.replace("_", " "))

@@ -1,4 +1,4 @@
-"""The metrics of the tables, a row each: whoever adds a row has added a column."""
+"""The metrics of the tables: a new row here is a new column there."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ _NOT_LATEX = ("terminal",)
 class Metric:
     """A metric and the column that shows it.
 
-    At most one of `per_face`, `per_subset` and `derived` says how it is computed. Without any, the
-    step that predicts measures it and writes it, under the id, into its description.
+    At most one of `per_face`, `per_subset` and `derived` defines how it is computed. Without any,
+    the prediction step measures it and writes it, under the id, to its description.
 
     Attributes:
         id: As in `metrics.csv` and `table.csv`.
-        head: Its name in tables.
+        head: Name in tables.
         legend: Definition, for below the tables; `{n}` stands for the number of landmarks.
-        scale: What follows the name in the table of one experiment: `{n}` as above, `{power}` the
+        scale: Text after the name in the table of one experiment: `{n}` as above, `{power}` for the
             power of ten in which the paper prints the metric there.
-        better: `"higher"`, `"lower"`, or empty: neither.
-        per_face: `(n,)` values from `scores.Scores`; a subset has the mean of those not NaN.
-        per_subset: A number from the `Scores` of the detected faces of a subset.
+        better: `"higher"`, `"lower"`, or empty for neither.
+        per_face: Returns `(n,)` values from `scores.Scores`; a subset gets the mean of those not
+            NaN.
+        per_subset: Returns a number from the `Scores` of the detected faces of a subset.
         derived: Id of another metric and a function of its value on each subset. `metrics.csv`
-            holds the other metric only.
+            has the other metric only.
         in_paper: Whether the paper prints it: two columns, paper and here, and Wilcoxon's tests.
-        over_seeds: Whether a table has a column of its spread over seeds.
-        decimals: Of a mean that is shown without its s.d.; None: three significant digits.
+        over_seeds: Whether tables have a column for its spread over seeds.
+        decimals: Decimals of a mean shown without its s.d.; None gives three significant digits.
         shown: Outputs with this column: `"terminal"`, whose columns the report has too, and
             `"latex"`. The CSV files hold every metric.
-        tracks: Where it is measured; None: everywhere.
+        tracks: Tracks on which it is measured; None for all.
     """
 
     id: str

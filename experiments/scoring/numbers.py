@@ -11,7 +11,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plus_minus(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
-    """`mean ± std` in a unit, to the s.d.'s first digit, or its second if it begins with 1 or 2."""
+    """`mean ± std` in a unit, to the first digit of the s.d., or the second if that is 1 or 2."""
     mean, std = mean / unit, std / unit
     if math.isnan(mean) or not std > 0:
         return rounded(mean)
@@ -29,7 +29,7 @@ def between(median: float, lowest: float, highest: float, unit: float = 1.0) -> 
 
 
 def rounded(value: float, decimals: int | None = None) -> str:
-    """With that many decimals, or three significant digits, or more to the units' place."""
+    """Number with that many decimals, or to three significant digits, but at least to the units."""
     if math.isnan(value):
         return NOTHING
     if decimals is None and abs(value) < 1000:
@@ -38,7 +38,7 @@ def rounded(value: float, decimals: int | None = None) -> str:
 
 
 def scientific(value: float, digits: int = 4) -> str:
-    """With that many digits, and a power of ten where it is very small or large."""
+    """Number with that many digits, and a power of ten if it is very small or large."""
     if math.isnan(value):
         return NOTHING
     number, _, exponent = f"{value:.{digits}g}".partition("e")
@@ -46,7 +46,7 @@ def scientific(value: float, digits: int = 4) -> str:
 
 
 def as_quoted(mean: float, std: float = math.nan, unit: float = 1.0) -> str:
-    """A number of the paper in a unit that is a power of ten, with the digits that it prints."""
+    """A number of the paper in a unit that is a power of ten, with its printed digits."""
     exponent = round(math.log10(unit))
     digits = [f"{value.scaleb(-exponent):f}" for value in as_printed(mean, std)]
     return minus(" ± ".join(digits)) or NOTHING
@@ -58,11 +58,11 @@ def power(unit: float) -> str:
 
 
 def turned(angle: float) -> str:
-    """Whole degrees with their sign, but for 0: +45°."""
+    """Whole degrees with their sign, except for 0: +45°."""
     degrees = round(angle)
     return minus(f"{degrees:+d}°" if degrees else "0°")
 
 
 def minus(text: str) -> str:
-    """With true minus signs."""
+    """Text with typographic minus signs."""
     return text.replace("-", "−")

@@ -1,4 +1,4 @@
-"""The paper's table of trainable parameters and time complexity, next to ours."""
+"""The paper's table of trainable parameters and time complexity, beside ours."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def parameter_table(
 
     Args:
         metrics: As `metrics.csv`. Counts and times of methods that have no row stay empty.
-        n_landmarks: For which our networks are counted; the paper counts at 72.
-        n_coefficients: Of the face model, for which MobileFace is counted; the Basel model has 199.
+        n_landmarks: Number for which our networks are counted; the paper counts at 72.
+        n_coefficients: Of the face model, for counting MobileFace; the Basel model has 199.
 
     Returns:
         Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
         adds the moving statistics of batch normalisation, which nothing trains.
     """
-    from deepmds_keras.networks import count_trainable  # who only prints a table has no Keras
+    from deepmds_keras.networks import count_trainable  # printing a table needs no Keras
 
     measured = metrics[metrics["subset"].isna()].set_index(["method", "metric"])["value"]
     measured = measured.unstack().reindex(columns=["n_parameters", *_TIMES])

@@ -13,7 +13,7 @@ from deepmds_keras.errors import InputError
 
 PUBLISHED = Path(__file__).parents[2] / "results" / "published" / "published.csv"
 
-# What the paper says of an experiment: its table and where else the text gives a number for it.
+# The paper's table of an experiment, and where else its text gives a number for it.
 SOURCES = {
     "bfm": ("tab:cmp_bfm", "text:bfm"),
     "celeba": ("tab:cmp_celebA_bfm",),
@@ -55,7 +55,7 @@ def paper_table(experiment: str) -> pd.DataFrame:
 
 
 def printed(experiment: str, metric: str) -> dict[str, str]:
-    """Cells of a metric as the paper prints them, by method; for what is no number.
+    """Cells of a metric as the paper prints them, by method, including those that are no numbers.
 
     Raises:
         InputError: Unknown experiment.
@@ -66,7 +66,7 @@ def printed(experiment: str, metric: str) -> dict[str, str]:
 
 
 def unit_of(experiment: str, metric: str) -> float:
-    """Power of ten in which the paper prints a metric of an experiment; 1 where it has none.
+    """Power of ten in which the paper prints a metric of an experiment; 1 if it has none.
 
     Raises:
         InputError: Unknown experiment.
@@ -77,15 +77,15 @@ def unit_of(experiment: str, metric: str) -> float:
 
 
 def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
-    """A number of the paper and its uncertainty, if any, with the digits that are printed.
+    """A number of the paper and its uncertainty, if any, with the printed digits.
 
-    Tables hold the paper's numbers as floats, which do not tell 0.3 from 0.30.
+    Tables hold the paper's numbers as floats, which do not distinguish 0.3 from 0.30.
 
     Args:
-        mean, std: In plain units, as from `published`; NaN for none.
+        mean, std: Numbers in plain units, as from `published`; NaN for none.
 
     Returns:
-        In plain units; without trailing zeros where the paper prints no such number.
+        Numbers in plain units; without trailing zeros if the paper prints no such number.
     """
     numbers = tuple(value for value in (mean, std) if not math.isnan(value))
     printed = {tuple(map(float, digits)): digits for digits in _transcription()["digits"]}

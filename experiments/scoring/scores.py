@@ -23,7 +23,7 @@ from experiments.streams import Stream
 def load_predictions(
     run: Run, methods: Iterable[str]
 ) -> dict[str, tuple[dict[str, np.ndarray], dict]]:
-    """Arrays and description of methods' predictions, with times measured together if there are.
+    """Arrays and description of methods' predictions, with jointly measured times, if any.
 
     Raises:
         InputError: The file of a method is missing or damaged.
@@ -47,7 +47,7 @@ def runs_by_seed(run: Run) -> list[Run]:
 
 
 def metrics_by_seed(run: Run) -> pd.DataFrame | None:
-    """Rows of `method, seed, metric, value` of the seeds that a run asks for; None: no others.
+    """Rows of `method, seed, metric, value` for the seeds of a run; None if it has one only.
 
     Raises:
         InputError: A seed was not trained.
@@ -133,8 +133,8 @@ def evaluate(
     Args:
         run: The run.
         test: Test faces.
-        shapes: Method to `(n, L, 3)` predictions; NaN for a face that it did not find.
-        descriptions: Method to the description stored with its predictions.
+        shapes: Method → `(n, L, 3)` predictions; NaN for a face that it did not find.
+        descriptions: Method → the description stored with its predictions.
 
     Returns:
         Long table as in `metrics.csv`, and scores by method.
@@ -159,7 +159,7 @@ def evaluate(
 
 
 def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
-    """The paper's metrics to method to its values on the faces that every method found."""
+    """Metric of the paper → method → its values on the faces that every method found."""
     found = np.all([of_method.found for of_method in scores.values()], axis=0)
     return {
         metric.id: {method: metric.per_face(scores[method])[found] for method in scores}
@@ -169,7 +169,7 @@ def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
 
 
 def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:
-    """Method to `(L,)` root-mean-square distances to the truth, millimetres."""
+    """Method → `(L,)` root-mean-square distances to the truth, millimetres."""
     return {m: np.sqrt(np.nanmean(own.distances_mm**2, axis=0)) for m, own in scores.items()}
 
 
@@ -191,7 +191,7 @@ def subsets(run: Run, n: int) -> np.ndarray:
 
 
 def _by_subset(metric: Metric, scores: Scores, chosen: np.ndarray) -> list[float]:
-    """A metric of each subset, over the faces that the method found."""
+    """A metric on each subset, over the faces that the method found."""
     if metric.per_subset:
         return [metric.per_subset(scores[faces[scores.found[faces]]]) for faces in chosen]
     values = metric.per_face(scores)

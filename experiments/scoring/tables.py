@@ -20,7 +20,7 @@ from experiments.scoring.verdict import verdict
 _KEYS = ["method", "metric"]
 _PAPER = ["paper_mean", "paper_std"]
 _SEEDS = ["n_seeds", "median", "lowest", "highest"]
-# What the paper takes for the truth, where a stand-in knows a better one.
+# What the paper uses as the truth, if a stand-in knows a better one.
 _TRUTHS = {
     "flame": "the landmarks found on the scans, as in the paper",
     "celeba": "the model fitted to the photos, as in the paper",
@@ -36,17 +36,17 @@ def summarise(
     paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
-    """Mean and standard deviation over subsets of every method and metric, next to the paper's.
+    """Mean and standard deviation over subsets of every method and metric, beside the paper's.
 
     Args:
-        metrics: `method`, `metric`, `subset` (empty where a number is of no subset), `value`.
+        metrics: `method`, `metric`, `subset` (empty if a number belongs to none), `value`.
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
-        notes: Method to what a reader must know of it; for one that was not run, why not.
+        notes: Method → what a reader must know about it; for one that was not run, why not.
         subset_size: Test faces in a subset.
-        paper_rows: Method of the paper to the one that its numbers are compared with, where that is
-            another than `METHODS` says.
-        seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, of methods that
-            were trained from several.
+        paper_rows: Method of the paper → the method with which its numbers are compared, if
+            different from `METHODS`.
+        seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, for methods
+            trained from several.
 
     Returns:
         `method, metric, mean, std, paper_mean, paper_std, n_subsets, subset_size, note`, and with
@@ -59,7 +59,7 @@ def summarise(
     """
     metrics, quoted = _with_derived(metrics), published(experiment)
     measured = metrics.groupby(_KEYS)["value"].agg(mean="mean", std="std", n_subsets="count")
-    # Of what is measured once, such as a time, the subset is empty.
+    # Numbers that are measured once, such as a time, have no subset.
     measured["n_subsets"] = metrics.groupby(_KEYS)["subset"].count()
     rows = rows_of_paper(paper_rows)
     quoted = quoted.assign(method=quoted["method"].map(rows)).set_index(_KEYS)
@@ -97,10 +97,10 @@ def write_tables(
     Args:
         folder: `results/<model>/<experiment>`.
         metrics, experiment, subset_size, notes, paper_rows, seeds: As for `summarise`.
-        per_face: Metric to method to `(n,)`, of all test faces in one order.
+        per_face: Metric → method → `(n,)`, for all test faces in one order.
 
     Returns:
-        What `table.csv` holds.
+        The content of `table.csv`.
     """
     table = summarise(
         metrics, experiment, notes, subset_size=subset_size, paper_rows=paper_rows, seeds=seeds
@@ -118,9 +118,9 @@ def wilcoxon_tests(
 ) -> pd.DataFrame:
     """Wilcoxon tests over trainings from several seeds, over subsets, and over all faces.
 
-    Only the first tell methods apart: pairs are of one seed, and `p_holm` is corrected for the
-    number of pairs of methods. Subsets, the paper's way, differ by resampling alone, and both they
-    and the faces are of one training.
+    Only the first can distinguish methods: they are paired by seed, and `p_holm` is corrected for
+    the number of pairs of methods. Subsets, as in the paper, differ by resampling alone, and both
+    they and the faces come from one training.
     """
     from deepmds_keras.metrics import wilcoxon_table  # scipy.stats takes a while to import
 
@@ -150,10 +150,10 @@ def holm_adjusted(p_values: np.ndarray) -> np.ndarray:
 
 
 def print_tables(run: Run) -> None:
-    """Print the tables that a run of a track has written, and name their folders.
+    """Print the tables that a run of a track has written, and their folders.
 
     Raises:
-        InputError: There is none.
+        InputError: There are none.
     """
     written = []
     for name in (run.evaluation, f"{run.track}-true-landmarks"):
@@ -188,7 +188,7 @@ def _with_derived(metrics: pd.DataFrame) -> pd.DataFrame:
 
 
 def _note(metric: str, row: pd.Series, was_run: bool, note: str | None) -> str:
-    """Notes of a cell: on the method, or why there is no number; and what the paper's needs."""
+    """Notes on a cell: on the method, or why there is no number; and on the paper's number."""
     reason = note or ("" if was_run else "not part of this experiment")
     if was_run and pd.isna(row["mean"]):
         reason = f"{metric} not measured"

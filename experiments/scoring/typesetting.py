@@ -1,4 +1,4 @@
-"""The cells of a table as texts, and these for LaTeX and for the terminal."""
+"""Typesets a table: its cells as texts, for LaTeX and for the terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WIDTH = 96  # characters of a line of the terminal
 
 
 def text(table: pd.DataFrame, experiment: str) -> str:
-    """The table for the terminal: the paper's metrics, the others, then what the columns are.
+    """The table for the terminal: the paper's metrics, the others, then the definitions.
 
     Args:
         table: As from `tables.summarise`.
@@ -40,7 +40,7 @@ def text(table: pd.DataFrame, experiment: str) -> str:
 
 
 def latex(table: pd.DataFrame, experiment: str) -> str:
-    r"""The table to `\input`: methods by metrics, the paper's first, and below it what they are.
+    r"""The table to `\input`: methods by metrics, the paper's first, and the definitions below.
 
     Args:
         table, experiment: As for `text`.
@@ -56,11 +56,11 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
 def paper_layout(
     table: pd.DataFrame, experiment: str, faces: str, paper_rows: Mapping[str, str] = {}
 ) -> str:
-    r"""The paper's own table as a LaTeX `table`: in each cell its number and, after /, ours.
+    r"""The paper's own table as a LaTeX `table`: each cell has its number and, after /, ours.
 
     Args:
         table, experiment: As for `text`.
-        faces: Of what the numbers here are.
+        faces: What the numbers of this table are about.
         paper_rows: As for `tables.summarise`.
     """
     shown, rows = cells(table, experiment, "latex"), rows_of_paper(paper_rows)
@@ -80,7 +80,7 @@ def paper_layout(
 
 
 def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
-    """Texts of a table: methods by heads of two levels, the metric and what is said of it.
+    """Texts of a table: methods by columns with two levels, the metric and its statistic.
 
     Args:
         table, experiment: As for `text`.
@@ -107,7 +107,7 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
 
 
 def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
-    """Sentences for below what `cells` returns: on each column, on the faces, notes of cells."""
+    """Sentences below the table: on each column, on the faces, and the notes on cells."""
     metrics, n = _metrics_shown(table, experiment, output), n_landmarks(experiment)
     sentences = [f"{head_of(m, experiment)}: {m.definition(n)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates().astype(int)
@@ -140,6 +140,6 @@ def n_landmarks(experiment: str) -> int:
 
 
 def _metrics_shown(table: pd.DataFrame, experiment: str, output: str) -> list[Metric]:
-    """Metrics that an output shows, but for those registered after the table was made."""
+    """Metrics that an output shows, except those registered after the table was made."""
     present = {*table["metric"]}
     return [m for m in metrics_of(experiment) if output in m.shown and m.id in present]

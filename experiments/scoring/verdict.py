@@ -1,4 +1,4 @@
-"""What a reader of the main table wants to know first, and whether it is the committed one."""
+"""The verdict below the main table, and the comparison with the committed one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
 from experiments.scoring.published import unit_of
 
-# Part of an error by which that of another processor may differ: over ten seeds those of Deep-MDS
-# with a cosine schedule, which differ less than at a constant rate, have about that range.
+# Relative difference that another processor may cause: about the range over ten seeds of Deep-MDS
+# with a cosine schedule, which is smaller than at a constant rate.
 _TOLERANCE = 0.15
 
 
@@ -43,11 +43,11 @@ def verdict(run: Run) -> list[str]:
 
 
 def _differences(here: pd.DataFrame, there: pd.DataFrame | None) -> pd.DataFrame | None:
-    """Methods whose error is not the committed one; None where none is committed.
+    """Methods whose error differs from the committed one; None if none is committed.
 
     Returns:
-        `here, low, high` by method: the error, and what the committed run allows, the range of its
-        seeds or, of one training, its error, widened by `_TOLERANCE`.
+        `here, low, high` by method: the error, and the range that the committed run allows: that of
+        its seeds or, for one training, its error, widened by `_TOLERANCE`.
     """
     if there is None:
         return None
@@ -63,10 +63,10 @@ def _differences(here: pd.DataFrame, there: pd.DataFrame | None) -> pd.DataFrame
 
 
 def check(run: Run) -> None:
-    """Say whether the table of a run is the committed one; end with status 1 if it is not.
+    """Report whether the table of a run matches the committed one; exit with status 1 if not.
 
     Raises:
-        InputError: One of the two is not there.
+        InputError: One of the two does not exist.
     """
     off = _differences(_fresh(run), _committed(run))
     if off is None:

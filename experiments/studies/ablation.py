@@ -1,4 +1,4 @@
-"""Step: ablation of the method's parts, from what `studies.variant` trained over seeds.
+"""Step: ablation of the method's parts, from the trainings of `studies.variant` over seeds.
 
 The paper compares mini-batches of one face with shuffled ones. Further variants are the net without
 its short connection and of other depths, the method without its autoencoder, and both networks
@@ -30,7 +30,7 @@ _HEADS = {
 }
 _SCHEDULES = {"": "Constant rate", "_stable": "Decayed rate"}
 _MODES = {"train": "training mode", "inference": "inference mode"}
-_FIRST_EPOCH = 3  # drawn: all losses fall alike before, so far that no difference would be seen
+_FIRST_EPOCH = 3  # drawn; earlier losses all fall alike, and would hide any difference
 
 
 def main(run: Run) -> dict:
@@ -57,10 +57,10 @@ def collect(run: Run) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def training_curve(run: Run, metrics: pd.DataFrame) -> pd.DataFrame:
-    """Test error by number of training faces: ours with one seed, and two that need no seed.
+    """Test error by number of training faces: ours from one seed, and two methods without seed.
 
     Returns:
-        `sweep, value, method, mse, sem`, of which the last value is that of all faces.
+        `sweep, value, method, mse, sem`; the last value stands for all faces.
     """
     train, test = load_faces(run, "train"), load_faces(run, "test")
     test = test[subsets(run, len(test.views))[0]]
@@ -92,7 +92,7 @@ def cells(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def mini_batches(losses: pd.DataFrame) -> Figure:
-    """Loss of the dissimilarity net by epoch and by what its mini-batches hold: mean and range.
+    """Loss of the dissimilarity net by epoch and by kind of mini-batches: mean and range.
 
     Args:
         losses: `variant, seed, epoch`, and mean squared errors: `train` as the optimiser sees them,

@@ -1,6 +1,6 @@
 """Step: errors of Deep-MDS, in its three forms, and of the mean shape, from one seed.
 
-It scores what `tracks.predict` wrote for these methods in a BFM run of that seed.
+It scores the predictions of these methods in a BFM run of that seed.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
 def recalibrate_batchnorm(network: keras.Model, inputs: np.ndarray) -> keras.Model:
     """The same weights with the batch normalisation of these inputs, all as one batch.
 
-    Training leaves in each such layer a moving average of the statistics of past mini-batches,
-    seen by past weights. What a network gains by recalibration is what that lag cost it.
+    Training leaves in each such layer a moving average over past mini-batches and past weights.
+    The gain from recalibration is the cost of that lag.
 
     Args:
         network: Trained model, which is not changed.
@@ -61,6 +61,6 @@ def recalibrate_batchnorm(network: keras.Model, inputs: np.ndarray) -> keras.Mod
     copy.set_weights(network.get_weights())
     for layer in copy.layers:
         if isinstance(layer, keras.layers.BatchNormalization):
-            layer.momentum = 0.0  # nothing of the old average is kept
+            layer.momentum = 0.0  # drop the old average
     copy(inputs, training=True)
     return copy

@@ -1,7 +1,7 @@
-"""Step: any number of faces, generated, reconstructed and scored in bounded memory: the tails.
+"""Step: the tails of the errors, over any number of faces generated and scored in bounded memory.
 
-The faces of a shard depend on the seed and its number alone, so that a run that was stopped goes
-on, and one with more faces keeps the shards that are there.
+The faces of a shard depend on the seed and its number alone, so that an interrupted run resumes,
+and one with more faces keeps the existing shards.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from experiments.tasks import unordered
 
 _METHODS = ("mean_shape", "linear", "ours")
 _METRICS = ("mse", "depth_corr", "mirrored")
-# Statistic, or share of a quantile, to its column.
+# Statistic, or level of a quantile → its column.
 _COLUMNS = {
     "count": "n_faces", "mean": "mean", "std": "std", "sem": "standard_error",
     0.05: "p5", 0.5: "median", 0.95: "p95", 0.99: "p99", "max": "maximum",
@@ -47,7 +47,7 @@ def main(run: Run) -> dict:
 
 
 def stream(run: Run) -> pd.DataFrame:
-    """Errors of all faces, by columns of method and metric."""
+    """Errors of all faces, with a column for each method and metric."""
     n, step = run.streamed_faces, run.preset.faces_per_file
     networks = checkpoint_files(run.networks, *DEEP_MDS["ours"]).values()
     folder = resumable(run.work / "stream", [run.work / "train.npz", *networks], faces=step)
@@ -65,7 +65,7 @@ def stream(run: Run) -> pd.DataFrame:
 
 
 def write_shard(run: Run, path: Path, shard: int, size: int) -> int:
-    """Write the errors of every method on the faces of a shard; return their number, its size."""
+    """Write the errors of every method on the faces of a shard; return its size."""
     rng = np.random.default_rng([run.seed, Stream.STREAMED_FACES, shard])
     model, methods = _loaded(run)
     faces = as_seen(make_dataset(model, size, rng, scheme=run.scheme, protocol=run.protocol))
@@ -79,7 +79,7 @@ def write_shard(run: Run, path: Path, shard: int, size: int) -> int:
 
 @functools.cache
 def _loaded(run: Run) -> tuple:
-    """The face model and the methods by id, once in each process."""
+    """The face model and the methods by id, loaded once per process."""
     methods = {method: load(run, method) for method in _METHODS}
     methods["ours"].set_params(solver="numba", n_jobs=1)
     return load_model(run.model, run.data), methods

@@ -1,4 +1,4 @@
-"""How studies write and show their results."""
+"""How studies write and print their results."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def write_results(
     notes: Sequence[str] = (),
     figures: Mapping[str, Figure] = {},
 ) -> dict:
-    """Write CSV, `table.tex` and figures, print the table, and return what the record is to say.
+    """Write CSV, `table.tex` and figures, print the table, and return entries for the record.
 
     Args:
         run: The run.
-        name: Of the folder of the model's results, or a folder of several models'.
-        tables, figures: By name.
-        cells: The table as it is read, as from `grid` or `statistics_cells`.
-        notes: To stand below it.
+        name: Name of the folder in the model's results, or a folder for several models.
+        tables, figures: Tables and figures by name.
+        cells: The table for readers, as from `grid` or `statistics_cells`.
+        notes: Lines below it.
     """
     folder = name if isinstance(name, Path) else run.experiment_results(name)
     clear_results(folder)
@@ -68,6 +68,6 @@ def grid(table: pd.DataFrame, rows: str | list[str], columns: str, unit: float) 
 
 
 def statistics_cells(table: pd.DataFrame) -> pd.DataFrame:
-    """Texts of five digits, of statistics by `method` and `metric`."""
+    """Texts with five digits for statistics by `method` and `metric`."""
     cells = table.assign(method=table["method"].map(title)).set_index(["method", "metric"])
     return cells.map(scientific, digits=5).rename(columns=lambda name: name.replace("_", " "))

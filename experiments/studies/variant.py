@@ -1,4 +1,4 @@
-"""Step: the method trained from one seed with one of its parts changed, and scored.
+"""Step: train the method from one seed with one of its parts changed, and score it.
 
 The module is light to import, since every command reads the names of the variants.
 """
@@ -23,10 +23,10 @@ class Variant:
     """Difference of a training from the paper's method.
 
     Attributes:
-        title: In tables and figures.
+        title: Title in tables and figures.
         schedule: Learning rate of both networks.
         shuffled, chain: As for `train_dissimilarity_net`.
-        with_autoencoder: Whether the dissimilarity net sees frontal views, or views as they are.
+        with_autoencoder: Whether the dissimilarity net sees frontal views or the input views.
     """
 
     title: str
@@ -56,7 +56,7 @@ VARIANTS = {
 def ablation_trainings(run: Run) -> list[tuple[str, int]]:
     """Item and seed of each training: `("shuffled", 3)`, or with faces `("fewer_faces-500", 0)`.
 
-    Those on fewer faces are of both networks, and from one seed.
+    Those on fewer faces train both networks, from one seed.
     """
     seeds = range(run.seed, run.seed + run.preset.ablation_seeds)
     fewer = [name for name in VARIANTS if name.startswith("fewer_faces")]
@@ -107,9 +107,9 @@ def main(run: Run, item: str, seed: str) -> None:
 def train_variant(
     run: Run, variant: Variant, seed: int, faces: Faces
 ) -> tuple[DeepMDS, dict[str, list[float]]]:
-    """Train what is changed: the method, and losses of the dissimilarity net by epoch.
+    """Train the changed parts: returns the method, and the dissimilarity net's losses by epoch.
 
-    The autoencoder is that of the run, unless the faces are fewer than the run's.
+    The autoencoder is the run's, unless there are fewer faces.
     """
     import keras
 

@@ -1,4 +1,4 @@
-"""Last step of the BFM track: the paper's table next to ours, and figures."""
+"""Last step of the BFM track: the paper's table beside ours, and figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from experiments.scoring.parameters import write_parameter_table
 from experiments.scoring.scores import metrics_by_seed
 from experiments.tracks.results import Evaluation, load_histories, median_face, predicted_shapes
 
-# Rows that the authors' script scores in another way than every other method.
+# Rows that the authors' script scores differently from all other methods.
 ZHAO = ("zhao", "zhao_authors", "zhao_frontal")
 AS_AUTHORS = "zhao_evaluator"
 TRUE_DEPTH = "zhao_true_depth"  # a net that makes no error
@@ -33,16 +33,16 @@ _RELEASED_NOTE = (
 def as_released(shapes: dict[str, np.ndarray], truth: np.ndarray) -> dict[str, np.ndarray]:
     """Shapes that the released evaluator compares with the ground truth for each prediction.
 
-    The script that evaluates Zhao's net reads depth alone, and from the file before. It rescales it
-    to [0, 1] by itself and joins it to the true x and y, whose depth spans less than half of that.
-    It then averages one face only, which is not done here.
+    Its script for Zhao's net reads only the depth, and from the previous file. It rescales the
+    depth to [0, 1] by itself and joins it to the true x and y, whose depth spans less than half of
+    that. It then averages over one face only, which is not done here.
 
     Args:
         shapes: Method to predictions `(n, L, 3)`.
         truth: `(n, L, 3)` normalised true landmarks.
 
     Returns:
-        The same, with those of Zhao's rows replaced and the true depth added as a row.
+        The same, with Zhao's rows replaced and the true depth added as a row.
     """
     replaced = {method: shapes[method] for method in ZHAO if method in shapes}
     replaced[TRUE_DEPTH] = truth
@@ -104,7 +104,7 @@ def main(run: Run, *methods: str) -> dict:
     (evaluation,) = evaluations(run, methods)
     evaluation.write()
     folders = [evaluation.folder]
-    if run.evaluator == "paper":  # other figures and tables are of the methods, however scored
+    if run.evaluator == "paper":  # other figures and tables do not depend on the evaluator
         draw(evaluation)
         folders.append(run.model_results / "parameters")
         clear_results(folders[-1])

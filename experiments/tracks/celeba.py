@@ -1,4 +1,4 @@
-"""Last step of the CelebA experiment: the paper's table next to ours, and figures."""
+"""Last step of the CelebA experiment: the paper's table beside ours, and figures."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
 
 
 def shown_faces(test: Faces, mse: np.ndarray) -> np.ndarray:
-    """Of the faces turned about as far as each of `_YAWS` the one with the median error."""
+    """The face of median error near each of `_YAWS`."""
     n = max(1, len(mse) // 20)
     near = [np.argsort(np.abs(test.cameras.yaw - yaw))[:n] for yaw in _YAWS]
     return np.array([*dict.fromkeys(median_face(faces, mse) for faces in near)])
 
 
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:
-    """Write the figures; with the true landmarks known, that of the fit has its errors."""
+    """Write the figures; if the true landmarks are known, that of the fit shows its errors."""
     run, test, table = evaluation.run, evaluation.test, load_photos(evaluation.run)
     faces = shown_faces(test, evaluation.scores["ours"].mse)
     titles = [f"yaw {turned(yaw)}" for yaw in test.cameras.yaw[faces]]

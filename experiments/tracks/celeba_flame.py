@@ -1,7 +1,6 @@
-"""Step: the paper's figure of CelebA faces with FLAME's landmarks, or of drawn ones in their place.
+"""Step: the paper's figure of CelebA faces with FLAME's landmarks, or of rendered stand-ins.
 
-`TF_FLAME=` is the folder `data` of the public repository TF_FLAME: photos, and 51 landmarks of
-each.
+`TF_FLAME=` is the folder `data` of the public repository TF_FLAME: photos with 51 landmarks each.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from experiments.run import Run
 from experiments.streams import Stream
 from experiments.tracks.results import face_squares
 
-_PHOTO = 224  # pixels of a side of a photo in the picture
-_YAWS = (0, 15, 30, 45)  # degrees; of the photos drawn the nearest are shown
+_PHOTO = 224  # side of a photo in the picture, pixels
+_YAWS = (0, 15, 30, 45)  # degrees; the rendered photos nearest to these are shown
 _DRAWN = 60
 
 
@@ -61,7 +60,7 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
 
 
 def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
-    """Photos drawn in place of CelebA's, and the 51 landmarks that dlib finds in them.
+    """Photos rendered in place of CelebA's, and the 51 landmarks that dlib finds in them.
 
     Returns:
         `(H, W, 3)` uint8 each, of heads turned by up to 45 degrees, and `(n, 51, 2)` pixels.
@@ -86,7 +85,7 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def inputs_for(run: Run, method: str, images: list[np.ndarray], landmarks: np.ndarray):
-    """What a method is given of the photos."""
+    """Input of a method for the photos."""
     if METHODS[method].inputs == "views":
         return normalise(centre(landmarks * (1, -1)))
     if method != "ringnet":
@@ -96,7 +95,7 @@ def inputs_for(run: Run, method: str, images: list[np.ndarray], landmarks: np.nd
 
 
 def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Shapes turned, scaled and moved, but not mirrored, onto the mean. NaN stays NaN."""
+    """Shapes aligned to the mean by a similarity without reflection. NaN stays NaN."""
     turned = np.full(shapes.shape, np.nan)
     finite = np.isfinite(shapes).all((1, 2))
     targets = np.broadcast_to(mean, shapes[finite].shape)
@@ -116,7 +115,7 @@ def main(run: Run, *methods: str) -> dict:
         images = [open_photo(path) for path in photos]
         record["faces"] = [path.name for path in photos]
     mean = load_faces(run, "train").shapes.mean(0).astype(float)
-    # Those that see the photo are drawn next to it.
+    # Methods that see the photo are drawn beside it.
     order = sorted(methods, key=lambda method: METHODS[method].inputs)
     shapes = {}
     for method in order:

@@ -1,4 +1,4 @@
-"""Last step of the FLAME track: the paper's CASIA-3D table next to ours, and figures."""
+"""Last step of the FLAME track: the paper's CASIA-3D table beside ours, and figures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
 
 
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:
-    """Write the figures that are of the methods and of the test set."""
+    """Write the figures of the methods and of the test set."""
     run, of_images = evaluation.run, {}
     if "ringnet" in evaluation.scores and run.ringnet is None:
         # The other record, of the landmarks' error alone, is in another unit.
@@ -68,10 +68,10 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
 
 
 def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
-    """Faces of the median error of `ours` for each of some conditions, and one that is N/A.
+    """A face of median error of `ours` for each of some conditions, and one that is N/A.
 
-    Of these the one with the least error: of others dlib may have cut out something else, an eye.
-    Where the conditions are not known, faces from a small error of `ours` to a large one.
+    The latter is the one with the least error: elsewhere dlib may have detected only an eye.
+    Without known conditions, the faces range from a small error of `ours` to a large one.
     """
     mse = scores["ours"].mse
     names = [*dict.fromkeys(conditions)]

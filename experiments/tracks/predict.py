@@ -1,4 +1,4 @@
-"""Step: what one method makes of the test faces."""
+"""Step: predictions of one method for the test faces."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FACES_PER_CHUNK = 250  # after which the progress bar moves
 
 
 def inputs_for(run: Run, method: Method) -> np.ndarray | ImageFiles:
-    """What a method is given of the test faces of a run, one after the other.
+    """Inputs of a method for the test faces of a run.
 
     Raises:
         InputError: A file is missing or was changed.
@@ -45,7 +45,7 @@ def shrunk(photos: ImageFiles) -> np.ndarray:
 
 
 def predictions(run: Run, method: Method, model, inputs) -> np.ndarray:
-    """Shapes `(n, L, 3)` that a loaded method finds; NaN for a face that it does not find."""
+    """Shapes `(n, L, 3)` of a loaded method; NaN for a face that it does not find."""
     with Bar(total=len(inputs), desc=method.id, unit="face") as bar:
         if method.deep_mds:  # which shares the work itself
             return predict(model, inputs, progress=bar.update)
@@ -67,7 +67,7 @@ def _predict_chunk(model, number: int, inputs: np.ndarray) -> tuple[int, np.ndar
 
 
 def main(run: Run, method_id: str) -> dict:
-    """Write the method's shapes, and what it costs unless `tracks.times` measures that."""
+    """Write the method's shapes, and its cost unless `tracks.times` measures that."""
     method = method_of(method_id)
     limit_threads(method)
     inputs = inputs_for(run, method)  # a damaged file is to be reported before long work

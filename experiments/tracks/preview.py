@@ -1,4 +1,4 @@
-"""Step: print the table of some methods before those that take long are trained."""
+"""Step: print the table of the quick methods before the slow ones are trained."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from experiments.scoring.typesetting import text
 
 
 def main(run: Run, *methods: str) -> None:
-    # The step of the track itself, without what it writes, and without seeds: they come later.
+    # The step of the track itself, without output files, and without seeds: they come later.
     track = import_module(f"experiments.tracks.{run.track}")
     evaluation, *_ = track.evaluations(replace(run, seeds=None), methods)
     print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}\n")

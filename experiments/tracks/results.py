@@ -1,4 +1,4 @@
-"""Scores of a track's methods against one truth, and the files that every track writes of them."""
+"""Scores of a track's methods against one truth, and the files that every track writes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Evaluation:
 
     Attributes:
         run: The run.
-        name: Of the folder of results.
+        name: Name of the folder of results.
         test: Test faces, with that truth.
         shapes, descriptions: Predictions by method, as for `scores.evaluate`.
         notes: On methods, in addition to those of their rows.
@@ -68,7 +68,7 @@ class Evaluation:
 
     @property
     def metrics(self) -> pd.DataFrame:
-        """What `metrics.csv` holds."""
+        """The content of `metrics.csv`."""
         return self._evaluated[0]
 
     @property
@@ -78,7 +78,7 @@ class Evaluation:
 
     @property
     def drawn(self) -> dict[str, Scores]:
-        """Those of the methods that figures show, in the order of the tables."""
+        """Scores of the methods that figures show, in the order of the tables."""
         methods = [m for m, method in METHODS.items() if method.drawn and m in self.scores]
         return {method: self.scores[method] for method in methods}
 
@@ -99,7 +99,7 @@ class Evaluation:
         }
 
     def write(self) -> None:
-        """Write `metrics.csv`, the tables and their figure, in the place of an earlier run's."""
+        """Write `metrics.csv`, the tables and their figure, replacing those of an earlier run."""
         clear_results(self.folder)
         write_csv(self.folder / "metrics.csv", self.metrics)
         values = per_face(self.scores)
@@ -120,7 +120,7 @@ class Evaluation:
         Methods that are not `pictured` have a separate figure, whose name ends with `_others`.
 
         Args:
-            name: Of the first figure.
+            name: Name of the first figure.
             faces: Numbers of test faces; `ours` is among the methods.
             titles: Their names.
             photos: Whether the views were detected in photos, to be drawn in their place.
@@ -139,7 +139,7 @@ class Evaluation:
         self.save(figure, "error_per_landmark")
 
     def photos(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Squares `(n, 112, 112, 3)` about some test faces, and the landmarks in their pixels."""
+        """Squares `(n, 112, 112, 3)` around some test faces, and the landmarks in their pixels."""
         files = image_files(self.run, "test", len(self.test.views))
         landmarks = files.landmarks(range(len(files)))[faces]
         return face_squares(files[faces], landmarks, _PHOTO, _MARGIN)
@@ -153,14 +153,14 @@ class Evaluation:
 
 
 def median_face(faces: np.ndarray, mse: np.ndarray) -> int:
-    """Of some faces, by their numbers, the one with the median error."""
+    """The face with the median error, among some faces given by number."""
     return faces[np.argsort(mse[faces])[len(faces) // 2]]
 
 
 def face_squares(
     images: Iterable[np.ndarray], landmarks: Iterable[np.ndarray], size: int, margin: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squares about faces, `(n, size, size, 3)`, and the landmarks in their pixels."""
+    """Squares around faces, `(n, size, size, 3)`, and the landmarks in their pixels."""
     pairs = zip(images, landmarks, strict=True)
     squares, points = zip(*(crop(*pair, size, margin) for pair in pairs), strict=True)
     return np.stack(squares), np.stack(points)
@@ -169,7 +169,7 @@ def face_squares(
 def predicted_shapes(
     run: Run, methods: Iterable[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
-    """Predictions `(n, L, 3)` by method, and their descriptions; those of images come last."""
+    """Predictions `(n, L, 3)` by method, and their descriptions; those from images come last."""
     order = sorted(methods, key=lambda method: METHODS[method].switch or "")
     loaded = load_predictions(run, order)
     shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
@@ -185,13 +185,13 @@ def evaluate_both(
     row: str,
     references: Mapping[str, np.ndarray] = {},
 ) -> list[Evaluation]:
-    """Score predictions against landmarks found in scans or photos, and true ones if known.
+    """Score predictions against landmarks located in scans or photos, and true ones if known.
 
     Args:
         run: The run.
-        methods: Ids of those that predicted.
-        table: Of the test faces, as from `found_faces.find_faces`.
-        row: Id of the landmarks that were found, in the table against the true ones.
+        methods: Ids of the methods.
+        table: Table of the test faces, as from `found_faces.find_faces`.
+        row: Id of the located landmarks, in the table against the true ones.
         references: Shapes `(n, L, 3)` of further rows, by id.
     """
     test = load_faces(run, "test")
@@ -208,11 +208,11 @@ def evaluate_both(
 
 
 def write_results(evaluations: Sequence[Evaluation], draw: Callable[..., None]) -> dict:
-    """Write the tables of evaluations, and figures; return what the record is to say.
+    """Write the tables of evaluations, and figures; return entries for the record.
 
     Args:
         evaluations: As from `evaluate_both`.
-        draw: Writes the figures of what it is given, these evaluations.
+        draw: Function of these evaluations that writes the figures.
     """
     for evaluation in evaluations:
         evaluation.write()

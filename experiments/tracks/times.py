@@ -1,4 +1,4 @@
-"""Step: the times of methods that see views, in turns, so that what else runs meets all of them."""
+"""Step: times of the methods that see views, in turns, so that other load affects all alike."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ PASSES = 5
 def prediction_times(models: Sequence, inputs: Sequence[np.ndarray]) -> list[dict[str, float]]:
     """Times of one call of `predict` for all inputs of a model, in this process.
 
-    One call of each is before, to warm up. Matrices are multiplied by one thread: of Aldrian's,
-    which are small, many take far longer.
+    A first call of each is for warming up. One thread multiplies matrices: for small ones, such as
+    Aldrian's, several threads take far longer.
 
     Args:
         models: As from `methods.load`.
-        inputs: Of each model.
+        inputs: Inputs of each model.
 
     Returns:
-        Of each model `ms_per_face`, the median of five times, and `ms_per_face_lowest` and
+        For each model `ms_per_face`, the median of five times, `ms_per_face_lowest` and
         `ms_per_face_highest`.
     """
     for model in models:

@@ -1,4 +1,4 @@
-"""Step: train one method; where it was stopped it goes on from its checkpoint."""
+"""Step: train one method, resuming from its checkpoint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from experiments.run import Run
 
 
 def limit_threads(method: Method) -> None:
-    """Set TensorFlow's threads to those of the method: how sums are split depends on them."""
+    """Set TensorFlow's threads for the method: the order of sums depends on their number."""
     if method.threads is None:
         return
     import tensorflow as tf
@@ -20,7 +20,7 @@ def limit_threads(method: Method) -> None:
 
 
 def keep_checkpoints(run: Run, method: Method) -> None:
-    """Delete checkpoints that were trained on other faces or images than those of the run.
+    """Delete checkpoints of trainings on faces or images other than the run's.
 
     Methods that see views have one folder, since some share a network.
     """

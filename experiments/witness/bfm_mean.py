@@ -1,8 +1,8 @@
-"""The mean of the Basel Face Model at the paper's 72 landmarks, as the authors' weights hold it.
+"""The mean of the Basel Face Model at the paper's 72 landmarks, from the authors' weights.
 
-The last layer of their autoencoder is a batch normalisation. What it adds is the mean of what it
-was trained to return: x and y of normalised shapes. Their depth net (Zhao et al.) gives the depth
-of that frontal view. `bfm72_mean.csv` is what `extract_mean` returns for the released weights.
+The last layer of their autoencoder is a batch normalisation, whose offset is the mean of its
+training targets: x and y of normalised shapes. Their depth net (Zhao et al.) gives the depth of
+that frontal view. `bfm72_mean.csv` is the result of `extract_mean` for the released weights.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
     Normalised shapes span [0, 1] over all three axes, so the foremost landmark has a depth of 1.
     The origin of the model lies in its plane of symmetry, which gives the shift of `normalise`.
     """
-    import h5py  # here, since whoever plans steps reads this module too
+    import h5py  # here, since the Snakefile imports this module too
 
     from deepmds_keras.baselines.zhao import Zhao, normalise_view
 
@@ -47,10 +47,10 @@ def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
 
 
 def about_mean(model: MorphableModel, scale: float) -> MorphableModel:
-    """Landmarks of faces about the Basel mean that vary as those of another model, times a scale.
+    """Landmarks of faces around the Basel mean, with another model's variation times a scale.
 
-    The offsets of the other model are turned and scaled by the similarity that brings its mean
-    nearest to the Basel one.
+    The offsets of the other model are rotated and scaled by the similarity that aligns its mean to
+    the Basel one.
     """
     part, mean = model.restrict(model.landmarks[SCHEME]), read_mean()
     turn = procrustes(part.mean, mean, reflection=False)

@@ -1,4 +1,4 @@
-"""Step: methods trained on faces about the Basel mean, at a scale of the spread, from a seed."""
+"""Step: methods trained on faces around the Basel mean, at one scale of the spread and one seed."""
 
 from __future__ import annotations
 

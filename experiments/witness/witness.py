@@ -1,9 +1,9 @@
-"""Step: the authors' networks on faces about the mean of the model that they were trained on.
+"""Step: the authors' networks on faces around the mean of their training model.
 
-The released weights hold the mean of the Basel Face Model, see `bfm_mean`, but not how faces vary
-about it. That is borrowed from the open models, at several scales. With `MODEL=bfm2009` and the
-like the faces are the model's. Answers are scored on the same test faces: what the networks return,
-one such output for all views, a random face for all, and the mean shape.
+The released weights contain the mean of the Basel Face Model, see `bfm_mean`, but not the variation
+around it. That is borrowed from the open models, at several scales. With `MODEL=bfm2009` and the
+like, the faces are the model's. Four answers are scored on the same test faces: the networks'
+outputs, one such output for all views, a random face for all, and the mean shape.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _LOOKS = {
     "printed": Look("printed: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
     "printed_trivial": Look("printed: trivial case, 2.9", INK, "", (0, (1, 1))),
 }
-_CONSTANTS = 25  # outputs, and faces, whose errors as the answer to all views are averaged
+_CONSTANTS = 25  # outputs, and faces, over which the error of one answer to all views is averaged
 _UNIT = 1e-4
 
 
@@ -72,10 +72,10 @@ def main(run: Run) -> dict:
 
 
 def released_networks(run: Run) -> dict[str, DeepMDS]:
-    """The authors' method with each of their dissimilarity nets that is given.
+    """The authors' method with each of their dissimilarity nets that is available.
 
     Raises:
-        InputError: The files are not there.
+        InputError: The files do not exist.
     """
     if not run.authors:
         raise InputError("AUTHORS must be the folder of the authors' weights. Received none.")
@@ -89,7 +89,7 @@ def released_networks(run: Run) -> dict[str, DeepMDS]:
 
 
 def faces_by_scale(run: Run) -> Iterator[tuple[str, float, MorphableModel]]:
-    """Whose spread it is, its scale, and a model of such faces."""
+    """Source of the spread, its scale, and a model of such faces."""
     if run.model not in OPEN:
         yield run.model, 1.0, load_model(run.model, run.data, SCHEME)
         return
@@ -154,7 +154,7 @@ def _interval(values: np.ndarray, rng: np.random.Generator) -> tuple[float, floa
 
 
 def cells(released: pd.DataFrame) -> pd.DataFrame:
-    """Texts of the table: MSE and, of the networks, depth correlation, by spread and scale."""
+    """Texts of the table: MSE and, for the networks, depth correlation, by spread and scale."""
     rows = released[released["views"] == "released"].copy()
     rows["text"] = [rounded(mse / _UNIT, 2) for mse in rows["mse"]]
     nets = rows["answer"].isin(NETS)
@@ -169,7 +169,7 @@ def cells(released: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_released(released: pd.DataFrame) -> Figure:
-    """Errors of all answers by the scale of the spread, a panel a model and kind of views."""
+    """Errors of all answers by the scale of the spread, one panel per model and kind of views."""
     panels = []
     for (spread, views), rows in released.groupby(["spread", "views"], sort=False):
         rows = rows.rename(columns={"answer": "method", "mse": "mean"})
@@ -186,7 +186,7 @@ def draw_released(released: pd.DataFrame) -> Figure:
 
 
 def draw_trained(trained: pd.DataFrame) -> Figure:
-    """Errors of methods trained about the Basel mean, over the mean shape's: median and range."""
+    """Errors of methods trained around the Basel mean, relative to the mean shape's error."""
     errors = trained.pivot(index=["scale", "seed"], columns="method", values="mse")
     ratios = errors.drop(columns="mean_shape").div(errors["mean_shape"], axis=0)
     ratios["mean_shape"] = 1.0

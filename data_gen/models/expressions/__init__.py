@@ -159,7 +159,7 @@ def _between(before: np.ndarray, after: np.ndarray, place: np.ndarray) -> np.nda
 
 
 def _ease(place: np.ndarray) -> np.ndarray:
-    """From 0 at 0 to 1 at 1 without a jerk at either; back at 0 at 2."""
+    """Smooth step from 0 at 0 to 1 at 1, and back to 0 at 2."""
     return (1 - np.cos(np.pi * place)) / 2
 
 
