@@ -86,7 +86,7 @@ def qualitative(
             bare(axes, extent)
             if row:
                 axes.axhline(top, color="#DDDDDD", linewidth=0.5)
-        title_place = (-side / 2 - _MARGIN / 2, 0)
+        title_place, score_place = (-side / 2 - _MARGIN / 2, 0), (0, -top - _GAP / 2)
         _write(view_axes, title_place, row_titles[row], rotation=90, va="center", size=7.5)
         if photos is None:
             scale = min((width, height) / np.ptp(views[face], axis=0))
@@ -105,7 +105,7 @@ def qualitative(
             draw_wireframe(frontal_axes, points, scheme.polylines, colour=ink)
 
         _draw_views(truth_axes, truth[row], truth[row], scheme, INK, top / 2)
-        _write(truth_axes, (0, -top), "MSE ($10^{-4}$)", va="top")
+        _write(truth_axes, score_place, "MSE ($10^{-4}$)", va="top")
         of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
             if not score.found[face]:
@@ -115,7 +115,7 @@ def qualitative(
             _draw_views(axes, score.aligned[face], truth[row], scheme, colour(method), top / 2)
             digits = f"{score.mse[face] * 1e4:#.3g}".rstrip(".")
             weight = "bold" if score.mse[face] == np.nanmin(of_row) else "normal"
-            _write(axes, (0, -top), digits, va="top", weight=weight)
+            _write(axes, score_place, digits, va="top", weight=weight)
     return figure
 
 
