@@ -13,10 +13,10 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from data_gen.models.registry import TITLES
 from deepmds_keras.files import write_bytes
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import NOTHING, power
 
 ROOT = Path(__file__).parents[1]

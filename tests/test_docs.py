@@ -13,7 +13,7 @@ import pytest
 from places import ROOT, SHARED, committed
 
 from data_gen.models import basel, flame
-from data_gen.models.registry import FILES, MODELS, load_model
+from data_gen.models.registry import MODELS, load_model
 from data_gen.views import PROTOCOLS
 from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
@@ -252,7 +252,7 @@ def test_the_table_of_recipes_is_that_of_the_code():
 
 def test_every_file_name_that_a_loader_looks_for_is_documented():
     data = text_of("docs/data.md")
-    candidates = [*flame.EMBEDDINGS, *(name for names in FILES.values() for name in names)]
+    candidates = [*flame.EMBEDDINGS, *(name for model in MODELS.values() for name in model.files)]
     for files in (AUTHORS_FILES, ZHAO_FILES, MOBILEFACE_FILES):
         candidates += [name for names in files.values() for name in names]
     for candidate in candidates:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -16,33 +17,56 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import OPENHEAD, load_openhead
 from deepmds_keras.errors import InputError
 
-# Names of each model's file, the preferred first.
-FILES = {
-    "ict": (NEUTRAL, "ict_light.npz"),
-    "bfm2009": ("01_MorphableModel.mat",),
-    "bfm2017": ("model2017-1_bfm_nomouth.h5", "model2017-1_face12_nomouth.h5"),
-    "bfm2019": ("model2019_bfm.h5", "model2019_face12.h5", "model2019_fullHead.h5"),
-    "flame": (
-        *("generic_model.pkl", "flame2023.pkl", "flame2023_no_jaw.pkl"),
-        *("generic_model.npz", "flame.npz"),
+
+@dataclass(frozen=True)
+class FaceModel:
+    """One value of `MODEL=`.
+
+    Attributes:
+        title: Name in texts.
+        load: Function that reads its file.
+        files: Names of its file, in order of preference; none if it comes with this package.
+        source: Where to get it.
+    """
+
+    title: str
+    load: Callable[..., MorphableModel]
+    files: tuple[str, ...] = ()
+    source: str = ""
+
+
+_ICT = "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)"
+_BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
+_FLAME = "https://flame.is.tue.mpg.de/ (free for research, after registration)"
+MODELS = {
+    "openhead": FaceModel("the open head", load_openhead),
+    "ict": FaceModel("ICT faces", load_ict, (NEUTRAL, "ict_light.npz"), _ICT),
+    "bfm2009": FaceModel("Basel Face Model 2009", load_bfm2009, ("01_MorphableModel.mat",), _BASEL),
+    "bfm2017": FaceModel(
+        "Basel Face Model 2017",
+        load_bfm2017,
+        ("model2017-1_bfm_nomouth.h5", "model2017-1_face12_nomouth.h5"),
+        _BASEL,
+    ),
+    "bfm2019": FaceModel(
+        "Basel Face Model 2019",
+        partial(load_bfm2017, name="bfm2019"),
+        ("model2019_bfm.h5", "model2019_face12.h5", "model2019_fullHead.h5"),
+        _BASEL,
+    ),
+    "flame": FaceModel(
+        "FLAME",
+        load_flame,
+        (
+            *("generic_model.pkl", "flame2023.pkl", "flame2023_no_jaw.pkl"),
+            *("generic_model.npz", "flame.npz"),
+        ),
+        _FLAME,
     ),
 }
-_DEPTHS = ("", "*/", "*/*/")  # of the subfolders in which they are searched for
-MODELS = ("openhead", *FILES)
 OPEN = ("openhead", "ict")
-_BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
-_SOURCES = {
-    "ict": "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)",
-    **dict.fromkeys(("bfm2009", "bfm2017", "bfm2019"), _BASEL),
-    "flame": "https://flame.is.tue.mpg.de/ (free for research, after registration)",
-}
-_LOADERS = {
-    "ict": load_ict,
-    "bfm2009": load_bfm2009,
-    "bfm2017": load_bfm2017,
-    "bfm2019": partial(load_bfm2017, name="bfm2019"),
-    "flame": load_flame,
-}
+TITLES = {name: model.title for name, model in MODELS.items()}
+_DEPTHS = ("", "*/", "*/*/")  # of the subfolders in which files are searched for
 # The tip of the nose on FLAME's template, measured by the public landmark embedding.
 _FLAME_NOSE_TIP_MM = np.array([0.3, -9.4, 75.8])
 _NOSE_TIP = 13  # of the landmarks ibug51
@@ -68,7 +92,7 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
         model = load_openhead()
     else:
         file = find_model(name, path)
-        model = _LOADERS[name](file)
+        model = MODELS[name].load(file)
     if scheme not in model.landmarks:
         raise InputError(
             f"{name} must be a mesh on which the landmarks {scheme} are known. "
@@ -83,27 +107,28 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
 
 
 def find_model(name: str, path: str | Path | None) -> Path:
-    """File (folder for ICT-FaceKit) of a model in `FILES`: the path itself, or within it.
+    """File (folder for ICT-FaceKit) of a model: the path itself, or within it.
 
     Raises:
-        InputError: Unknown name; or there is no file with a name in `FILES`, or several with the
-            most preferred one. The message says where to get it.
+        InputError: Unknown name, or that of the open head; or there is no file with one of the
+            model's names, or several with the most preferred one. The message says where to get it.
     """
-    if name not in FILES:
+    model = MODELS.get(name)
+    if model is None or not model.files:
         raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
     received = "nothing"
     if path:
         path = Path(path)
         places = [path] if path.is_file() else []
-        for pattern in (depth + file for file in FILES[name] for depth in _DEPTHS):
+        for pattern in (depth + file for file in model.files for depth in _DEPTHS):
             places = places or sorted(path.glob(pattern))
         if len(places) == 1:
             file = places[0]
             return file.parent if file.name == NEUTRAL else file  # one mesh of many
         received = ", ".join(map(str, places)) or f"{path}, which holds none of them"
     raise InputError(
-        f"DATA= must be the file of {name}, or a folder that holds one: {', '.join(FILES[name])}, "
-        f"from {_SOURCES[name]}. Received {received}."
+        f"DATA= must be the file of {name}, or a folder that holds one: {', '.join(model.files)}, "
+        f"from {model.source}. Received {received}."
     )
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 from jinja2 import StrictUndefined, Template
 from matplotlib.figure import Figure
 
+from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.audit.claims import decide, numbers_of
 from experiments.audit.estimates import Tables
@@ -18,7 +19,6 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power, scientific
 
 CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
 
-from data_gen.models.registry import load_model, open_models
+from data_gen.models.registry import TITLES, load_model, open_models
 from data_gen.views import (
     FIELD_OF_VIEW,
     PITCH,
@@ -42,7 +42,6 @@ from experiments.methods import title
 from experiments.progress import Bar
 from experiments.recipes import perceptron
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
 from experiments.studies.study_results import grid, mean_error, write_results
@@ -53,6 +52,7 @@ SURREY = "surrey"
 # Components below it move no landmark visibly: the fit treats them as noise.
 _LEAST_SD_MM = 0.3
 _UNIT = 1e-5
+_TITLES = TITLES | {"surrey": "Surrey faces", BOTH: "both open models"}
 
 
 class Trained:
@@ -191,12 +191,11 @@ def main(run: Run) -> dict:
     table = pd.concat([measured[task[1:]] for task in tasks])
     texts = grid(table, ["trained", "tested", "method"], "noise_mm", _UNIT)
     texts = texts.rename(columns="{:g} mm".format)
-    names = TITLES | {BOTH: "both open models"}
-    texts = texts.rename(index=names, level="trained").rename(index=names, level="tested")
+    texts = texts.rename(index=_TITLES, level="trained").rename(index=_TITLES, level="tested")
     texts = texts.rename(index=title, level="method")
     texts = texts.rename_axis(["Trained on", "Tested on", f"MSE ({power(_UNIT)})"])
     panels = [
-        Panel(errors, "noise_mm", "Noise of each coordinate (mm)", f"Tested on {TITLES[tested]}")
+        Panel(errors, "noise_mm", "Noise of each coordinate (mm)", f"Tested on {_TITLES[tested]}")
         for tested, errors in table[table["trained"] == run.model]
         .rename(columns={"mse": "mean"})
         .groupby("tested", sort=False)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from data_gen.models.registry import open_models
+from data_gen.models.registry import TITLES, open_models
 from deepmds_keras.alignment import align, centre, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Linear
 from deepmds_keras.baselines.eos_fit import EosFit
@@ -25,7 +25,6 @@ from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
 from experiments.recipes import perceptron
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
 from experiments.studies.study_results import grid, mean_error, write_results

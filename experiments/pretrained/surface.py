@@ -14,7 +14,7 @@ from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 from data_gen.build_openhead.components import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
-from data_gen.models.registry import load_model, open_models
+from data_gen.models.registry import TITLES, load_model, open_models
 from data_gen.views import (
     FIELD_OF_VIEW,
     PITCH,
@@ -28,7 +28,6 @@ from deepmds_keras.alignment import align, procrustes
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 

@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, title
 from experiments.progress import duration
 from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, write_text
 from experiments.run import SCHEMES, Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
 from experiments.scoring.typesetting import cells, head_of, remarks

@@ -10,11 +10,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import sem
 
+from data_gen.models.registry import TITLES
 from experiments.figures.style import save
 from experiments.methods import title
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import plus_minus, scientific
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from data_gen.models.registry import TITLES
 from data_gen.photographs import crop
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
@@ -23,7 +24,6 @@ from experiments.inputs import Faces, image_files, load_faces
 from experiments.methods import DEEP_MDS, METHODS, OWN_CONSTANT, constant_answers, notes
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.scores import (
     Scores,
     evaluate,

@@ -18,7 +18,7 @@ from scipy.stats import bootstrap
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import OPEN, load_model, open_models
+from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from deepmds_keras.alignment import normalise
 from deepmds_keras.errors import InputError
 from deepmds_keras.pipeline import DeepMDS
@@ -27,7 +27,6 @@ from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen
 from experiments.progress import Bar
 from experiments.run import AUTHORS_FILES, Run
-from experiments.scoring.face_models import TITLES
 from experiments.scoring.numbers import power, rounded
 from experiments.scoring.scores import Scores, score
 from experiments.streams import Stream
