@@ -42,7 +42,7 @@ PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 VALUES := $(foreach name,$(VARIABLES),'$(name)=$(subst ','\'',$($(name)))')
 
-help: ## what there is (this text)
+help: ## this text
 	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=full|smoke]'
 	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
 	@echo '            [DRY=1: say what would be done] [SNAKEMAKE=options, such as those of a cluster]'
@@ -73,15 +73,15 @@ $(READY): setup.cfg constraints.txt
 reproduce-bfm: ## the paper's BFM table next to ours   (28 min; 10 with MOBILEFACE=no)
 reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with RINGNET=no)
 reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
-ablation: ## the method with a part changed, over five seeds   (40 min after reproduce-bfm)
+ablation: ## the method with one part changed, over five seeds   (40 min after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
 bench: ## speed against the authors' implementation: results/bench/
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (1.5 h)
-witness: ## the authors' weights on faces about the mean they hold: results/witness/   [AUTHORS=dir]   (50 min)
-check: ## whether results/<model>/bfm/table.csv is as committed, within what seeds allow
+witness: ## the authors' weights on faces around the mean in them: results/witness/   [AUTHORS=dir]   (50 min)
+check: ## compare results/<model>/bfm/table.csv with the committed one
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
@@ -115,20 +115,20 @@ pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
 
-real-faces: | $(READY) ## what photos of people tell of detectors: results/<model>/real/   [REAL=npz]
+real-faces: | $(READY) ## what photos of people tell about detectors: results/<model>/real/   [REAL=npz]
 	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)'
 
-surface: | $(READY) ## the head of `deepmds predict --mesh`, and how far it lies off   [DATA=ICT-FaceKit]
+surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments pretrained.surface --data '$(DATA)'
 
 footprint: | $(READY) ## size, memory and time of an installation: results/bench/footprint.csv   (2 min)
 	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.
-test: | $(READY) ## the tests, but for what takes long                (4 min)
+test: | $(READY) ## the tests, except slow ones                (4 min)
 	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
-nightly: | $(READY) ## all tests: kills, full disks, damaged files
+nightly: | $(READY) ## all tests, including kills, full disks, damaged files
 	KILLS=6 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: | $(READY) ## ruff, and mypy on the public interface

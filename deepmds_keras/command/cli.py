@@ -16,9 +16,9 @@ from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES
 from deepmds_keras.predict.videos import tell_tracks
 
 _DESCRIPTION = """\
-Finds the faces in photos and videos, and the 3D shape of their landmarks; or takes
-landmarks that are given. Shapes face the front: +x to the subject's left, +y up, +z out of the
-face. One view does not show the true size: --interocular sets it."""
+Finds faces in photos and videos and estimates their landmarks in 3D, or lifts 2D
+landmarks from files. Shapes face the front: +x to the subject's left, +y up, +z out of the
+face. A single view does not show the true size: --interocular sets it."""
 _LISTED_FAULTS = 10  # of one source
 _EPILOG = """\
 examples:
@@ -27,9 +27,9 @@ examples:
   deepmds predict clip.mp4 --smooth 2
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
-Sources whose results are there are skipped, so that a run that was stopped goes on by the same
-command. Exit status: 0, or 1 if a source could not be used (the others are done), 2 for wrong
-arguments, 130 if Ctrl-C stopped it."""
+Sources with existing results are skipped, so the same command resumes an interrupted run.
+Exit status: 0; 1 if a source could not be used (the others are done); 2 for wrong arguments;
+130 after Ctrl-C."""
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -46,7 +46,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     predict = commands.add_parser(
         "predict",
-        help="3D landmarks of the faces in photos, or of given landmarks",
+        help="3D landmarks from photos, videos or 2D landmarks",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -55,43 +55,43 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("sources", nargs="+", metavar="SOURCE",
         help="photo, folder of photos, video, or landmarks (csv, npy, pts, json) of "
         f"{said_sizes()} points")  # fmt: skip
-    add("--recursive", action="store_true", help="take the photos in subfolders too")
+    add("--recursive", action="store_true", help="include photos in subfolders")
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, default=("csv",), metavar="LIST",
-        help=f"some of {', '.join(FORMATS)}, besides the picture (default: csv)")  # fmt: skip
+        help=f"any of {', '.join(FORMATS)}, in addition to the picture (default: csv)")  # fmt: skip
     add("--overwrite", action="store_true",
-        help="redo sources that are done, and replace files that are in the way")  # fmt: skip
+        help="redo finished sources, and replace existing files")  # fmt: skip
     add("--force", dest="overwrite", action="store_true", help=argparse.SUPPRESS)
     add("--view", action="store_true",
-        help="write HTML pages too, on which faces can be turned")  # fmt: skip
+        help="also write HTML pages with faces that can be rotated")  # fmt: skip
     add("--mesh", action="store_true",
-        help="write the head through the landmarks too: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
+        help="also write a head fitted to each face: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
     add("--detector", choices=DETECTORS,
         help="; or ".join(f"{name} ({row.licence})" for name, row in DETECTORS.items())
         + " (default: the first that is installed)")  # fmt: skip
     add("--landmarker", metavar="FILE",
         help="file of a face landmarker (.task), for a MediaPipe of 0.10.30 or later that you "
-        "installed yourself; the extra mediapipe brings 0.10.21")  # fmt: skip
+        "installed yourself; the extra mediapipe installs 0.10.21")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
-        help="x and y in files of landmarks are fractions of an image of this size, as MediaPipe "
-        "has them")  # fmt: skip
+        help="x and y in files of landmarks are fractions of an image of this size, as from "
+        "MediaPipe")  # fmt: skip
     add("--smooth", type=_number(-1e-300, "a number, not negative"), default=0.0, metavar="FRAMES",
         help="smooth each face of a video over time by a Gaussian of this standard deviation, but "
         "not over gaps; the rows of a file of landmarks are frames of one face")  # fmt: skip
     add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
-        help="look at every N-th frame of a video (default: 1)")  # fmt: skip
+        help="use every N-th frame of a video (default: 1)")  # fmt: skip
     add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
-        help="millimetres between the outer corners of the eyes: results are in mm")  # fmt: skip
+        help="distance between the outer corners of the eyes; results are then in mm")  # fmt: skip
     add("--model", metavar="NAME|FILE",
         help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file of "
         f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
     add("--jobs", type=_number(0, "1 or more, or -1", int), default=-1, metavar="N",
-        help="number of processes (default: one for each core)")  # fmt: skip
+        help="number of processes (default: one per core)")  # fmt: skip
     export = commands.add_parser(
         "export",
-        help="a lifter as an ONNX model",
+        help="write a lifter as an ONNX model",
         description="Writes a lifter as an ONNX model, with its inputs, outputs, landmarks and "
         "axes in its metadata. It needs pip install '.[onnx]', from the repository.",
     )
@@ -101,14 +101,14 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         "%(default)s)")  # fmt: skip
     evaluate = commands.add_parser(
         "evaluate",
-        help="the error of lifting on true 3D landmarks of yours",
-        description="Lifts the x and y of true 3D landmarks, and says how far the shapes lie from "
-        "these, by yaw, against the mean shape and eos: a table and a figure.",
+        help="errors of lifting on your true 3D landmarks",
+        description="Lifts the x and y of true 3D landmarks and scores the shapes against them, by "
+        "yaw, beside the mean shape and eos. Writes a table and a figure.",
     )
     add = evaluate.add_argument
     add("truth", metavar="TRUTH",
-        help="npy (n, 51 or 68, 3), or csv with columns x, y, z and face, a landmark a row; faces "
-        "as the camera sees them")  # fmt: skip
+        help="npy (n, 51 or 68, 3), or csv with columns x, y, z and face, one landmark per row; "
+        "faces as the camera sees them")  # fmt: skip
     add("--landmarks", metavar="FILE",
         help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in that file")
@@ -116,7 +116,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
         help="folder of the results (default: deepmds-evaluation)")  # fmt: skip
-    add("--overwrite", action="store_true", help="replace results that are there")
+    add("--overwrite", action="store_true", help="replace existing results")
     options = parser.parse_args(arguments)
     if options.command == "predict" and options.detector is None:
         options.detector = "mediapipe" if options.landmarker else default_detector()
