@@ -36,10 +36,6 @@ _MOST_NOISE = 5  # percent of the interocular distance
 def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     """Claim → name → each number that bears on it; NaN where the tables lack it."""
     ours, mean_shape, own_constant = map(t.seeds, ("ours", "mean_shape", "own_constant"))
-    own_constant_mse = over_seeds(own_constant)
-    if np.isnan(own_constant).all():  # tables before 0.3 know it of one training
-        own_constant_mse = t.measured("constants", "mse", answer="own_output")
-        own_constant = own_constant_mse.value
     constant = t.measured("constants", "mse", answer="frontal_view").value
     frontal = "autoencoder_mse_inference"
     pairs = dict.fromkeys(("method_a", "method_b"), ["ours", *_COMPARED])
@@ -62,7 +58,7 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "ours_over_mean_shape": over_seeds(ours / mean_shape),
             "seeds_below_mean_shape": share_below(ours, mean_shape),
             "ours_mse": over_seeds(ours),
-            "own_constant_mse": own_constant_mse,
+            "own_constant_mse": over_seeds(own_constant),
             "mean_shape_mse": over_seeds(mean_shape),
         },
         "unbiased": {
