@@ -58,8 +58,11 @@ MODELS = {
         "FLAME",
         load_flame,
         (
-            *("generic_model.pkl", "flame2023.pkl", "flame2023_no_jaw.pkl"),
-            *("generic_model.npz", "flame.npz"),
+            "generic_model.pkl",
+            "flame2023.pkl",
+            "flame2023_no_jaw.pkl",
+            "generic_model.npz",
+            "flame.npz",
         ),
         _FLAME,
     ),
@@ -88,11 +91,8 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
         InputError: Unknown name; the model's files are missing (the message says which, and where
             to get them) or unusable; or it lacks the landmarks or, for `"ibug51"`, expressions.
     """
-    if name == "openhead":
-        model = load_openhead()
-    else:
-        file = find_model(name, path)
-        model = MODELS[name].load(file)
+    file = find_model(name, path)
+    model = MODELS[name].load(file)
     if scheme not in model.landmarks:
         raise InputError(
             f"{name} must be a mesh on which the landmarks {scheme} are known. "
@@ -109,12 +109,16 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
 def find_model(name: str, path: str | Path | None) -> Path:
     """File (folder for ICT-FaceKit) of a model: the path itself, or within it.
 
+    The open head's is in this package, whatever the path.
+
     Raises:
-        InputError: Unknown name, or that of the open head; or there is no file with one of the
-            model's names, or several with the most preferred one. The message says where to get it.
+        InputError: Unknown name; or there is no file with one of the model's names, or several with
+            the most preferred one. The message says where to get it.
     """
+    if name == "openhead":
+        return OPENHEAD
     model = MODELS.get(name)
-    if model is None or not model.files:
+    if model is None:
         raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
     received = "nothing"
     if path:
@@ -138,8 +142,6 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     Raises:
         InputError: As `load_model`, of files that are missing.
     """
-    if name == "openhead":
-        return [OPENHEAD]
     file = find_model(name, path)
     if name == "flame":
         return [file, find_embedding(file)]
