@@ -80,7 +80,7 @@ stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (1.5 h)
-witness: ## the authors' weights on faces around the mean in them: results/witness/   [AUTHORS=dir]   (50 min)
+witness: ## the released weights around the BFM's mean: results/witness/   [AUTHORS=dir]   (50 min)
 check: ## compare results/<model>/bfm/table.csv with the committed one
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
@@ -115,7 +115,7 @@ pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
 
-real-faces: | $(READY) ## what photos of people tell about detectors: results/<model>/real/   [REAL=npz]
+real-faces: | $(READY) ## what real photos tell about detectors: results/<model>/real/   [REAL=npz]
 	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)'
 
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]

@@ -103,7 +103,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         "evaluate",
         help="errors of lifting on your true 3D landmarks",
         description="Lifts the x and y of true 3D landmarks and scores the shapes against them, by "
-        "yaw, beside the mean shape and eos. Writes a table and a figure.",
+        "yaw, next to the mean shape and eos. Writes a table and a figure.",
     )
     add = evaluate.add_argument
     add("truth", metavar="TRUTH",

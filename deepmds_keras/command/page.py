@@ -98,7 +98,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
 
 
 def _picture(face: Face, photo: np.ndarray | None) -> dict:
-    """Picture beside the shape; in its pixels the landmarks, and the shape in the head's pose."""
+    """Picture next to the shape; in its pixels the landmarks, and the shape in the head's pose."""
     if photo is None:
         low, extent = face.landmarks.min(0), np.ptp(face.landmarks, axis=0)
         scale, jpeg = _BARE_SIDE / extent.max(), None

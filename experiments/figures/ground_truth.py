@@ -97,7 +97,7 @@ def _draw_scan(
 def _draw_errors(
     figure: Figure, scheme: LandmarkScheme, found: np.ndarray, truth: np.ndarray
 ) -> None:
-    """The face coloured by median distance, beside the distances of all landmarks."""
+    """The face coloured by median distance, next to the distances of all landmarks."""
     distance = np.linalg.norm(found - truth, axis=2)
     median = np.median(distance, axis=0)
     colours = ScalarMappable(Normalize(0, median.max()), "viridis_r")

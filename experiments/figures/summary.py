@@ -1,4 +1,4 @@
-"""The headline figure, every method beside the paper's number, and the spread over seeds."""
+"""The headline figure, every method next to the paper's number, and the spread over seeds."""
 
 from __future__ import annotations
 

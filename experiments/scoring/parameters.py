@@ -1,4 +1,4 @@
-"""The paper's table of trainable parameters and time complexity, beside ours."""
+"""The paper's table of trainable parameters and time complexity, next to ours."""
 
 from __future__ import annotations
 

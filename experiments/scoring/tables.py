@@ -36,7 +36,7 @@ def summarise(
     paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
-    """Mean and standard deviation over subsets of every method and metric, beside the paper's.
+    """Mean and standard deviation over subsets of every method and metric, next to the paper's.
 
     Args:
         metrics: `method`, `metric`, `subset` (empty if a number belongs to none), `value`.

@@ -1,4 +1,4 @@
-"""Last step of the BFM track: the paper's table beside ours, and figures."""
+"""Last step of the BFM track: the paper's table next to ours, and figures."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def main(run: Run, *methods: str) -> dict:
         images = [open_photo(path) for path in photos]
         record["faces"] = [path.name for path in photos]
     mean = load_faces(run, "train").shapes.mean(0).astype(float)
-    # Methods that see the photo are drawn beside it.
+    # Methods that see the photo are drawn next to it.
     order = sorted(methods, key=lambda method: METHODS[method].inputs)
     shapes = {}
     for method in order:

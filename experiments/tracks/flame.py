@@ -1,4 +1,4 @@
-"""Last step of the FLAME track: the paper's CASIA-3D table beside ours, and figures."""
+"""Last step of the FLAME track: the paper's CASIA-3D table next to ours, and figures."""
 
 from __future__ import annotations
 
