@@ -77,7 +77,7 @@ def _run_step(module: str, run: Run, values: dict) -> None:
     """Run a step, then write its record and the manifests of its results."""
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
     machine = environment()  # before the step, lest a commit made meanwhile is taken for its code
-    said = import_module(module).main(run, *values["items"]) or {}
+    outcome = import_module(module).main(run, *values["items"]) or {}
     records = [path for path in values["inputs"] if path.parent.name == "records"]
     outside = [p for p in values["inputs"] if p not in records and run.build not in p.parents]
     record = {
@@ -93,10 +93,10 @@ def _run_step(module: str, run: Run, values: dict) -> None:
         **machine,
         "inputs": outside_files(outside),
         "needs": [str(path) for path in dict.fromkeys(records)],
-        **{name: value for name, value in said.items() if name != "results"},
+        **{name: value for name, value in outcome.items() if name != "results"},
     }
     record = json.loads(json.dumps(record))  # as it will be read
-    folders = [Path(folder) for folder in said.get("results", ())]
+    folders = [Path(folder) for folder in outcome.get("results", ())]
     record["results"] = {str(folder): sorted(write_manifest(folder, record)) for folder in folders}
     if values["record"] is not None:
         write_record(values["record"], record)

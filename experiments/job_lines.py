@@ -65,11 +65,11 @@ class JobLines(logging.Handler):
 
 def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
     """Duration of each step, the median over runs of the same size, by the name of its record."""
-    taken: dict[str, list[float]] = {}
+    durations: dict[str, list[float]] = {}
     for step in _steps(build, results):
         if step.get("preset", {}).get("name") == preset and "name" in step:
-            taken.setdefault(step["name"], []).append(step["seconds"])
-    return {name: median(seconds) for name, seconds in taken.items()}
+            durations.setdefault(step["name"], []).append(step["seconds"])
+    return {name: median(seconds) for name, seconds in durations.items()}
 
 
 def _steps(build: Path, results: Path) -> Iterable[dict]:

@@ -32,10 +32,10 @@ def imports(path):
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_packages_import_only_what_lies_before_them(package):
     for path in (ROOT / package).rglob("*.py"):
-        own = [name for name in imports(path) if name.split(".")[0] in (*MAY_IMPORT, "tests")]
+        internal = [name for name in imports(path) if name.split(".")[0] in (*MAY_IMPORT, "tests")]
         beyond = [
             name
-            for name in own
+            for name in internal
             if not any(f"{name}.".startswith(f"{known}.") for known in MAY_IMPORT[package])
         ]
         assert not beyond, path

@@ -216,7 +216,7 @@ def test_numbers_of_the_method_are_those_of_the_code():
 
 def test_the_table_of_recipes_is_that_of_the_code():
     zhao, mobileface, ringnet, lifting = (
-        {name: own.default for name, own in inspect.signature(method).parameters.items()}
+        {name: option.default for name, option in inspect.signature(method).parameters.items()}
         for method in (Zhao, MobileFace, RingNet, LandmarkLifter)
     )
     net = Recipe(FULL.autoencoder_epochs)
@@ -271,5 +271,5 @@ def test_sizes_and_hashes_of_files():
         pytest.skip("neither FLAME's public landmark embedding nor dlib's model is at hand")
     for path in files:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        said = f"`{path.name}`, {path.stat().st_size:,} bytes, sha256 `{digest}`"
-        assert said in text_of("docs/data.md")
+        row = f"`{path.name}`, {path.stat().st_size:,} bytes, sha256 `{digest}`"
+        assert row in text_of("docs/data.md")

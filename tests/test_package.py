@@ -53,8 +53,8 @@ def files(tools, tmp_path_factory):
 
 def test_twine_finds_nothing_wrong(tools, files):
     assert [path.suffix for path in files] == [".whl", ".gz"]
-    said = run(str(tools / "twine"), "check", "--strict", *map(str, files))
-    assert said.count("PASSED") == 2
+    output = run(str(tools / "twine"), "check", "--strict", *map(str, files))
+    assert output.count("PASSED") == 2
     assert "deepmds_keras/py.typed" in zipfile.ZipFile(files[0]).namelist()
 
 
@@ -63,9 +63,9 @@ def test_the_wheel_alone_predicts(files, tmp_path, python):
     programs = environment(python, tmp_path / "venv", f"{files[0]}[dlib]")
     deepmds = str(programs / "deepmds")
     photos = [str(PHOTO), str(PICTURES / "astronaut.jpg")]
-    said = run(deepmds, "predict", *photos, "--out", "out", "--view", cwd=tmp_path)
-    assert "portraits.jpg: 3 faces" in said
-    assert "astronaut.jpg: 2 faces" in said  # dlib takes the badge for one, too
+    output = run(deepmds, "predict", *photos, "--out", "out", "--view", cwd=tmp_path)
+    assert "portraits.jpg: 3 faces" in output
+    assert "astronaut.jpg: 2 faces" in output  # dlib takes the badge for one, too
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {f"{photo}.{kind}" for photo in ("portraits", "astronaut")
             for kind in ("csv", "png", "html")} <= names  # fmt: skip
@@ -96,7 +96,7 @@ def test_extras_work_together_in_whatever_order_they_are_installed(files, tmp_pa
     deepmds = str(programs / "deepmds")
     run(deepmds, "predict", str(PHOTO), "--detector", "mediapipe", "--out", "out", cwd=tmp_path)
     landmarks = str(tmp_path / "out" / "portraits.csv")
-    told = run(deepmds, "predict", landmarks, "--model", "deepmds", "--out", "net", cwd=tmp_path)
-    assert "3 faces" in told
+    output = run(deepmds, "predict", landmarks, "--model", "deepmds", "--out", "net", cwd=tmp_path)
+    assert "3 faces" in output
     run(deepmds, "export", "model.onnx", cwd=tmp_path)
     assert run(str(programs / "python"), "-c", FIND_FACES, str(PHOTO)).split()[-1] == "3"

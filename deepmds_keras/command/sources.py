@@ -45,13 +45,13 @@ def find_sources(
     for path in paths:
         try:
             if os.path.isdir(path):
-                found = _photos_in(Path(path), recursive, errors, skipped)
+                files = _photos_in(Path(path), recursive, errors, skipped)
             else:
-                found = [_checked(path)]
+                files = [_checked(path)]
         except InputError as error:
             errors.append(error)
         else:
-            for source in found:
+            for source in files:
                 sources.setdefault(source.resolve(), source)
     return list(sources.values()), errors, skipped
 

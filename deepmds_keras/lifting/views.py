@@ -138,6 +138,6 @@ def _check_sd(landmark_sd, n, n_landmarks):
     return np.broadcast_to(sd, (n, n_landmarks))
 
 
-def _refuse(bad, needed, found):
+def _refuse(bad, needed, received):
     for face in np.flatnonzero(bad)[:1]:
-        raise InputError(f"{needed}. Received {found(face)} in face {face}.")
+        raise InputError(f"{needed}. Received {received(face)} in face {face}.")

@@ -138,8 +138,8 @@ def find_in_video(
     # Frames are sent to the processes through memory, not files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
         while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
-            found = parallel(find(frame.image, detector, landmarker) for frame in batch)
-            faces += [to_ibug(convert(p, scheme, target), detector, target) for p in found]
+            detections = parallel(find(frame.image, detector, landmarker) for frame in batch)
+            faces += [to_ibug(convert(p, scheme, target), detector, target) for p in detections]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
             pictures += [_sampled(frame.image) for frame in batch]

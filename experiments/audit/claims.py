@@ -41,7 +41,7 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     pairs = dict.fromkeys(("method_a", "method_b"), ["ours", *_COMPARED])
     p_values = t.values("bfm", "wilcoxon", "p_value", over="faces", metric="mse", **pairs)
     paper, connected = t.variant("same_face_stable"), t.variant("same_face")
-    theirs = "bfm-evaluator-released"
+    evaluator = "bfm-evaluator-released"
     posed = t.variant("same_face", "mse_posed")  # on turned and perspective views
     return {
         "bfm-rank": {
@@ -85,8 +85,10 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
                 f"{method}_mse": over_samplings(t.samplings(method))
                 for method in ("zhao_frontal", "zhao", "zhao_authors")
             },
-            "zhao_frontal_released_mse": over_samplings(t.samplings("zhao_frontal", theirs)),
-            "zhao_true_depth_released_mse": over_samplings(t.samplings("zhao_true_depth", theirs)),
+            "zhao_frontal_released_mse": over_samplings(t.samplings("zhao_frontal", evaluator)),
+            "zhao_true_depth_released_mse": over_samplings(
+                t.samplings("zhao_true_depth", evaluator)
+            ),
         },
         "depth-correlation": {
             "largest_depth_corr": point(len(load_scheme(t.run.scheme))),

@@ -72,7 +72,7 @@ def embed(dissimilarities: np.ndarray) -> np.ndarray:
     """Points `(n, L, 3)` of `(n, L, L)`, from one classical start, of each face in turn."""
     options = {"metric": "precomputed", "init": "classical_mds", "normalized_stress": True}
     scaling = MDS(3, metric_mds=False, n_init=1, **options)
-    return np.stack([scaling.fit_transform(own) for own in check_dissimilarities(dissimilarities)])
+    return np.stack([*map(scaling.fit_transform, check_dissimilarities(dissimilarities))])
 
 
 def shapes(model: DeepMDS, views: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from data_gen.photographs import crop
 from data_gen.renderer import MARGIN
 from deepmds_keras.detection.photos import IMAGE_SIZE
 from deepmds_keras.errors import InputError
-from experiments.datasets.found_faces import find_faces
+from experiments.datasets.detected_faces import find_faces
 from experiments.inputs import face_model
 from experiments.records import listing, resumable
 from experiments.run import Run

@@ -15,7 +15,7 @@ from data_gen.photographs import crop
 from data_gen.registration import GroundTruth
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert
-from experiments.datasets.found_faces import find_faces
+from experiments.datasets.detected_faces import find_faces
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, face_model
 from experiments.records import listing, resumable
 from experiments.run import Run

@@ -68,9 +68,9 @@ def ground_truth(
     for number, (photo, *views) in enumerate(panels.T):
         draw_photo(photo, images[number])
         photo.plot(*detected[number].T, ls="none", **marks["detected"][1])
-        found = {name: scans[name][shown[number]] for name in marks if name != "detected"}
+        landmark_sets = {name: scans[name][shown[number]] for name in marks if name != "detected"}
         for axes, view in zip(views, (front_view, side_view), strict=True):
-            _draw_scan(axes, scans["example_points"][number], found, view)
+            _draw_scan(axes, scans["example_points"][number], landmark_sets, view)
     handles = [Line2D([], [], ls="none", label=label, **look) for label, look in marks.values()]
     figure.legend(handles=handles, loc="upper center", ncols=4, handletextpad=0.1, markerscale=1.5)
     if "truth" in scans:
@@ -81,24 +81,24 @@ def ground_truth(
 def _draw_scan(
     axes: Axes,
     points: np.ndarray,
-    found: Mapping[str, np.ndarray],
+    landmark_sets: Mapping[str, np.ndarray],
     view: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    inside = view(np.concatenate([*found.values()]))
+    inside = view(np.concatenate([*landmark_sets.values()]))
     low, high = inside.min(0) - _PAD_MM, inside.max(0) + _PAD_MM
     bare(axes, (low[0], high[0], low[1], high[1]))
     cloud = view(points)
     cloud = cloud[((cloud > low) & (cloud < high)).all(1)][:_CLOUD]
     axes.plot(*cloud.T, ".", color=TRUTH_COLOUR, ms=1, mew=0, zorder=1)
-    for name, landmarks in found.items():
+    for name, landmarks in landmark_sets.items():
         axes.plot(*view(landmarks).T, ls="none", **_MARKS[name][1])
 
 
 def _draw_errors(
-    figure: Figure, scheme: LandmarkScheme, found: np.ndarray, truth: np.ndarray
+    figure: Figure, scheme: LandmarkScheme, landmarks: np.ndarray, truth: np.ndarray
 ) -> None:
     """The face coloured by median distance, next to the distances of all landmarks."""
-    distance = np.linalg.norm(found - truth, axis=2)
+    distance = np.linalg.norm(landmarks - truth, axis=2)
     median = np.median(distance, axis=0)
     colours = ScalarMappable(Normalize(0, median.max()), "viridis_r")
     face = figure.add_axes((0.02, 0.02, 0.3, 0.24))

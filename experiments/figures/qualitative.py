@@ -108,7 +108,7 @@ def qualitative(
         _write(truth_axes, score_place, "MSE ($10^{-4}$)", va="top")
         of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
-            if not score.found[face]:
+            if not score.detected[face]:
                 _write(axes, (0, 0), "N/A", va="center")
                 continue
             _draw_views(axes, truth[row], truth[row], scheme, TRUTH_COLOUR, top / 2)

@@ -55,24 +55,24 @@ def measure(run: Run) -> Iterator[dict]:
     for scheme in LIFTERS:
         for kind in ("exact", *SCHEMES):
             faces = {model: views_of(each, kind, scheme) for model, each in photos.items()}
-            if any(each is None or each.found.sum() < _FEWEST for each in faces.values()):
+            if any(each is None or each.detected.sum() < _FEWEST for each in faces.values()):
                 continue
             regression = {} if kind == "exact" else _on_detections(faces)
-            for model, (views, sd, truth, found) in faces.items():
-                given = views[found], sd[found], truth[found]
+            for model, (views, sd, truth, detected) in faces.items():
+                given = views[detected], sd[detected], truth[detected]
                 shapes = trained(run, scheme).predict(*given)
                 if kind != "exact":
                     shapes["linear_detections"] = regression[model]
                 if kind == "mediapipe":
-                    shapes["mediapipe_corrected"] = photos[model]["mediapipe_shape"][found]
+                    shapes["mediapipe_corrected"] = photos[model]["mediapipe_shape"][detected]
                 scored = np.ones(truth.shape[1], bool)
                 if scheme == "ibug51" and run.sfm:
-                    shapes["eos"] = EosFit(run.sfm).predict(views[found])
+                    shapes["eos"] = EosFit(run.sfm).predict(views[detected])
                     scored = np.isfinite(shapes["eos"][0, :, 0])  # for all methods alike
                 row = {"scheme": scheme, "faces": model, "views": kind, "landmarks": scored.sum()}
                 shapes = {method: shape[:, scored] for method, shape in shapes.items()}
-                for errors in _errors(shapes, truth[found][:, scored]):
-                    yield row | errors | {"not_found": int((~found).sum())}
+                for errors in _errors(shapes, truth[detected][:, scored]):
+                    yield row | errors | {"not_found": int((~detected).sum())}
 
 
 class Views(NamedTuple):
@@ -81,7 +81,7 @@ class Views(NamedTuple):
     views: np.ndarray  # (n, L, 2) pixels
     sd: np.ndarray  # (n, L)
     truth: np.ndarray  # (n, L, 3) normalised
-    found: np.ndarray  # (n,)
+    detected: np.ndarray  # (n,)
 
 
 def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | None:
@@ -95,16 +95,16 @@ def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | N
     source = "bfm72" if scheme == "bfm72" else "ibug68"
     truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))
     if kind == "exact":
-        pixels, found = photos[f"pixels_{source}"], np.ones(len(truth), bool)
+        pixels, detected = photos[f"pixels_{source}"], np.ones(len(truth), bool)
         sd = np.zeros(truth.shape[:2])
     elif kind in photos and scheme in SCHEMES[kind]:
-        source, found = SCHEMES[kind][0], errors_of(photos, kind)[1]
+        source, detected = SCHEMES[kind][0], errors_of(photos, kind)[1]
         pixels = to_ibug(photos[kind], kind, source)
         radius = rms_radius(convert(pixels, source, "ibug51"))
         sd = radius[:, None] * detector_sd(kind, scheme)
     else:
         return None
-    return Views(convert(pixels, source, scheme) * (1, -1), sd, truth, found)
+    return Views(convert(pixels, source, scheme) * (1, -1), sd, truth, detected)
 
 
 def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
@@ -112,8 +112,8 @@ def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
 
     It sees photos of all models. No other method of the table is trained on detections.
     """
-    inputs = {m: normalise(centre(each.views[each.found])) for m, each in faces.items()}
-    truths = {m: each.truth[each.found] for m, each in faces.items()}
+    inputs = {m: normalise(centre(each.views[each.detected])) for m, each in faces.items()}
+    truths = {m: each.truth[each.detected] for m, each in faces.items()}
     shapes = {m: np.empty_like(truth) for m, truth in truths.items()}
     for half in (0, 1):
         parts = [(inputs[m][1 - half :: 2], truths[m][1 - half :: 2]) for m in faces]
@@ -158,11 +158,11 @@ def detections(run: Run) -> pd.DataFrame:
         for model in open_models(run.data)[0]:
             photos = read_portraits(run, model)
             if detector in photos:
-                errors, found = errors_of(photos, detector)
+                errors, detected = errors_of(photos, detector)
                 errors = convert(errors, scheme, "ibug51")
-                rows = pd.DataFrame({"detector": detector, "faces": model, "found": found})
+                rows = pd.DataFrame({"detector": detector, "faces": model, "found": detected})
                 rows["yaw"] = _YAWS[np.abs(_YAWS - photos["yaw"][:, None]).argmin(1)]
-                rows["square"] = np.where(found, (errors**2).mean((1, 2)), np.nan)
+                rows["square"] = np.where(detected, (errors**2).mean((1, 2)), np.nan)
                 parts.append(rows.sort_values("yaw"))
     grouped = pd.concat(parts).groupby(["detector", "faces", "yaw"], sort=False, as_index=False)
     table = grouped.agg(n_photos=("found", "size"), found=("found", "mean"), rms=("square", "mean"))

@@ -94,7 +94,7 @@ def detector_table(run: Run, faces: dict[str, np.ndarray]) -> pd.DataFrame:
 def _variance(run: Run, detector: str) -> np.ndarray:
     """`(L,)` of a coordinate of each landmark about its mean error on rendered photos."""
     errors = (errors_of(read_portraits(run, model), detector) for model in OPEN)
-    return np.mean([found_errors[found].var(0).mean(1) for found_errors, found in errors], axis=0)
+    return np.mean([e[detected].var(0).mean(1) for e, detected in errors], axis=0)
 
 
 def reliability(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:

@@ -85,7 +85,7 @@ class Scores:
         return Scores(*(getattr(self, field.name)[faces] for field in fields(self)))
 
     @cached_property
-    def found(self) -> np.ndarray:
+    def detected(self) -> np.ndarray:
         """`(n,)` whether the method found the face."""
         return np.isfinite(self.aligned).all((1, 2))
 
@@ -111,17 +111,17 @@ class Scores:
 
     def _of_found(self, criterion: Callable) -> np.ndarray:
         values = np.full(len(self.aligned), np.nan)
-        values[self.found] = criterion(self.aligned[self.found], self.truth[self.found])
+        values[self.detected] = criterion(self.aligned[self.detected], self.truth[self.detected])
         return values
 
 
 def score(shapes: np.ndarray, test: Faces) -> Scores:
     """Align predictions `(n, L, 3)` to the truth; a face that was not found is NaN."""
-    found = np.isfinite(shapes).all((1, 2))
+    detected = np.isfinite(shapes).all((1, 2))
     truth = test.shapes.astype(float)
     aligned, mirrored = np.full(shapes.shape, np.nan), np.full(len(shapes), np.nan)
-    aligned[found] = align(shapes[found], truth[found])
-    mirrored[found] = is_mirrored(shapes[found], truth[found])
+    aligned[detected] = align(shapes[detected], truth[detected])
+    mirrored[detected] = is_mirrored(shapes[detected], truth[detected])
     return Scores(aligned, truth, test.unit_mm, mirrored)
 
 
@@ -160,9 +160,9 @@ def evaluate(
 
 def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
     """Metric of the paper → method → its values on the faces that every method found."""
-    found = np.all([of_method.found for of_method in scores.values()], axis=0)
+    detected = np.all([of_method.detected for of_method in scores.values()], axis=0)
     return {
-        metric.id: {method: metric.per_face(scores[method])[found] for method in scores}
+        metric.id: {method: metric.per_face(scores[method])[detected] for method in scores}
         for metric in METRICS.values()
         if metric.in_paper
     }
@@ -170,7 +170,7 @@ def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
 
 def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:
     """Method → `(L,)` root-mean-square distances to the truth, millimetres."""
-    return {m: np.sqrt(np.nanmean(own.distances_mm**2, axis=0)) for m, own in scores.items()}
+    return {m: np.sqrt(np.nanmean(s.distances_mm**2, axis=0)) for m, s in scores.items()}
 
 
 def subsets(run: Run, n: int) -> np.ndarray:
@@ -193,7 +193,7 @@ def subsets(run: Run, n: int) -> np.ndarray:
 def _by_subset(metric: Metric, scores: Scores, chosen: np.ndarray) -> list[float]:
     """A metric on each subset, over the faces that the method found."""
     if metric.per_subset:
-        return [metric.per_subset(scores[faces[scores.found[faces]]]) for faces in chosen]
+        return [metric.per_subset(scores[faces[scores.detected[faces]]]) for faces in chosen]
     values = metric.per_face(scores)
     known = np.isfinite(values)
     return [values[faces[known[faces]]].mean() for faces in chosen]

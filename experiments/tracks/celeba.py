@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from experiments.datasets.found_faces import USED
+from experiments.datasets.detected_faces import USED
 from experiments.datasets.photos import photos
 from experiments.figures.ground_truth import fits
 from experiments.inputs import Faces

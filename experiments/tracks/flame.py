@@ -9,7 +9,7 @@ import pandas as pd
 
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
-from experiments.datasets.found_faces import USED
+from experiments.datasets.detected_faces import USED
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import Panel, error_lines, mean_errors
 from experiments.figures.ground_truth import ground_truth

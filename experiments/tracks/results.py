@@ -89,7 +89,7 @@ class Evaluation:
     @property
     def table_options(self) -> dict:
         """Options of `tables.summarise`."""
-        detected = {method: scores.found for method, scores in self.scores.items()}
+        detected = {method: scores.detected for method, scores in self.scores.items()}
         return {
             "experiment": self.run.track,
             "subset_size": self.run.preset.subset_size,
@@ -190,7 +190,7 @@ def evaluate_both(
     Args:
         run: The run.
         methods: Ids of the methods.
-        table: Table of the test faces, as from `found_faces.find_faces`.
+        table: Table of the test faces, as from `detected_faces.find_faces`.
         row: Id of the located landmarks, in the table against the true ones.
         references: Shapes `(n, L, 3)` of further rows, by id.
     """

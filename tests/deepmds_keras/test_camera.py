@@ -46,8 +46,8 @@ def test_affine_cameras_are_recovered_and_orthographic_are_the_nearest():
     shapes, truth = rng.normal(size=(8, 20, 3)), rng.normal(size=(8, 2, 4))
     views = shapes @ np.swapaxes(truth[..., :3], 1, 2) + truth[:, None, :, 3]
     np.testing.assert_allclose(affine_cameras(views, shapes), truth, atol=1e-9)
-    found = orthographic_cameras(views, shapes)
-    rotations, scales, translations = found.rotation, found.scale, found.translation
+    cameras = orthographic_cameras(views, shapes)
+    rotations, scales, translations = cameras.rotation, cameras.scale, cameras.translation
     np.testing.assert_allclose(rotations @ np.swapaxes(rotations, 1, 2), [np.eye(3)] * 8, atol=1e-9)
     assert np.allclose(np.linalg.det(rotations), 1)
     # No other scale is nearer to the affine camera.
@@ -113,10 +113,10 @@ def test_many_poses_are_those_of_each_face_with_their_perspective(shape):
         for name, value in far[i].as_dict().items():
             assert np.allclose(getattr(alone, name), value, atol=1e-9), name
     views[:, :3] = np.nan
-    found = refit(near, views, np.stack([1.2 * centred] * N))
-    assert np.allclose(found.scale, 2.5 / 1.2, rtol=0.01)
-    assert np.allclose(found.perspective, near.perspective / 1.2, rtol=0.01)
-    off = found.project(np.stack([1.2 * centred] * N)) - views
+    cameras = refit(near, views, np.stack([1.2 * centred] * N))
+    assert np.allclose(cameras.scale, 2.5 / 1.2, rtol=0.01)
+    assert np.allclose(cameras.perspective, near.perspective / 1.2, rtol=0.01)
+    off = cameras.project(np.stack([1.2 * centred] * N)) - views
     assert np.nanmax(np.abs(off)) < 0.5, "of some 300"
     with pytest.raises(TypeError):
         len(near[0])

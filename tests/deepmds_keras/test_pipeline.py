@@ -146,8 +146,8 @@ def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
     files = [write_keras2(tmp_path / f"{network.name}.h5", network) for network in networks]
     model = DeepMDS.from_released(*files, n_landmarks=n_landmarks)
     assert model.front_landmark_ == nose_tip
-    for ours, theirs in zip(networks[0].weights, model.autoencoder_.weights, strict=True):
-        assert np.array_equal(ours, theirs)
+    for first, second in zip(networks[0].weights, model.autoencoder_.weights, strict=True):
+        assert np.array_equal(first, second)
     with h5py.File(files[0], "r+") as file:
         file["decode_1/decode_1/bias:0"][3] = np.nan
     with pytest.raises(InputError, match="autoencoder_.*.h5: decode_1/bias .* must be finite"):

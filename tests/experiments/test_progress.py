@@ -26,12 +26,12 @@ def test_a_log_gets_no_bar():
 
 
 def test_a_terminal_gets_one():
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    subprocess.run([sys.executable, "-c", _BARS], stderr=theirs, check=True)
-    os.close(theirs)
-    assert b"faces: 100%" in os.read(ours, 10_000)
-    os.close(ours)
+    terminal, child = pty.openpty()
+    fcntl.ioctl(child, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    subprocess.run([sys.executable, "-c", _BARS], stderr=child, check=True)
+    os.close(child)
+    assert b"faces: 100%" in os.read(terminal, 10_000)
+    os.close(terminal)
 
 
 def test_a_reader_that_leaves_ends_a_step_without_a_traceback(whole_bfm):

@@ -25,9 +25,9 @@ def seeds():
 
 
 def test_every_generator_of_a_runs_seed_names_its_stream():
-    found = [*seeds()]
-    assert len(found) > 15
-    assert [seed for seed in found if "tream" not in seed] == []
+    expressions = [*seeds()]
+    assert len(expressions) > 15
+    assert [seed for seed in expressions if "tream" not in seed] == []
 
 
 def test_no_two_stages_and_no_training_share_random_numbers():

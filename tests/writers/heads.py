@@ -30,7 +30,7 @@ def drawn_heads(size=256):
     return render(scene, faces, range(5), np.random.default_rng(0))
 
 
-def nme(found, truth):
+def nme(landmarks, truth):
     """Mean distance of each face's landmarks, in distances of its outer canthi: `(n,)`."""
     canthi = truth[:, CANTHI[0]] - truth[:, CANTHI[1]]
-    return np.linalg.norm(found - truth, axis=2).mean(1) / np.linalg.norm(canthi, axis=1)
+    return np.linalg.norm(landmarks - truth, axis=2).mean(1) / np.linalg.norm(canthi, axis=1)

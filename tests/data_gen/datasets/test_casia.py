@@ -125,10 +125,10 @@ def test_19_of_20_near_frontal_scans_with_shoulders_are_registered():
     for k in range(20):
         points, landmarks, pixels = scan(k, shoulders=True)
         try:
-            found = truth.register(pixels, face_points(points * HALF_TURN if k % 2 else points))
+            fit = truth.register(pixels, face_points(points * HALF_TURN if k % 2 else points))
         except InputError:
             continue
-        registered += np.linalg.norm(found.landmarks - landmarks, axis=1).max() < 10
+        registered += np.linalg.norm(fit.landmarks - landmarks, axis=1).max() < 10
     assert registered >= 19
 
 

@@ -36,8 +36,8 @@ def test_scans_are_spread_evenly_and_each_subject_is_the_same_whenever_it_is_dra
 def test_photo_and_points_are_of_the_same_face(scans):
     truth = GroundTruth(load_model("openhead", scheme="ibug51"))
     for scan in scans[0]:
-        found = truth.register(scan.pixels, scan.points)
-        assert np.median(np.linalg.norm(found.landmarks - scan.truth, axis=1)) < 3.5
+        fit = truth.register(scan.pixels, scan.points)
+        assert np.median(np.linalg.norm(fit.landmarks - scan.truth, axis=1)) < 3.5
         pixels = np.int64(scan.pixels)
         assert scan.image.shape == (320, 320, 3) and (scan.image[:, :5] == 255).all()
         assert (scan.image[pixels[:, 1], pixels[:, 0]] < 255).any(1).all()

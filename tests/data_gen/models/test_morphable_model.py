@@ -40,11 +40,11 @@ def test_sample_covariance_tends_to_the_models(model):
     _, faces = model.sample(n, np.random.default_rng(2))
     flat = model.identity_basis_times_sd.reshape(4, -1)
     expected = flat.T @ flat
-    found = np.cov(faces.reshape(n, -1), rowvar=False)
+    covariance = np.cov(faces.reshape(n, -1), rowvar=False)
     # A covariance entry of n normal samples has s.d. sqrt((c_ii c_jj + c_ij^2) / n).
     variance = np.diag(expected)
     sd = np.sqrt((np.outer(variance, variance) + expected**2) / n)
-    assert (np.abs(found - expected) < 6 * sd).all()
+    assert (np.abs(covariance - expected) < 6 * sd).all()
 
 
 def test_restrict_commutes_with_shape(model):

@@ -114,11 +114,11 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
     for view, camera, coefficients in zip(views, cameras, ours, strict=True):
         # Positional arguments, since the weight is called `lambda`; an empty base face is the mean.
         matrix, points = np.vstack([camera, [0, 0, 0, 1]]), [np.float32(point) for point in view]
-        theirs = eos.fitting.fit_shape_to_landmarks_linear(
+        expected = eos.fitting.fit_shape_to_landmarks_linear(
             pca, np.float32(matrix), points, list(range(L)), np.float32([]), regularisation, None,
             noise, 0.0,
         )  # fmt: skip
-        np.testing.assert_allclose(coefficients, theirs, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(coefficients, expected, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("method", [MeanShape(), Linear(alphas=(1e6,))])

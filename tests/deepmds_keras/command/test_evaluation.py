@@ -30,8 +30,8 @@ def test_lifting_is_far_below_the_mean_shape_and_exact_landmarks_are_best_as_suc
     np.save(tmp_path / "truth.npy", truth)
     rows = evaluate(tmp_path / "truth.npy", out=tmp_path)
     for landmarks in (51, 68):
-        found = errors(rows, landmarks)
-        assert found["lifting, exact"] < found["lifting"] < 0.25 * found["mean shape"]
+        mse = errors(rows, landmarks)
+        assert mse["lifting, exact"] < mse["lifting"] < 0.25 * mse["mean shape"]
     with open(tmp_path / "errors.csv", newline="") as file:
         assert [float(row["error"]) for row in csv.DictReader(file)] == [r["error"] for r in rows]
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
@@ -61,16 +61,16 @@ def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*map(str, command), "--landmarks", str(tmp_path / "seen.npy")])
     assert ended.value.code == 0
-    said = capsys.readouterr().out
-    assert "9 faces" in said and "51, lifting " in said and "exact" not in said
+    output = capsys.readouterr().out
+    assert "9 faces" in output and "51, lifting " in output and "exact" not in output
 
 
 @pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")
 def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
     pytest.importorskip("eos", reason="eos-py has no wheel here")
     np.save(tmp_path / "truth.npy", truth)
-    found = errors(evaluate(tmp_path / "truth.npy", eos=SHARED / "sfm", out=tmp_path), 49)
-    assert found["lifting"] < found["eos"] < found["mean shape"]
+    mse = errors(evaluate(tmp_path / "truth.npy", eos=SHARED / "sfm", out=tmp_path), 49)
+    assert mse["lifting"] < mse["eos"] < mse["mean shape"]
 
 
 @pytest.mark.parametrize(

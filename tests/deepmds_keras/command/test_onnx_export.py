@@ -81,15 +81,15 @@ def test_onnxruntime_gives_what_predict_gives(shapes, weights, model, n, incompl
 
 def test_the_model_says_what_it_takes_and_gives(model):
     read = onnx.load(model)
-    told = {entry.key: entry.value for entry in read.metadata_props}
+    metadata = {entry.key: entry.value for entry in read.metadata_props}
     scheme = load_scheme("ibug51")
-    assert told["scheme"] == "ibug51"
-    assert json.loads(told["landmark_names"]) == [*scheme.names]
-    assert json.loads(told["landmark_numbers"]) == [*scheme.numbers]
-    assert "normalised" in told["unit"]
-    assert "+y up" in told["axes"]
-    assert told["weights"] == "lifter: given by the user"
-    assert {"licence", "view_axes", "camera_axes", "camera_unit"} <= told.keys()
+    assert metadata["scheme"] == "ibug51"
+    assert json.loads(metadata["landmark_names"]) == [*scheme.names]
+    assert json.loads(metadata["landmark_numbers"]) == [*scheme.numbers]
+    assert "normalised" in metadata["unit"]
+    assert "+y up" in metadata["axes"]
+    assert metadata["weights"] == "lifter: given by the user"
+    assert {"licence", "view_axes", "camera_axes", "camera_unit"} <= metadata.keys()
     assert [entry.name for entry in read.graph.input] == ["view", "visible", "landmark_sd"]
     outputs = ["shape", "shape_sd", "rotation", "scale", "translation", "perspective"]
     assert [entry.name for entry in read.graph.output] == outputs

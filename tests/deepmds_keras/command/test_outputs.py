@@ -25,8 +25,8 @@ def make_face(name="a", scheme="bfm72", seed=0, unit="normalised", notes=(), std
     view = 300 * shape[:, :2] + [400, -300] + rng.normal(size=(len(shape), 2))
     photo = Path(f"{name}.jpg")
     pose = head_pose(view, shape)
-    own = rng.random(shape.shape) if std else None
-    return Face(name, photo, photo, scheme, view * [1, -1], shape, unit, pose, notes, std=own)
+    sd = rng.random(shape.shape) if std else None
+    return Face(name, photo, photo, scheme, view * [1, -1], shape, unit, pose, notes, std=sd)
 
 
 def written(folder, kinds, *faces):
@@ -36,9 +36,9 @@ def written(folder, kinds, *faces):
     return [*files]
 
 
-def assert_close(found, expected):
+def assert_close(actual, expected):
     """To the seven digits that are written."""
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
+    np.testing.assert_allclose(actual, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
 
 
 @pytest.mark.parametrize(("unit", "std"), [("mm", True), ("normalised", False)])
@@ -120,8 +120,8 @@ def test_the_lines_join_the_points_that_the_scheme_joins(tmp_path, scheme):
     assert any("unit of x, y, z: normalised" in line for line in header)
     rows = [line.split() for line in obj.read_text(encoding="utf-8").splitlines()]
     assert_close([[float(v) for v in row[1:]] for row in rows if row[0] == "v"], face.xyz)
-    found = [[int(i) - 1 for i in row[1:]] for row in rows if row[0] == "l"]
-    assert [tuple(line) for line in found] == list(lines)
+    actual = [[int(i) - 1 for i in row[1:]] for row in rows if row[0] == "l"]
+    assert [tuple(line) for line in actual] == list(lines)
 
 
 def test_meshes_are_read_back(tmp_path):
@@ -131,14 +131,14 @@ def test_meshes_are_read_back(tmp_path):
     ply, obj = written(tmp_path, MESH_FORMATS, face)
     vertices, triangles, header = by_hand(ply)
     lines = obj.read_text(encoding="ascii").splitlines()
-    for found, corners in (
+    for actual, corners in (
         (vertices, triangles[:, 1:]),
         (
             np.array([line.split()[1:] for line in lines if line[0] == "v"], float),
             np.array([line.split()[1:] for line in lines if line[0] == "f"], int) - 1,
         ),
     ):
-        assert_close(found, heads)
+        assert_close(actual, heads)
         assert np.array_equal(corners, surface_triangles())
     assert any("a note" in line for line in header) and len(shape[1]) == 51
 

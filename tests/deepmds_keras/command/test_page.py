@@ -188,8 +188,8 @@ def test_only_the_scripts_of_the_page_run_and_nothing_is_loaded(tmp_path, browse
     path.write_text(text.replace("</main>", other), encoding="utf-8")
     context = browser.new_context(offline=True)
     page = context.new_page()
-    asked = []
-    page.on("request", lambda request: asked.append(request.url[:60]))
+    requests = []
+    page.on("request", lambda request: requests.append(request.url[:60]))
     page.goto(path.as_uri())
     refused = page.evaluate("fetch('data:,x').then(() => false, () => true)")
     ran, cards = page.evaluate("window.ran"), page.locator(".card").count()
@@ -197,7 +197,7 @@ def test_only_the_scripts_of_the_page_run_and_nothing_is_loaded(tmp_path, browse
     assert refused
     assert ran is None
     assert cards == 1
-    assert all(url.startswith((path.as_uri()[:60], "data:image/")) for url in asked)
+    assert all(url.startswith((path.as_uri()[:60], "data:image/")) for url in requests)
 
 
 def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):

@@ -54,11 +54,11 @@ def predict(capsys, tmp_path):
         capsys.readouterr()
         with pytest.raises(SystemExit) as ended:
             main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
-        code, (said, errors) = ended.value.code, capsys.readouterr()
+        code, (output, errors) = ended.value.code, capsys.readouterr()
         # Python prints a text that it is ended with, and the status is 1.
         lines = [*errors.splitlines(), *([code] if isinstance(code, str) else [])]
         listed = [line for line in lines if line.startswith(("error: ", "note: no effect"))]
-        return 1 if isinstance(code, str) else code, said, listed
+        return 1 if isinstance(code, str) else code, output, listed
 
     return predict
 
@@ -141,7 +141,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         save(folder / f"{name}.npy", array)
     odd = save(folder / "new\nline 'and' \"more\"\udcff.npy", landmarks)
     bad = [folder / "missing.jpg", folder / "notes.txt", folder / "..", ""]
-    status, said, errors = predict(*sorted(folder.iterdir()), *bad)
+    status, output, errors = predict(*sorted(folder.iterdir()), *bad)
     assert status == 1
     expected = {
         "text.jpg": "no image",
@@ -163,13 +163,13 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         assert text in line, name
     assert "a source must be the name" in "".join(errors)
     assert len(errors) == len(expected) + 1
-    assert said.count("1 face →") == 2 and "new\\nline" in said
+    assert output.count("1 face →") == 2 and "new\\nline" in output
     results = {f"{name}.{kind}" for name in ("good", odd.stem) for kind in ("csv", "png")}
     assert {*written(tmp_path / "out")} == results
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ([], "the following arguments are required: SOURCE"),
         (["a.jpg", "--jobs", "0"], "must be 1 or more, or -1. Received '0'"),
@@ -180,11 +180,11 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
     ],
 )
-def test_wrong_arguments_are_named(capsys, arguments, said):
+def test_wrong_arguments_are_named(capsys, arguments, message):
     with pytest.raises(SystemExit) as ended:
         main(["predict", *arguments])
     assert ended.value.code == 2
-    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert message in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("n", [51, 68, 72, 478])
@@ -211,15 +211,15 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
     frames[5, 3:] = np.nan
     frames[6] = 7
     points = save(tmp_path / "f.npy", frames)
-    status, said, (line,) = predict(points, alone, "--format", "csv,json,npz,ply")
+    status, output, (line,) = predict(points, alone, "--format", "csv,json,npz,ply")
     assert status == 1
     assert f"{points}: 2 of 8 faces cannot be used and are gaps: 6, 7. The first must" in line
-    assert "f.npy: 5 faces, 3 gaps →" in said
+    assert "f.npy: 5 faces, 3 gaps →" in output
     out, seen = tmp_path / "out", [0, 3, 4, 7]
-    found, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
+    arrays, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
     for key in ("shape", "landmarks", "yaw", "rotation"):
-        np.testing.assert_allclose(found[key][seen], expected[key], atol=1e-6)
-        assert np.isnan(found[key][[1, 5, 6]]).all(), key
+        np.testing.assert_allclose(arrays[key][seen], expected[key], atol=1e-6)
+        assert np.isnan(arrays[key][[1, 5, 6]]).all(), key
     records = json.loads((out / "f.json").read_bytes())["faces"]
     assert [face["shape"] is None for face in records] == [i in (1, 5, 6) for i in range(8)]
     assert records[1]["notes"] == []
@@ -227,7 +227,7 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
     assert len([*out.glob("f-*.ply")]) == 5
     for kind in ("csv", "json"):  # what was written is read with its gaps
         again = read_landmarks(out / f"f.{kind}")
-        np.testing.assert_allclose(again, found["landmarks"], rtol=1e-5)
+        np.testing.assert_allclose(again, arrays["landmarks"], rtol=1e-5)
 
 
 def test_options_reach_the_results(tmp_path, predict, landmarks):
@@ -271,10 +271,10 @@ def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, lan
     def redone(*options):
         """What a run writes, by the times of the files."""
         before = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
-        status, said, errors = predict(first, second, *options)
+        status, output, errors = predict(first, second, *options)
         after = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
         new = sorted(path.stem for path, _ in after.items() - before.items())
-        assert ("are skipped; --overwrite" in said) == (len(new) + len(errors) < 2)
+        assert ("are skipped; --overwrite" in output) == (len(new) + len(errors) < 2)
         return status, new
 
     assert redone() == (0, ["a", "b"])
@@ -294,8 +294,8 @@ def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landm
     out = tmp_path / "out"
     out.mkdir()
     (out / "a.csv").write_text("mine")
-    status, said, (line,) = predict(first, second)
-    assert (status, "b.npy: 1 face" in said) == (1, True)
+    status, output, (line,) = predict(first, second)
+    assert (status, "b.npy: 1 face" in output) == (1, True)
     assert f"{out / 'a.csv'} must not be there yet" in line and "--overwrite" in line
     assert (out / "a.csv").read_text() == "mine"
     assert written(out) == ["a.csv", "b.csv", "b.png"]
@@ -320,8 +320,8 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
         cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert other.stdout.readline() == "locked\n"
-    status, said, (line,) = predict(points)
-    assert (status, said, "in use by another run" in line) == (1, "", True)
+    status, output, (line,) = predict(points)
+    assert (status, output, "in use by another run" in line) == (1, "", True)
     other.kill()
     other.communicate()
     assert predict(points)[0] == 0
@@ -359,11 +359,11 @@ def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predi
     points = save(tmp_path / "a.npy", landmarks)
     (tmp_path / "file").touch()
     for out in (tmp_path / "file", tmp_path / "file" / "within"):
-        status, said, (line,) = predict(points, "--out", out)
-        assert (status, said, str(tmp_path / "file") in line) == (1, "", True)
+        status, output, (line,) = predict(points, "--out", out)
+        assert (status, output, str(tmp_path / "file") in line) == (1, "", True)
     (tmp_path / "out" / "a.csv").mkdir(parents=True)
     good = save(tmp_path / "b.npy", landmarks)
-    status, said, (line,) = predict(points, good)
+    status, output, (line,) = predict(points, good)
     assert (status, "a.csv must not be there yet" in line) == (1, True)
     assert (tmp_path / "out" / "b.csv").is_file()
 
@@ -379,8 +379,8 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
     points = save(tmp_path / "a.npy", landmarks)
     for detector in ("dlib", "mediapipe"):
-        status, said, (line,) = predict(tmp_path / "photo.png", "--detector", detector)
-        assert (status, said) == (1, "")
+        status, output, (line,) = predict(tmp_path / "photo.png", "--detector", detector)
+        assert (status, output) == (1, "")
         assert f"pip install '.[{detector}]'" in line
     assert not (tmp_path / "out").exists()
     status, _, (line,) = predict(tmp_path / "photo.png", points)

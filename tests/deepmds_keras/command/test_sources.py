@@ -74,11 +74,11 @@ def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
     paths = [*bad, points, b, str(tmp_path), tmp_path / "." / "b.jpg", a]
     sources, errors, _ = find_sources(paths)
     assert sources == [points, b, a]
-    for path, error, said in zip(
+    for path, error, message in zip(
         bad, errors, ("does not exist", "'.txt'", "must hold photos"), strict=True
     ):
         assert isinstance(error, InputError)
-        assert str(error).startswith(f"{path} ") and said in str(error)
+        assert str(error).startswith(f"{path} ") and message in str(error)
 
 
 def test_a_source_gives_its_name_to_the_results_where_that_is_free():
@@ -95,8 +95,8 @@ def test_no_face_of_a_source_is_called_like_one_of_another():
         results = [
             {name, *name_faces(name, 3), *name_faces(name, 12)} for name in map(str.casefold, names)
         ]
-        for i, own in enumerate(results):
-            assert own.isdisjoint(set().union(*results[:i])), order
+        for i, names in enumerate(results):
+            assert names.isdisjoint(set().union(*results[:i])), order
 
 
 def test_several_faces_are_numbered_so_that_they_sort():

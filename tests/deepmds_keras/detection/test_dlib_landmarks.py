@@ -30,9 +30,9 @@ def heads(apart):
 
 def test_landmarks_of_drawn_heads_are_those_of_the_model(find, heads):
     images, truth = heads
-    found = np.array([find(image)[0] for image in images])
-    assert nme(found[:, 17:], truth).max() < 0.06
-    chin = found[:, 8] - truth[:, 16]  # from under the nose: the jaw line comes first
+    landmarks = np.array([find(image)[0] for image in images])
+    assert nme(landmarks[:, 17:], truth).max() < 0.06
+    chin = landmarks[:, 8] - truth[:, 16]  # from under the nose: the jaw line comes first
     assert (chin[:, 1] > 0.4 * np.ptp(truth[..., 1], axis=1)).all()
 
 
@@ -50,9 +50,9 @@ def test_every_face_is_found_once_whatever_its_size_the_largest_first(find, head
     image, truth = heads[0][2], heads[1][2]
     small = np.full_like(image, 255)
     small[64:192, 64:192] = np.array(Image.fromarray(image).resize((128, 128)))
-    found = find(np.concatenate([small, image, small[::-1]], axis=1))
-    assert found.shape == (2, 68, 2)  # none is upside down
-    assert nme(found[:, 17:], np.stack([truth + (256, 0), truth / 2 + 64])).max() < 0.06
+    landmarks = find(np.concatenate([small, image, small[::-1]], axis=1))
+    assert landmarks.shape == (2, 68, 2)  # none is upside down
+    assert nme(landmarks[:, 17:], np.stack([truth + (256, 0), truth / 2 + 64])).max() < 0.06
     for image, side in itertools.product(heads[0], (80, 150, 400)):
         scaled = np.array(Image.fromarray(image).resize((side, side), Image.Resampling.LANCZOS))
         assert len(find(scaled)) == 1

@@ -195,8 +195,8 @@ def test_a_landmarker_that_cannot_be_read_is_named(tmp_path, later):
         MediaPipeLandmarks(tmp_path)
     path.write_bytes(b"no model")
     later(error=RuntimeError("Unable to open\nzip archive."))
-    said = r"face.task must be a face landmarker.*RuntimeError: Unable to open zip archive\.$"
-    with pytest.raises(InputError, match=said):
+    message = r"face.task must be a face landmarker.*RuntimeError: Unable to open zip archive\.$"
+    with pytest.raises(InputError, match=message):
         MediaPipeLandmarks(path)
     later(n_points=21)
     with pytest.raises(InputError, match=r"face.task must be .* Received: 21 points a face"):

@@ -71,8 +71,8 @@ def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
     register_heif_opener()
     for name in ("photo.heic", "photo.jpg"):
         saved(tmp_path, colour[:40], name, format="HEIF", exif=exif.tobytes(), quality=-1)
-        found = open_photo(tmp_path / name).astype(int)
-        assert np.abs(found - np.rot90(colour[:40], -1)).mean() < 6
+        opened = open_photo(tmp_path / name).astype(int)
+        assert np.abs(opened - np.rot90(colour[:40], -1)).mean() < 6
     whole = (tmp_path / "photo.heic").read_bytes()
     (tmp_path / "photo.heic").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="photo.heic must be a photo that can be read"):

@@ -72,8 +72,8 @@ def test_scheme_has_its_number_of_landmarks_each_named_once(scheme):
 
 def test_the_number_of_landmarks_tells_the_scheme():
     assert {name: len(scheme) for name, scheme in load_schemes().items()} == SIZES
-    found = [scheme_of(n) for n in (51, 68, 72, 468, 478)]
-    assert found == ["ibug51", "ibug68", "bfm72", "mediapipe", "mediapipe"]
+    actual = [scheme_of(n) for n in (51, 68, 72, 468, 478)]
+    assert actual == ["ibug51", "ibug68", "bfm72", "mediapipe", "mediapipe"]
     with pytest.raises(InputError, match=r"51, 68, 72, 468 or 478 landmarks. Received 70\."):
         scheme_of(70)
     with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe. Received 'bfm73'"):
@@ -162,15 +162,15 @@ def test_what_is_not_of_the_source_is_refused(points, arguments, message):
 def test_pairs_of_the_72_and_the_68_are_the_same_point_on_both_head_models(model):
     bfm72, ibug68 = load_scheme("bfm72"), load_scheme("ibug68")
     assert len({number for number, _ in PAIRS.values()}) == len(PAIRS) == 24
-    for ours, (theirs, evidence) in PAIRS.items():
-        mirrored = int(bfm72.mirror[ours - 1]) + 1
-        assert PAIRS[mirrored] == (int(ibug68.mirror[theirs - 1]) + 1, evidence)
-        assert distances(model)[ours - 1, theirs - 1] < FARTHEST[evidence], (ours, theirs)
+    for number, (match, evidence) in PAIRS.items():
+        mirrored = int(bfm72.mirror[number - 1]) + 1
+        assert PAIRS[mirrored] == (int(ibug68.mirror[match - 1]) + 1, evidence)
+        assert distances(model)[number - 1, match - 1] < FARTHEST[evidence], (number, match)
     near = distances(model) < FARTHEST["place"]
     alike = np.array(bfm72.names)[:, None] == np.array(ibug68.names)
-    found = {tuple(map(int, pair)) for pair in np.argwhere(near & alike) + 1}
-    by_place = {(ours, theirs) for ours, (theirs, how) in PAIRS.items() if how == "place"}
-    assert by_place <= found <= {(ours, theirs) for ours, (theirs, _) in PAIRS.items()}
+    actual = {tuple(map(int, pair)) for pair in np.argwhere(near & alike) + 1}
+    by_place = {(number, match) for number, (match, how) in PAIRS.items() if how == "place"}
+    assert by_place <= actual <= {(number, match) for number, (match, _) in PAIRS.items()}
 
 
 def test_a_scheme_that_tables_alone_describe_is_like_the_others(tmp_path, monkeypatch):

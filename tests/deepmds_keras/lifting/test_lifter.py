@@ -94,11 +94,11 @@ def test_numpy_and_keras_agree(lifter, faces):
     assert 0.8 < seen.visible.mean() < 0.9
     inputs = seen.views, seen.visible, seen.sd
     iterations = SIZES["tiny"].iterations
-    ours = lift(np, lifter.weights_, iterations, *inputs)
-    theirs = np.asarray(build_lifting_net(lifter.weights_, iterations)(inputs))
-    assert ours.shapes.dtype == ours.log_sd.dtype == np.float32
-    assert np.abs(ours.shapes - theirs[:, :3]).max() < 1e-5
-    assert np.abs(ours.log_sd - theirs[:, 3:]).max() < 1e-3
+    numpy_output = lift(np, lifter.weights_, iterations, *inputs)
+    keras_output = np.asarray(build_lifting_net(lifter.weights_, iterations)(inputs))
+    assert numpy_output.shapes.dtype == numpy_output.log_sd.dtype == np.float32
+    assert np.abs(numpy_output.shapes - keras_output[:, :3]).max() < 1e-5
+    assert np.abs(numpy_output.log_sd - keras_output[:, 3:]).max() < 1e-3
 
 
 def test_posterior_steps_find_coefficients_and_camera_of_exact_views():
@@ -114,12 +114,12 @@ def test_posterior_steps_find_coefficients_and_camera_of_exact_views():
     image = equations.look(np, true, shapes, np.zeros((8, 2, 30)), ones, ones).seen
     views = image + true.shift[:, :, None]
     camera = equations.starting_camera(np, views, ones, mean)
-    found, seen = np.zeros((8, 5)), mean + 0 * shapes
+    estimate, seen = np.zeros((8, 5)), mean + 0 * shapes
     for _ in range(8):
         sight = equations.look(np, camera, seen, views, ones, 1e-8 * ones)
-        found, camera = equations.posterior_step(np, camera, sight, basis, found, 5)
-        seen = mean + (found @ basis).reshape(8, 3, 30)
-    assert np.abs(found - code).max() < 1e-3
+        estimate, camera = equations.posterior_step(np, camera, sight, basis, estimate, 5)
+        seen = mean + (estimate @ basis).reshape(8, 3, 30)
+    assert np.abs(estimate - code).max() < 1e-3
     assert np.abs(camera.rotation - rotation).max() < 1e-3
     assert np.abs(camera.perspective - 0.05).max() < 1e-3
 
@@ -142,8 +142,8 @@ def test_what_is_missing_does_not_matter(lifter, faces):
     expected = lifter.predict(views, visible=visible, return_std=True)
     for anything in (0.0, 1e6, np.nan):
         views[~visible] = anything
-        found = lifter.predict(views, visible=visible, return_std=True)
-        assert all(map(np.array_equal, found, expected))
+        estimate = lifter.predict(views, visible=visible, return_std=True)
+        assert all(map(np.array_equal, estimate, expected))
     assert np.array_equal(lifter.predict(views), expected[0])
 
 

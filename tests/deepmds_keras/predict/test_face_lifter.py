@@ -99,10 +99,10 @@ def test_one_lifter_serves_several_threads(two_faces, monkeypatch):
     lifter = FaceLifter("slow")
     alone = shapes(lifter.predict(two_faces))
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lifter.predict, [two_faces] * 8))
-    assert all(np.array_equal(shapes(faces), alone) for faces in found)
+        results = list(threads.map(lifter.predict, [two_faces] * 8))
+    assert all(np.array_equal(shapes(faces), alone) for faces in results)
     assert {*together} == {1}
-    assert [face.score for face in found[0]] == [0.75, 0.75]
+    assert [face.score for face in results[0]] == [0.75, 0.75]
 
 
 def test_missing_landmarks_are_predicted_and_do_not_touch_other_faces(landmarks):

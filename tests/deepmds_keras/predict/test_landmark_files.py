@@ -216,8 +216,8 @@ REFUSED = {
 
 @pytest.mark.parametrize("fault", REFUSED)
 def test_a_bad_file_gets_one_line_that_names_it_and_the_fault(tmp_path, fault):
-    name, content, said = REFUSED[fault]
-    with pytest.raises(InputError, match=said) as caught:
+    name, content, message = REFUSED[fault]
+    with pytest.raises(InputError, match=message) as caught:
         read_landmarks(written(tmp_path, name, content))
     message = str(caught.value)
     assert message.startswith((f"{tmp_path / name} ", f"{tmp_path / name}, face "))

@@ -26,10 +26,10 @@ def heads():
 
 def test_the_file_in_the_package_is_what_the_head_model_gives(tmp_path):
     write_surface(tmp_path / "made.npz")
-    made, shipped = (read_npz(path) for path in (tmp_path / "made.npz", FILE))
+    built, shipped = (read_npz(path) for path in (tmp_path / "made.npz", FILE))
     assert FILE.stat().st_size < 600_000
-    assert made.keys() == shipped.keys()
-    for name, array in made.items():
+    assert built.keys() == shipped.keys()
+    for name, array in built.items():
         array, other = array.astype(float), shipped[name].astype(float)
         if name == "basis":  # the sign of an axis is anything, and a byte may be rounded up or down
             other *= np.sign((array * other).sum((1, 2), keepdims=True))
@@ -38,13 +38,13 @@ def test_the_file_in_the_package_is_what_the_head_model_gives(tmp_path):
 
 @pytest.mark.parametrize("scheme", ["ibug51", "ibug68", "bfm72"])
 def test_a_head_lies_on_its_landmarks_and_nearer_to_the_true_one_than_the_mean(heads, scheme):
-    own = surface_landmarks(scheme)
-    found = fit_surfaces(heads[:, own], scheme)
-    assert found.shape == heads.shape
-    assert np.linalg.norm(found[:, own] - heads[:, own], axis=2).mean() < 0.6
+    numbers = surface_landmarks(scheme)
+    fitted = fit_surfaces(heads[:, numbers], scheme)
+    assert fitted.shape == heads.shape
+    assert np.linalg.norm(fitted[:, numbers] - heads[:, numbers], axis=2).mean() < 0.6
     front = load_openhead().mean[:, 2] > 60
-    mean = fit_surfaces(heads[:, own].mean(0, keepdims=True), scheme)
-    off, off_mean = (np.linalg.norm((a - heads)[:, front], axis=2).mean() for a in (found, mean))
+    mean = fit_surfaces(heads[:, numbers].mean(0, keepdims=True), scheme)
+    off, off_mean = (np.linalg.norm((a - heads)[:, front], axis=2).mean() for a in (fitted, mean))
     assert off < 0.6 * off_mean
 
 

@@ -191,12 +191,12 @@ def test_a_hard_cut_between_two_people_begins_a_track_and_a_flash_or_a_pan_none(
         (first + flash, [1] * 21),
         ([scene(20 + 8 * i, ground=(8 * i,) * 3) for i in range(20)], [1] * 20),
     ):
-        found = find_in_video(
+        detections = find_in_video(
             write_video(tmp_path / "a.mp4", frames), "a", detector="squares", smooth=3
         )
-        assert [ref.track for ref in found.frame_refs] == tracks
+        assert [ref.track for ref in detections.frame_refs] == tracks
         if frames[-1] is second[-1]:  # it is not smoothed over the cut
-            assert np.allclose(found.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
+            assert np.allclose(detections.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
 
 
 def test_smoothing_is_a_gaussian_over_runs_of_one_face():

@@ -85,10 +85,10 @@ def headline_table():
     return pd.DataFrame(rows, columns=columns).assign(n_seeds=10)
 
 
-def draw_qualitative(rng, methods=("ours", "linear"), n=1, found=True, photos=None):
+def draw_qualitative(rng, methods=("ours", "linear"), n=1, detected=True, photos=None):
     truth = faces(rng, n) / 200
     predictions = {method: truth + rng.normal(0, 0.01, truth.shape) for method in methods}
-    predictions[methods[-1]][0] += 0 if found else np.nan
+    predictions[methods[-1]][0] += 0 if detected else np.nan
     scores = {m: Scores(p, truth, np.full(n, 200.0), np.zeros(n)) for m, p in predictions.items()}
     frontal, names = 1.7 * truth[..., :2] + (3, -2), [f"View {row}" for row in range(n)]
     views = truth @ [[0.7, 0], [0, 1], [-0.7, 0]]

@@ -32,8 +32,8 @@ def errors():
         best = 1e-5 * rng.uniform(1, 2, 40)
         given = {"ours_stable": [1e-3 * np.ones(40)] if not condition.missing else []}
         given |= {"lifting": [2 * best, 2.1 * best][: 1 + (condition.id == "hard_1")]}
-        for method, own in (given | {"limit": [best]}).items():
-            for seed, values in enumerate(own):
+        for method, by_seed in (given | {"limit": [best]}).items():
+            for seed, values in enumerate(by_seed):
                 yaw = np.linspace(0, 59, 40)
                 rows = {"mse": values, "times_limit": values / best, "seed": seed, "yaw": yaw}
                 rows |= {"within_1_sd": np.nan, "within_2_sd": np.nan}
@@ -48,10 +48,10 @@ def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
     assert seeded["n_seeds"] == 2 and seeded["mean"] == pytest.approx(2.05)
     assert seeded["std"] == pytest.approx(0.1 / 2**0.5)
     assert seeded["standard_error"] == pytest.approx(0, abs=1e-12)
-    own = errors.query("method == 'limit' and condition == 'hard_3'")["mse"]
+    limit = errors.query("method == 'limit' and condition == 'hard_3'")["mse"]
     mse = table.loc["mse", "limit", "hard_3"]
-    assert mse["mean"] == pytest.approx(own.mean())
-    assert mse["standard_error"] == pytest.approx(own.std() / 40**0.5)
+    assert mse["mean"] == pytest.approx(limit.mean())
+    assert mse["standard_error"] == pytest.approx(limit.std() / 40**0.5)
     empty = table.index[table["mean"].isna()]
     assert {*empty} == {("mse", "ours_stable", c.id) for c in CONDITIONS if c.missing}
     cells = hard.cells(table.reset_index())
@@ -87,7 +87,7 @@ def test_nets_use_their_inputs_and_not_the_order_of_a_pair(name):
 def test_each_variant_of_the_anatomy_differs_from_another_in_one_thing():
     for name in [*VARIANTS][1:]:
         others = (vars(VARIANTS[other]) for other in VARIANTS if other != name)
-        apart = [sum(own[k] != v for k, v in vars(VARIANTS[name]).items()) for own in others]
+        apart = [sum(other[k] != v for k, v in vars(VARIANTS[name]).items()) for other in others]
         assert min(apart) == 1, name
 
 
@@ -118,10 +118,10 @@ def test_components_are_those_of_the_shapes():
     rng = np.random.default_rng(0)
     mean, known = rng.normal(size=(6, 3)), rng.normal(size=(2, 6, 3)) * 10
     shapes = mean + np.tensordot(rng.standard_normal((500, 2)), known, 1)
-    found, basis = transfer.principal_components(shapes)
-    flat, own = (shapes - shapes.mean(0)).reshape(500, -1), basis.reshape(len(basis), -1)
-    assert np.allclose(found, shapes.mean(0)) and len(basis) == 2
-    assert np.allclose(own.T @ own, flat.T @ flat / 500)
+    mean, basis = transfer.principal_components(shapes)
+    flat, components = (shapes - shapes.mean(0)).reshape(500, -1), basis.reshape(len(basis), -1)
+    assert np.allclose(mean, shapes.mean(0)) and len(basis) == 2
+    assert np.allclose(components.T @ components, flat.T @ flat / 500)
 
 
 def test_landmarks_that_a_model_lacks_are_filled_in_for_methods_that_need_them():

@@ -24,8 +24,8 @@ def test_an_error_is_in_radii_and_that_of_another_place_does_not_count():
     error[1] += 80
     error[2] = np.nan
     photos = {"pixels_ibug68": view + 100, "dlib": view + 100 + error}
-    errors, found = errors_of(photos, "dlib")
-    assert found.tolist() == [True, False, False], "another place, and no face"
+    errors, detected = errors_of(photos, "dlib")
+    assert detected.tolist() == [True, False, False], "another place, and no face"
     radius = rms_radius(view[:, 17:])[:, None, None]
     np.testing.assert_allclose(errors[0], (error / radius)[0])
 
@@ -98,12 +98,12 @@ def test_shapes_that_agree_between_detectors_and_differ_between_people_are_relia
 def test_every_scheme_is_measured_on_exact_landmarks_and_on_those_found(tmp_path):
     runs.make("pretrained", tmp_path)
     folder = runs.results(tmp_path, "pretrained")
-    table, found = (pd.read_csv(folder / f"{name}.csv") for name in ("table", "detection"))
+    table, detection = (pd.read_csv(folder / f"{name}.csv") for name in ("table", "detection"))
     exact = table[table["views"] == "exact"]
     assert {*exact["scheme"]} == {"ibug51", "ibug68", "bfm72"}
     assert (exact["n_faces"] == TINY.test_portraits).all() and not exact["not_found"].any()
     mean = table[table["method"] == "mean_shape"]["found_again"]
     assert (mean.abs() < 1e-9).all(), "the mean shape recovers nothing of a face"
-    n_photos = found.groupby("detector")["n_photos"].sum()
+    n_photos = detection.groupby("detector")["n_photos"].sum()
     n_detectors = 1 + MEDIAPIPE
     assert n_photos.to_dict() == dict.fromkeys(["dlib", "mediapipe"][:n_detectors], 6)

@@ -54,8 +54,8 @@ def write(run, errors):
 
 
 def test_a_run_ends_with_its_verdict(run):
-    said, compared = verdict(run)
-    assert said == (
+    text, compared = verdict(run)
+    assert text == (
         "MSE in 10⁻⁴: Deep-MDS 1.30 [0.90, 1.71] (paper 1.4 ± 0.005); one output of its own for "
         "all views 1.45 [1.00, 1.90]; the mean shape 0.72 [0.50, 0.95]."
     )

@@ -53,7 +53,7 @@ def test_shuffled_mini_batches_hold_pairs_of_many_faces():
 
 def test_net_without_the_short_connection_has_fewer_parameters():
     chain = VARIANTS["no_short_connection"].chain
-    with_it, without = (build_dissimilarity_net(chain=own).count_params() for own in (None, chain))
+    with_it, without = (build_dissimilarity_net(chain=c).count_params() for c in (None, chain))
     assert with_it - without == 20 * 20, "the fifth layer sees the fourth alone"
 
 
@@ -107,4 +107,4 @@ def test_a_variant_changes_what_is_learnt(whole_bfm, tmp_path):
     for item in items:
         runs.succeed("studies.variant", tmp_path, item, "0")
     scores = [json.loads(scores_file(run, item, 0).read_text())["values"] for item in items]
-    assert len({own["mse"] for own in scores}) == len(items)
+    assert len({values["mse"] for values in scores}) == len(items)

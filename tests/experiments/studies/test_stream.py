@@ -25,10 +25,10 @@ pytestmark = pytest.mark.slow
 def folder(whole_bfm, tmp_path_factory):
     """A stream of 25 faces in three shards, by two processes."""
     folder = tmp_path_factory.mktemp("stream")
-    theirs, ours = (runs.work(own, "bfm") for own in (whole_bfm, folder))
-    ours.mkdir(parents=True)
+    source, target = (runs.work(place, "bfm") for place in (whole_bfm, folder))
+    target.mkdir(parents=True)
     for name in ("train.npz", "networks", "records"):
-        (ours / name).symlink_to(theirs / name)
+        (target / name).symlink_to(source / name)
     runs.succeed("studies.stream", folder, "--faces", "25", "--jobs", "2")
     return folder
 
@@ -53,7 +53,7 @@ def test_its_numbers_are_those_of_the_method_on_distinct_faces(folder):
     assert (table["n_faces"] == 25).all()
     for method in ("mean_shape", "ours"):
         fitted = load(run, method)
-        errors = np.concatenate([score(predict(fitted, own.views), own).mse for own in parts])
+        errors = np.concatenate([score(predict(fitted, part.views), part).mse for part in parts])
         assert len({*errors}) == 25, "no face twice"
         row = table.loc[method, ["mean", "standard_error", "median", "maximum"]].loc["mse"]
         expected = errors.mean(), sem(errors), np.median(errors), errors.max()

@@ -17,9 +17,9 @@ N_FRAMES, N_SCANS = 40, 4
 
 
 def run(step, folder, *more):
-    own = ("--track", "flame", "--model", "flame", "--data", str(folder / "data"))
+    options = ("--track", "flame", "--model", "flame", "--data", str(folder / "data"))
     record = work_of(folder) / "records" / f"{step.partition('.')[2]}.json"
-    return runs.run(step, folder, *more, *own, "--record", str(record))
+    return runs.run(step, folder, *more, *options, "--record", str(record))
 
 
 def work_of(folder):
@@ -72,8 +72,8 @@ def write_casia(folder, scans):
         folder / "CASIA-3D-FaceV1" / f"3D-Face-{kind}" / "001" for kind in ("BMP", "WRL")
     )
     for scan in scans:
-        for own in (photos, clouds):
-            own.mkdir(parents=True, exist_ok=True)
+        for place in (photos, clouds):
+            place.mkdir(parents=True, exist_ok=True)
         Image.fromarray(scan.image).save(photos / f"{scan.name}.bmp")
         points = scan.points * (1, -1, -1) + (0, 0, 800)
         (clouds / f"{scan.name}.wrl").write_text(vrml(points.round(3)))
@@ -124,11 +124,11 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
     assert index.read_text().count(",yes,") == N_SCANS
-    with np.load(work / "scans.npz", allow_pickle=False) as found:
-        used = found["status"] == "used"
+    with np.load(work / "scans.npz", allow_pickle=False) as scans_file:
+        used = scans_file["status"] == "used"
         assert used.sum() >= N_SCANS - 1
-        assert "truth" not in found
-        landmarks = found["landmarks"]
+        assert "truth" not in scans_file
+        landmarks = scans_file["landmarks"]
     truth = np.array([scan.truth for scan in scans])[used]
     assert 0.5 < np.linalg.norm(landmarks - truth, axis=2).mean() < 8
 
@@ -136,8 +136,8 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
     done = run("datasets.scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
-    with np.load(work / "scans.npz", allow_pickle=False) as found:
-        assert [*found["name"]] == ["001-001", "001-003", "001-004"]
+    with np.load(work / "scans.npz", allow_pickle=False) as scans_file:
+        assert [*scans_file["name"]] == ["001-001", "001-003", "001-004"]
     refused = run("datasets.scans", folder, "--casia-index", "/nowhere.csv")
     assert refused.returncode == 2
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]

@@ -30,8 +30,8 @@ def test_a_perfect_depth_scores_what_the_paper_prints_for_zhao(truth):
 
 def test_only_the_depths_course_counts_not_its_size_or_place(truth):
     shapes = truth * (5, -2, 0.1) + (0, 3, 7)
-    own = as_released({"zhao_frontal": shapes}, truth)
-    assert np.allclose(own["zhao_frontal"], own[TRUE_DEPTH])
+    released = as_released({"zhao_frontal": shapes}, truth)
+    assert np.allclose(released["zhao_frontal"], released[TRUE_DEPTH])
 
 
 def test_the_depth_is_that_of_the_face_before(truth):
@@ -45,7 +45,7 @@ def test_the_depth_is_that_of_the_face_before(truth):
 
 def test_other_methods_are_left_alone(truth):
     given = {"ours": truth + 1, "zhao": truth}
-    own = as_released(given, truth)
-    assert own["ours"] is given["ours"]
+    released = as_released(given, truth)
+    assert released["ours"] is given["ours"]
     assert given["zhao"] is truth
-    assert {*own} == {"ours", "zhao", TRUE_DEPTH}
+    assert {*released} == {"ours", "zhao", TRUE_DEPTH}

@@ -119,12 +119,12 @@ def test_a_table_has_every_method_with_a_number_or_a_reason(whole, track):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("track", "found"), [("flame", "scan_landmarks"), ("celeba", "model_fit")])
-def test_the_second_table_is_against_the_truth(whole, track, found):
+@pytest.mark.parametrize(("track", "fit"), [("flame", "scan_landmarks"), ("celeba", "model_fit")])
+def test_the_second_table_is_against_the_truth(whole, track, fit):
     folder = whole(track)
     paper, true = mse_of(folder, track), mse_of(folder, f"{track}-true-landmarks")
     # How far the two truths lie apart is the same from either side, but for the unit.
-    assert true[found] == pytest.approx(paper["true_landmarks"], rel=0.3)
+    assert true[fit] == pytest.approx(paper["true_landmarks"], rel=0.3)
     assert "true_landmarks" not in true.index
     if track == "flame":  # whose truth favours the fit that it starts from
         assert paper["model_fit"] < true["model_fit"]

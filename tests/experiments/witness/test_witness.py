@@ -38,15 +38,15 @@ def test_the_mean_is_a_face_as_large_and_deep_as_the_basel_model():
 
 def test_faces_vary_about_the_mean_as_those_of_the_model_do():
     model = load_model("openhead", None, SCHEME)
-    own = model.restrict(model.landmarks[SCHEME])
+    unmoved = model.restrict(model.landmarks[SCHEME])
     assert np.allclose(about_mean(model, 0.0).sample(3, np.random.default_rng(0))[1], read_mean())
     sizes = []
     for scale in (1.0, 2.0):
         moved = about_mean(model, scale)
         assert np.allclose(moved.mean, read_mean())
-        unit = procrustes(own.mean, read_mean(), reflection=False).scale
+        unit = procrustes(unmoved.mean, read_mean(), reflection=False).scale
         sizes.append(np.linalg.norm(moved.identity_basis_times_sd) / unit)
-    assert np.allclose(sizes, np.linalg.norm(own.identity_basis_times_sd) * np.array([1, 2]))
+    assert np.allclose(sizes, np.linalg.norm(unmoved.identity_basis_times_sd) * np.array([1, 2]))
 
 
 class MeanNetwork:
