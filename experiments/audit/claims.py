@@ -7,6 +7,7 @@ of `numbers_of` with bounds: `ours_over_mean_shape < 1; rank = 2`.
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Mapping
 
@@ -29,6 +30,7 @@ from experiments.audit.estimates import (
 
 SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
 _CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")
+_SIGNS = {"<": operator.lt, ">": operator.gt, "=": math.isclose}
 _COMPARED = ("zhao", "aldrian", "mobileface")
 _MOST_NOISE = 5  # percent of the interocular distance
 
@@ -215,6 +217,4 @@ def _is_met(estimate: Estimate | None, sign: str, bound: float) -> bool | None:
     """Whether an interval meets a condition; None where there is none."""
     if estimate is None or math.isnan(estimate.low + estimate.high):
         return None
-    if sign == "=":
-        return math.isclose(estimate.low, bound) and math.isclose(estimate.high, bound)
-    return bool(estimate.high < bound if sign == "<" else estimate.low > bound)
+    return all(bool(_SIGNS[sign](end, bound)) for end in (estimate.low, estimate.high))
