@@ -126,7 +126,7 @@ def _plan(command: list[str]) -> None:
 
 
 def _run(command: list[str], made_by: str) -> None:
-    """Run Snakemake in a session of its own, so that Ctrl-C ends all of it within seconds."""
+    """Run Snakemake in a separate session, so that Ctrl-C ends all of it within seconds."""
     variables = {PARENT: str(os.getpid()), "EXPERIMENTS_COMMAND": made_by}
     process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 

@@ -133,7 +133,7 @@ SMOKE = Preset(
     faces_per_file=100,
     caution="smoke: too short to mean anything",
 )
-# For the tests. With a prime number of steps above 50, each step is a call of its own: a single
+# For the tests. With a prime number of steps above 50, each step is a separate call: a single
 # step is traced, not a loop of steps, which takes longer than the training.
 TINY = replace(
     SMOKE,

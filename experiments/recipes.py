@@ -108,7 +108,7 @@ def frontal_faces(run: Run) -> tuple[np.ndarray]:
     return (load_faces(run, "train").shapes[:_ZHAO_AUTHORS_FACES],)
 
 
-# Without a training of their own
+# Without a training step
 
 
 def mean_shape(run: Run):

@@ -133,7 +133,7 @@ class Run:
 
     @property
     def model_results(self) -> Path:
-        """`results/<model>`; presets other than `full` have folders of their own."""
+        """`results/<model>`; presets other than `full` have separate folders."""
         root = self.results if self.preset.name == "full" else self.results / self.preset.name
         return root / self.model
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from deepmds_keras.detection.mediapipe_landmarks import has_face_mesh
 
 ROOT = Path(__file__).parents[1]
-# Reference material beside the repository; tests that need it skip where it is not.
+# Reference material next to the repository; tests that need it skip where it is not.
 SHARED = ROOT.parent / "shared"
 MEDIAPIPE = has_face_mesh()
 

@@ -102,7 +102,7 @@ def plan(target: str, folder: Path, *variables: str) -> list[list[str]]:
 
 
 def command(target: str, folder: Path, *variables: str, **options) -> subprocess.Popen:
-    """Start what `make TARGET VARIABLE=value …` runs, in a session of its own."""
+    """Start what `make TARGET VARIABLE=value …` runs, in a separate session."""
     words = [sys.executable, "-m", "experiments.make", target, f"PRESET={PRESET}", *variables]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     options = pipes | {"cwd": folder, "env": ENVIRONMENT, "start_new_session": True} | options
@@ -167,7 +167,7 @@ def _fork(words: list[str], folder: Path, paths: list[Path], environment: dict) 
     except BaseException:
         traceback.print_exc()
         status = 1
-    # As an interpreter ends: joblib's processes are told to end here, and waited for by `atexit`.
+    # As an interpreter ends: joblib's processes are asked to end here, and waited for by `atexit`.
     threading._shutdown()
     atexit._run_exitfuncs()
     sys.stdout.flush()

@@ -1,6 +1,6 @@
 """Numbers of a tiny run, kept in `golden.csv`: a move of code changes none of them.
 
-Those of trained networks depend on the processor, and are compared loosely. To keep them anew:
+Those of trained networks depend on the processor, and are compared loosely. To record them again:
 `PYTHONPATH=. python tests/test_golden.py FOLDER`, where FOLDER holds `build` and `results` of
 `make reproduce-bfm PRESET=tiny`.
 """

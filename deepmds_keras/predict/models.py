@@ -92,7 +92,7 @@ class PaperNetworks:
 Model = Lifting | PaperNetworks
 # The shipped ones.
 FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (Lifting, PaperNetworks)}
-DEFAULT, FALLBACK = Lifting.family, "ibug51"  # for landmarks without weights of their own
+DEFAULT, FALLBACK = Lifting.family, "ibug51"  # for landmarks that have no weights
 
 
 def target_scheme(scheme: str, model: str | None) -> str:

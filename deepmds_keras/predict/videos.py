@@ -97,7 +97,7 @@ class Video:
             packets = container.demux(stream)
             while True:
                 try:
-                    packet = next(packets, None)  # none comes after an error of its own
+                    packet = next(packets, None)  # none comes after its error
                     frames = [] if packet is None else packet.decode()
                 except _import_av().error.FFmpegError:
                     continue

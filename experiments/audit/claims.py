@@ -217,4 +217,4 @@ def _is_met(estimate: Estimate | None, sign: str, bound: float) -> bool | None:
     """Whether an interval meets a condition; None where there is none."""
     if estimate is None or math.isnan(estimate.low + estimate.high):
         return None
-    return all(bool(_SIGNS[sign](end, bound)) for end in (estimate.low, estimate.high))
+    return all(_SIGNS[sign](end, bound) for end in (estimate.low, estimate.high))

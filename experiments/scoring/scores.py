@@ -92,12 +92,12 @@ class Scores:
     @cached_property
     def mse(self) -> np.ndarray:
         """`(n,)` mean squared error over all coordinates, in squares of the unit of `truth`."""
-        return self._of_found(metrics.mse)
+        return self._of_detected(metrics.mse)
 
     @cached_property
     def depth_corr(self) -> np.ndarray:
         """`(n,)` trace depth correlation, at most L."""
-        return self._of_found(metrics.depth_corr)
+        return self._of_detected(metrics.depth_corr)
 
     @property
     def depth_corr_across_faces(self) -> float:
@@ -109,7 +109,7 @@ class Scores:
         """`(n, L)` distances to the truth, millimetres."""
         return np.linalg.norm(self.aligned - self.truth, axis=2) * self.unit_mm[:, None]
 
-    def _of_found(self, criterion: Callable) -> np.ndarray:
+    def _of_detected(self, criterion: Callable) -> np.ndarray:
         values = np.full(len(self.aligned), np.nan)
         values[self.detected] = criterion(self.aligned[self.detected], self.truth[self.detected])
         return values

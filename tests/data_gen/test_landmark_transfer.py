@@ -14,7 +14,7 @@ from data_gen.models.mesh import largest_component, orient_outwards, vertex_norm
 from data_gen.models.openhead import load_openhead, read_openhead
 from deepmds_keras.errors import InputError
 
-# The pupils, landmarks 5 and 54, lie on the eyes, which are parts of their own and never chosen.
+# The pupils, landmarks 5 and 54, lie on the eyes, which are separate parts and never chosen.
 ON_SKIN = np.setdiff1d(np.arange(72), [4, 53])
 
 

@@ -19,7 +19,7 @@ NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN = 28, 6, 50, 33
 GREY = np.full((1, 3), 0.4)
 
 
-# What draws does so in a process of its own (`apart`), where it is kept for the next call.
+# What draws does so in a separate process (`apart`), where it is kept for the next call.
 head = cache(load_openhead)
 part_of_head = cache(lambda: part_of(head(), seen_vertices(head(), "bfm72")))
 renderer_of = cache(lambda whole: Renderer(head() if whole else part_of_head(), SIZE))

@@ -30,7 +30,7 @@ FLAME = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
 
 
 class Disk:
-    """A folder that can be full, as a file system in memory of its own; a container may forbid it.
+    """A folder that can be full, as a separate file system in memory; a container may forbid it.
 
     Attributes:
         limit: Bytes that a file may have, where none may be mounted.

@@ -301,7 +301,7 @@ def test_the_makefile_hands_on_every_variable():
     assert defaults - {"PYTHON", "VENV", "TARGET", "REAL"} == {*handed_on} - {"\\"}
 
 
-# A step of one's own.
+# A new step.
 
 
 def test_a_new_step_is_a_module_and_a_rule(tmp_path):

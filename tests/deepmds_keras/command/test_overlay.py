@@ -24,7 +24,7 @@ def face():
 
 
 def is_near(picture, points, colour):
-    """Which points have a pixel of about this colour beside them."""
+    """Which points have a pixel of about this colour next to them."""
     near = (np.abs(np.asarray(picture).astype(int) - colour) < 40).all(-1)
     return np.array([near[y - 3 : y + 4, x - 3 : x + 4].any() for x, y in points.astype(int)])
 

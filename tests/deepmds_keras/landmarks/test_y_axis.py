@@ -1,4 +1,4 @@
-"""Flipped axes are told from faces that lean, turn or nod."""
+"""Flipped axes are distinguished from faces that lean, turn or nod."""
 
 import numpy as np
 import pytest

@@ -25,8 +25,8 @@ def heads():
 
 
 def test_the_file_in_the_package_is_what_the_head_model_gives(tmp_path):
-    write_surface(tmp_path / "made.npz")
-    built, shipped = (read_npz(path) for path in (tmp_path / "made.npz", FILE))
+    write_surface(tmp_path / "built.npz")
+    built, shipped = (read_npz(path) for path in (tmp_path / "built.npz", FILE))
     assert FILE.stat().st_size < 600_000
     assert built.keys() == shipped.keys()
     for name, array in built.items():

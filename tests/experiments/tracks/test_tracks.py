@@ -146,7 +146,7 @@ def test_the_released_evaluator_scores_the_same_predictions(copy):
     released, paper = (table_of(folder, n) for n in ("bfm-evaluator-released", "bfm"))
     cell = released.loc["zhao_true_depth", "mse"]
     assert 1.8e-3 < cell["mean"] < 2.6e-3 and "rescaled by itself to [0, 1]" in cell["note"]
-    # The paper's number stands beside the views that the authors gave to the net.
+    # The paper's number stands next to the views that the authors gave to the net.
     assert released.loc[("zhao_frontal", "mse"), "paper_mean"] == 22e-4
     assert paper.loc[("zhao_evaluator", "mse"), "paper_mean"] == 22e-4
     others = ["mean_shape", "linear", "aldrian", "mobileface", "ours"]
