@@ -114,12 +114,18 @@ def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.
     Components of negative eigenvalues, which Euclidean distances do not have, are zero. Distances
     leave the sign of a component open; the first landmark far out on it gets a positive coordinate.
     """
+    values, vectors = leading_eigenpairs(doubly_centred(dissimilarities), n_components)
+    return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
+
+
+def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
+    """Minus half the squares, with rows and columns that sum to 0 (Torgerson 1952).
+
+    Of distances these are the Gram matrices of the points about their mean: `(…, L, L)` → the same.
+    """
     squared = np.square(np.asarray(dissimilarities, float))
     rows = squared.mean(-1, keepdims=True)
-    # Gram matrices of the points, about their mean, that have these distances.
-    gram = -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
-    values, vectors = leading_eigenpairs(gram, n_components)
-    return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
+    return -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
 
 
 def metric_embed(dissimilarities: np.ndarray) -> np.ndarray:

@@ -32,6 +32,7 @@ class Preset:
         ringnet_epochs: Epochs of RingNet, of `ringnet_steps` mini-batches each.
         n_subsets, subset_size: Random subsets of the test set (paper, "Evaluation Criteria").
         timed_faces: Test faces over which the time of a prediction is taken.
+        timed_passes: Repetitions of such a prediction, after a first one for warming up.
         n_seeds: Number of seeds of `make seeds` without SEEDS.
         ablation_seeds: Number of seeds of each variant in `make ablation`.
         training_sizes: Numbers of training faces of `make ablation`, below `train_faces`.
@@ -74,6 +75,7 @@ class Preset:
     n_subsets: int = 10
     subset_size: int = 500
     timed_faces: int = 50
+    timed_passes: int = 5
     n_seeds: int = 10
     ablation_seeds: int = 5
     training_sizes: tuple[int, ...] = (500, 2_000, 8_000)
@@ -158,6 +160,7 @@ TINY = replace(
     subset_size=5,  # few are alike, whose tests take long
     simulations=20,
     timed_faces=1,
+    timed_passes=1,
     training_sizes=(53,),
     streamed_faces=100,
     faces_per_file=10,

@@ -25,7 +25,7 @@ PRESET = "tiny"
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 SNAKEMAKE = (
     sys.executable, "-m", "snakemake", "-s", str(ROOT / "experiments" / "Snakefile"),
-    "--cores", "2", "--rerun-triggers", "mtime", "params", "input", "--nolock",
+    "--cores", "1", "--rerun-triggers", "mtime", "params", "input", "--nolock",
 )  # fmt: skip
 RENDERING = {
     "datasets.images", "datasets.scans", "datasets.rings", "datasets.photos", "tracks.celeba",

@@ -11,7 +11,7 @@ from scipy.stats import binom, binomtest, chi2, ttest_1samp
 
 from experiments.run import SCHEMES, Run
 
-_LEVEL = 0.05
+LEVEL = 0.05  # of significance
 _FEWEST_SEEDS = 5  # the range of five is an interval of 94 %
 
 
@@ -44,7 +44,7 @@ def point(value: float) -> Estimate:
 def over_seeds(values: np.ndarray) -> Estimate:
     """Median, with the distribution-free interval from the ranks of the values."""
     ordered, n = np.sort(values), len(values)
-    k = max(int(binom.ppf(_LEVEL / 2, n, 0.5)), 1)
+    k = max(int(binom.ppf(LEVEL / 2, n, 0.5)), 1)
     low, high = (ordered[k - 1], ordered[-k]) if n >= _FEWEST_SEEDS else (np.nan, np.nan)
     return Estimate(float(np.median(values)), low, high, n, "seeds")
 
@@ -60,7 +60,7 @@ def spread_of_seeds(values: np.ndarray) -> Estimate:
     free = len(values) - 1
     if free < 1:
         return NOT_KNOWN
-    ends = np.sqrt(free / chi2.ppf([1 - _LEVEL / 2, _LEVEL / 2], free))
+    ends = np.sqrt(free / chi2.ppf([1 - LEVEL / 2, LEVEL / 2], free))
     sd = np.std(values, ddof=1)
     return Estimate(sd, *(sd * ends), len(values), "seeds")
 
@@ -87,9 +87,9 @@ def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
     if any(len(values) < 2 for values in ratios.values()):
         return dict.fromkeys(ratios, NOT_KNOWN)
     tests = {name: ttest_1samp(np.log(values), 0) for name, values in ratios.items()}
-    estimates, level, rejected = {}, _LEVEL, True
+    estimates, level, rejected = {}, LEVEL, True
     for place, name in enumerate(sorted(tests, key=lambda name: tests[name].pvalue)):
-        level = _LEVEL / (len(tests) - place) if rejected else level
+        level = LEVEL / (len(tests) - place) if rejected else level
         rejected = rejected and tests[name].pvalue < level
         ends = np.exp([*tests[name].confidence_interval(1 - level)])
         mean = np.exp(np.log(ratios[name]).mean())

@@ -5,14 +5,13 @@ The module is light to import, since the Snakefile reads the names of the topics
 
 from __future__ import annotations
 
-from functools import cached_property
 from importlib import import_module
 
 import numpy as np
 
-from data_gen.datasets.dataset import Dataset, load_dataset
+from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.errors import InputError
-from experiments.inputs import Faces, load_faces
+from experiments.inputs import load_faces
 from experiments.methods import load
 from experiments.records import write_csv
 from experiments.run import Run
@@ -36,40 +35,25 @@ def main(run: Run, topic: str) -> dict:
 
 
 class Evidence:
-    """Test faces, trained methods and their errors, on the BFM track.
+    """Test faces of the BFM track, some of them chosen, and what trained methods make of them.
 
-    Args:
+    Attributes:
         run: The run, whose methods are trained and have predicted the test faces.
+        test: All test faces, `n` of them.
+        views, landmarks: Of the audited faces, in millimetres: `(m, L, 2)` and `(m, L, 3)`.
+        audited: `(m,)` numbers of the audited faces, for measurements that take long.
+        shapes: `(m, L, 3)` of the audited faces.
     """
 
     def __init__(self, run: Run):
-        self.run = run
-
-    @cached_property
-    def test(self) -> Faces:
-        return load_faces(self.run, "test")
-
-    @cached_property
-    def test_dataset(self) -> Dataset:
-        """Test faces in millimetres."""
-        return load_dataset(self.run.work / "test.npz")
-
-    @cached_property
-    def audited(self) -> np.ndarray:
-        """`(n,)` numbers of some test faces, for measurements that take long."""
-        n = min(self.run.preset.audited_faces, len(self.test.views))
-        chosen = self.rng(Stream.AUDITED_FACES).choice(len(self.test.views), n, replace=False)
-        return np.sort(chosen)
-
-    @property
-    def shapes(self) -> np.ndarray:
-        """`(n, L, 3)` of the audited faces."""
-        return self.test.shapes[self.audited].astype(float)
-
-    @property
-    def landmarks(self) -> np.ndarray:
-        """`(n, L, 3)` of the audited faces, in millimetres."""
-        return self.test_dataset.landmarks[self.audited].astype(float)
+        self.run, self.test = run, load_faces(run, "test")
+        n, rng = len(self.test.views), self.rng(Stream.AUDITED_FACES)
+        self.audited = np.sort(rng.choice(n, min(run.preset.audited_faces, n), replace=False))
+        dataset = load_dataset(run.work / "test.npz")
+        self.views, self.landmarks, self.shapes = (
+            array[self.audited].astype(float)
+            for array in (dataset.views, dataset.landmarks, self.test.shapes)
+        )
 
     def rng(self, stream: Stream) -> np.random.Generator:
         return np.random.default_rng([self.run.seed, stream])

@@ -9,10 +9,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import sem
 
-from data_gen.views import PROJECTIONS, Cameras, project, rotations, sample_cameras
+from data_gen.views import PROJECTIONS, Cameras, project, sample_cameras
 from deepmds_keras.alignment import align, normalise
 from deepmds_keras.landmarks import load_scheme
 from experiments.audit.measure import Evidence
+from experiments.bench.released_code import released_views
 from experiments.inputs import Faces
 from experiments.methods import predict
 from experiments.scoring.scores import score
@@ -55,8 +56,7 @@ def poses(evidence: Evidence) -> pd.DataFrame:
 
 def noise(evidence: Evidence) -> pd.DataFrame:
     """Errors by the noise of the landmarks, with columns as `poses`."""
-    views = evidence.test_dataset.views[evidence.audited].astype(float)
-    landmarks, truth = evidence.landmarks, evidence.test[evidence.audited]
+    views, landmarks, truth = evidence.views, evidence.landmarks, evidence.test[evidence.audited]
     names = load_scheme(evidence.run.scheme).names
     right, left = (names.index(f"{side}_eye_outer_corner") for side in ("right", "left"))
     distances = np.linalg.norm(landmarks[:, right] - landmarks[:, left], axis=-1)
@@ -85,7 +85,7 @@ def perspective(evidence: Evidence) -> pd.DataFrame:
     rows = []
     for name, protocol, views_of, points, size in (
         ("text", "paper", project, evidence.landmarks, evidence.test.unit_mm[evidence.audited]),
-        ("released", "released", _released_views, evidence.shapes, np.ones(n)),
+        ("released", "released", released_views, evidence.shapes, np.ones(n)),
     ):
         drawn = sample_cameras(_CAMERAS_DRAWN, rng, protocol)
         cameras = drawn[drawn.projection == PROJECTIONS.index("perspective")][:n]
@@ -114,44 +114,6 @@ def errors(model, views: np.ndarray, truth: Faces) -> np.ndarray:
     shapes = predict(model, views.reshape(-1, *views.shape[2:]))
     faces = np.tile(np.arange(views.shape[1]), len(views))
     return score(shapes, truth[faces]).mse.reshape(views.shape[:2])
-
-
-def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.ndarray:
-    """The matrix of MATLAB's function of that name, `(4, 4)`, from its public documentation.
-
-    The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
-    a field of view the unit cube fills that angle. The target lies where the sphere around the cube
-    is nearest to the viewer: so in the help's worked examples, not the origin that it names.
-    https://www.mathworks.com/help/matlab/ref/viewmtx.html
-
-    Angles are in degrees; a field of view of 0 is orthographic.
-
-    Returns:
-        Matrix to be multiplied from the left to `(x, y, z, 1)`. Its first two rows, divided by the
-        fourth, are the view, x to the right and y up. The fourth holds 1 less the depth beyond the
-        target, in units of the viewer's distance.
-    """
-    turn, rise = np.deg2rad([azimuth, elevation])
-    towards = np.array([np.cos(rise) * np.sin(turn), -np.cos(rise) * np.cos(turn), np.sin(rise)])
-    right = np.array([np.cos(turn), np.sin(turn), 0.0])
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(towards, right), towards
-    if field_of_view == 0:
-        return matrix
-    target = np.full(3, 0.5) + np.sqrt(3) / 2 * towards
-    matrix[:3, 3] = -matrix[:3, :3] @ target
-    distance = np.sqrt(2) / 2 / np.tan(np.deg2rad(field_of_view) / 2)
-    matrix[3] = np.array([0, 0, 0, 1]) - matrix[2] / distance
-    return matrix
-
-
-def _released_views(shapes: np.ndarray, cameras: Cameras) -> np.ndarray:
-    """Views of the released generator, `(n, L, 2)`, by where the viewer stands."""
-    points = np.concatenate([shapes, np.ones((*shapes.shape[:2], 1))], axis=2)
-    x, y, z = rotations(cameras)[:, 2].T
-    azimuths, elevations = np.rad2deg([np.arctan2(x, -y), np.arcsin(z)])
-    viewers = zip(azimuths, elevations, cameras.field_of_view, strict=True)
-    return points @ np.stack([viewmtx(*viewer)[:2].T for viewer in viewers])
 
 
 def _models(evidence: Evidence, methods: tuple[str, ...]) -> dict:

@@ -7,14 +7,14 @@ import pandas as pd
 from scipy.stats import wilcoxon
 
 from deepmds_keras.alignment import align
-from deepmds_keras.embedding import pairwise_distances
+from deepmds_keras.embedding import doubly_centred, pairwise_distances
 from deepmds_keras.metrics import depth_corr
+from experiments.audit.estimates import LEVEL
 from experiments.audit.measure import Evidence
 from experiments.inputs import load_faces
 from experiments.scoring.scores import load_prediction
 from experiments.streams import Stream
 
-LEVEL = 0.05  # of significance
 SAMPLINGS = (20, 50)  # more than the paper's
 _BIASED = (
     "mean_shape", "linear", "zhao", "aldrian", "mobileface", "ours", "ours_released", "ours_stable",
@@ -63,8 +63,8 @@ def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[
 def constants(evidence: Evidence) -> pd.DataFrame:
     """Error of the mean frontal view of the training faces, as the answer to all: `answer, mse`."""
     frontal_views = load_faces(evidence.run, "train").shapes[..., :2]
-    errors = {"frontal_view": frontal_views.var(0, dtype=float).mean()}
-    return pd.Series(errors, name="mse").rename_axis("answer").reset_index()
+    error = frontal_views.var(0, dtype=float).mean()
+    return pd.DataFrame({"answer": ["frontal_view"], "mse": [error]})
 
 
 def depth(evidence: Evidence) -> pd.DataFrame:
@@ -97,12 +97,6 @@ def ranks(evidence: Evidence) -> pd.DataFrame:
         of_faces = np.linalg.matrix_rank(matrices, rtol=_ROUNDING)
         rows.append((name, points.shape[-1], int(np.median(of_faces))))
     return pd.DataFrame(rows, columns=["points", "dimensions", "centred"])
-
-
-def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
-    """`(n, L, L)` → minus half the squares, whose rows and columns sum to 0 (Torgerson 1952)."""
-    centring = np.eye(dissimilarities.shape[-1]) - 1 / dissimilarities.shape[-1]
-    return -0.5 * centring @ np.square(dissimilarities) @ centring
 
 
 def samplings(evidence: Evidence) -> pd.DataFrame:

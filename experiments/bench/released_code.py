@@ -17,7 +17,7 @@ from sklearn.manifold import MDS
 
 from data_gen.datasets.dataset import Dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views import project
+from data_gen.views import Cameras, project, rotations
 from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.camera import resolve_orientation
 from deepmds_keras.embedding import check_dissimilarities
@@ -33,6 +33,44 @@ def make_faces(
         landmarks.append(model.shape(faces.identity[k])[model.landmarks[scheme]])
         views.append(project(landmarks[-1][None], faces.cameras[k : k + 1])[0])
     return np.stack(landmarks), np.stack(views)
+
+
+def viewmtx(azimuth: float, elevation: float, field_of_view: float = 0.0) -> np.ndarray:
+    """The matrix of MATLAB's function of that name, `(4, 4)`, from its public documentation.
+
+    The viewer is at an azimuth about z, counted from -y, and an elevation above the x-y plane. With
+    a field of view the unit cube fills that angle. The target lies where the sphere around the cube
+    is nearest to the viewer: so in the help's worked examples, not the origin that it names.
+    https://www.mathworks.com/help/matlab/ref/viewmtx.html
+
+    Angles are in degrees; a field of view of 0 is orthographic.
+
+    Returns:
+        Matrix to be multiplied from the left to `(x, y, z, 1)`. Its first two rows, divided by the
+        fourth, are the view, x to the right and y up. The fourth holds 1 less the depth beyond the
+        target, in units of the viewer's distance.
+    """
+    turn, rise = np.deg2rad([azimuth, elevation])
+    towards = np.array([np.cos(rise) * np.sin(turn), -np.cos(rise) * np.cos(turn), np.sin(rise)])
+    right = np.array([np.cos(turn), np.sin(turn), 0.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(towards, right), towards
+    if field_of_view == 0:
+        return matrix
+    target = np.full(3, 0.5) + np.sqrt(3) / 2 * towards
+    matrix[:3, 3] = -matrix[:3, :3] @ target
+    distance = np.sqrt(2) / 2 / np.tan(np.deg2rad(field_of_view) / 2)
+    matrix[3] = np.array([0, 0, 0, 1]) - matrix[2] / distance
+    return matrix
+
+
+def released_views(shapes: np.ndarray, cameras: Cameras) -> np.ndarray:
+    """Views of the released generator, `(n, L, 2)`, by where the viewer stands."""
+    points = np.concatenate([shapes, np.ones((*shapes.shape[:2], 1))], axis=2)
+    x, y, z = rotations(cameras)[:, 2].T
+    azimuths, elevations = np.rad2deg([np.arctan2(x, -y), np.arcsin(z)])
+    viewers = zip(azimuths, elevations, cameras.field_of_view, strict=True)
+    return points @ np.stack([viewmtx(*viewer)[:2].T for viewer in viewers])
 
 
 def pair_features(view: np.ndarray, pairs: Iterable[tuple[int, int]]) -> np.ndarray:

@@ -79,7 +79,9 @@ def main(run: Run, method_id: str) -> dict:
     if hasattr(model, "n_parameters"):
         described["n_parameters"] = int(model.n_parameters)
     if method.switch:
-        (times,) = prediction_times([model], [inputs[: run.preset.timed_faces]])
+        (times,) = prediction_times(
+            [model], [inputs[: run.preset.timed_faces]], run.preset.timed_passes
+        )
         described |= times
     arrays = {name: np.float32(array) for name, array in arrays.items()}
     write_arrays(run.prediction_file(method_id), arrays, described)

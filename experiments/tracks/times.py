@@ -12,10 +12,10 @@ from experiments.methods import METHODS, load, predict, views_for
 from experiments.run import Run
 from experiments.tasks import single_threaded
 
-PASSES = 5
 
-
-def prediction_times(models: Sequence, inputs: Sequence[np.ndarray]) -> list[dict[str, float]]:
+def prediction_times(
+    models: Sequence, inputs: Sequence[np.ndarray], passes: int
+) -> list[dict[str, float]]:
     """Times of one call of `predict` for all inputs of a model, in this process.
 
     A first call of each is for warming up. One thread multiplies matrices: for small ones, such as
@@ -24,15 +24,16 @@ def prediction_times(models: Sequence, inputs: Sequence[np.ndarray]) -> list[dic
     Args:
         models: As from `methods.load`.
         inputs: Inputs of each model.
+        passes: Number of times.
 
     Returns:
-        For each model `ms_per_face`, the median of five times, `ms_per_face_lowest` and
+        For each model `ms_per_face`, the median of all passes, `ms_per_face_lowest` and
         `ms_per_face_highest`.
     """
     for model in models:
         if hasattr(model, "n_jobs"):
             model.set_params(n_jobs=1)
-    taken = np.empty((1 + PASSES, len(models)))
+    taken = np.empty((1 + passes, len(models)))
     with single_threaded():
         for row in taken:
             for k, (model, seen) in enumerate(zip(models, inputs, strict=True)):
@@ -41,11 +42,11 @@ def prediction_times(models: Sequence, inputs: Sequence[np.ndarray]) -> list[dic
                 row[k] = 1000 * (time.perf_counter() - start) / len(seen)
     return [
         {
-            "ms_per_face": float(np.median(passes)),
-            "ms_per_face_lowest": float(passes.min()),
-            "ms_per_face_highest": float(passes.max()),
+            "ms_per_face": float(np.median(row)),
+            "ms_per_face_lowest": float(row.min()),
+            "ms_per_face_highest": float(row.max()),
         }
-        for passes in taken[1:].T
+        for row in taken[1:].T
     ]
 
 
@@ -53,4 +54,5 @@ def main(run: Run, *methods: str) -> dict:
     test = load_faces(run, "test")[: run.preset.timed_faces]
     models = [load(run, method) for method in methods]
     views = [views_for(METHODS[method], test) for method in methods]
-    return {"times": dict(zip(methods, prediction_times(models, views), strict=True))}
+    times = prediction_times(models, views, run.preset.timed_passes)
+    return {"times": dict(zip(methods, times, strict=True))}

@@ -199,7 +199,9 @@ def test_unusable_weights_are_named_before_the_long_work(tmp_path):
     assert "images" not in output and "Step 10 of" not in output
 
 
-@pytest.mark.parametrize("name", ["records/train-ours.json", "test.npz"])
+@pytest.mark.parametrize(
+    "name", ["records/train-ours.json", pytest.param("test.npz", marks=pytest.mark.slow)]
+)
 def test_a_damaged_file_is_named(copy, name):
     path = runs.work(copy, "bfm") / name
     path.write_bytes(path.read_bytes()[:-40] + bytes(40))
@@ -223,6 +225,7 @@ def test_a_second_command_waits_and_says_so(copy):
     assert status == 0 and "Deep-MDS" in output
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_all_within_seconds_and_the_command_goes_on(tmp_path):
     process = runs.command("reproduce-bfm", tmp_path, "MOBILEFACE=no")
     while "train-" not in process.stdout.readline():

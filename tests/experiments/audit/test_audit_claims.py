@@ -9,7 +9,6 @@ import pytest
 from places import committed
 from scipy.stats import binom, ttest_rel
 
-from deepmds_keras.errors import InputError
 from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.estimates import (
@@ -43,7 +42,8 @@ def test_intervals_over_seeds_cover_the_truth_whatever_the_distribution(rng, n, 
     assert coverage(map(over_seeds, skewed), math.log(2)) == pytest.approx(of_median, abs=0.02)
     normal = rng.standard_normal((2000, n))
     assert coverage(map(spread_of_seeds, normal), 1) == pytest.approx(0.95, abs=0.02)
-    assert coverage([share_below(values, 0) for values in normal], 0.5) >= 0.95
+    covers = [coverage([share_below(np.arange(n), k)], 0.5) for k in range(n + 1)]
+    assert np.dot(covers, binom.pmf(range(n + 1), n, 0.5)) >= 0.95
 
 
 def test_few_seeds_have_no_interval_and_what_is_missing_no_number():
@@ -97,12 +97,6 @@ def test_the_whole_interval_is_to_meet_a_condition(low, high, condition, verdict
 )
 def test_one_condition_that_is_not_met_decides_whatever_is_missing(text, expected):
     assert decide(text, {"a": point(1), "b": point(1.5)}) == expected
-
-
-@pytest.mark.parametrize("text", ["a", "a <", "a < b", "a <= 1", "a < 1, b < 2", ""])
-def test_what_is_no_condition_is_refused(text):
-    with pytest.raises(InputError, match="a < 1; b = 2"):
-        conditions(text)
 
 
 def test_claims_are_named_once_and_their_conditions_are_on_numbers():

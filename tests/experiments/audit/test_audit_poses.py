@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_gen.views import Cameras, project, rotations
+from data_gen.views import Cameras, project
 from deepmds_keras.alignment import normalise, unit
 from deepmds_keras.landmarks import load_scheme
 from experiments.audit import poses
-from experiments.audit.poses import NOISE_PERCENTS, SWEEPS, viewmtx
+from experiments.audit.poses import NOISE_PERCENTS, SWEEPS
 from experiments.inputs import Faces
 
 N, L = 8, 72
@@ -52,8 +52,8 @@ def evidence():
     return SimpleNamespace(
         run=SimpleNamespace(authors=None, scheme="bfm72"),
         test=faces,
-        test_dataset=SimpleNamespace(landmarks=landmarks, views=views),
         audited=AUDITED,
+        views=views[AUDITED],
         shapes=shapes[AUDITED],
         landmarks=landmarks[AUDITED],
         rng=lambda stream: np.random.default_rng([0, stream]),
@@ -114,33 +114,6 @@ def test_authors_weights_are_measured_where_they_are_given(evidence, noise):
     run = SimpleNamespace(**vars(evidence.run) | {"authors": "folder"})
     given = poses.noise(SimpleNamespace(**vars(evidence) | {"run": run}))
     assert {*given["method"]} - {*noise["method"]} == {"authors_weights"}
-
-
-def test_viewmtx_gives_the_numbers_of_matlabs_help():
-    point = np.array([0.5, 0, -3, 1])
-    np.testing.assert_allclose((viewmtx(-37.5, 30) @ point)[:2], [0.3967, -2.4459], atol=5e-5)
-    view = viewmtx(-37.5, 30, 25) @ point
-    np.testing.assert_allclose(view[:2] / view[3], [0.1777, -1.8858], atol=5e-5)
-
-
-@pytest.mark.parametrize(
-    ("angles", "azimuth", "elevation"), [({"pitch": 20.0}, 0, 70), ({"roll": 30.0}, -30, 90)]
-)
-def test_from_above_an_azimuth_is_a_roll_and_an_elevation_a_pitch(angles, azimuth, elevation):
-    values = {name: np.zeros(1) for name in SWEEPS}
-    values |= {name: np.array([angle]) for name, angle in angles.items()}
-    rotation = rotations(Cameras(np.zeros(1, int), **values))[0]
-    np.testing.assert_allclose(viewmtx(azimuth, elevation)[:3, :3], rotation, atol=1e-12)
-
-
-def test_angle_turns_and_scales_nothing_before_the_division():
-    for angle in (1, 60):
-        matrix = viewmtx(20, 70, angle)
-        np.testing.assert_array_equal(matrix[:2, :3], viewmtx(20, 70)[:2, :3])
-        assert np.abs(matrix[3, :3]).max() > 1e-3
-    np.testing.assert_array_equal(viewmtx(20, 70)[3], [0, 0, 0, 1])
-    near, far = (viewmtx(0, 90, 40) @ [0.9, 0.5, z, 1] for z in (1.0, 0.0))
-    assert near[0] / near[3] > far[0] / far[3] > 0  # divided, what is near is larger
 
 
 def test_released_views_are_orthographic_but_for_rounding_and_the_texts_are_not(evidence):

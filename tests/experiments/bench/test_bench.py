@@ -1,5 +1,6 @@
 """The compared ways do the same, and their times are those of the same faces."""
 
+from dataclasses import fields
 from itertools import product
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.distance import pdist
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
+from data_gen.views import Cameras, rotations
 from deepmds_keras import proximities
 from deepmds_keras.alignment import align, normalise
 from deepmds_keras.embedding import embed
@@ -17,6 +19,7 @@ from deepmds_keras.pipeline import DeepMDS
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.bench import released_code as released
 from experiments.bench.bench import training, with_ratios
+from experiments.bench.released_code import viewmtx
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -69,6 +72,33 @@ def test_four_random_starts_recover_the_points_of_exact_distances(model):
     shape = model.mean[model.landmarks["ibug51"]]
     (points,) = released.embed(np.linalg.norm(shape[:, None] - shape, axis=-1))
     assert np.corrcoef(pdist(points), pdist(shape))[0, 1] > 0.99
+
+
+def test_viewmtx_gives_the_numbers_of_matlabs_help():
+    point = np.array([0.5, 0, -3, 1])
+    np.testing.assert_allclose((viewmtx(-37.5, 30) @ point)[:2], [0.3967, -2.4459], atol=5e-5)
+    view = viewmtx(-37.5, 30, 25) @ point
+    np.testing.assert_allclose(view[:2] / view[3], [0.1777, -1.8858], atol=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("angles", "azimuth", "elevation"), [({"pitch": 20.0}, 0, 70), ({"roll": 30.0}, -30, 90)]
+)
+def test_from_above_an_azimuth_is_a_roll_and_an_elevation_a_pitch(angles, azimuth, elevation):
+    values = {f.name: np.zeros(1) for f in fields(Cameras)}
+    values |= {name: np.array([angle]) for name, angle in angles.items()}
+    rotation = rotations(Cameras(**values))[0]
+    np.testing.assert_allclose(viewmtx(azimuth, elevation)[:3, :3], rotation, atol=1e-12)
+
+
+def test_angle_turns_and_scales_nothing_before_the_division():
+    for angle in (1, 60):
+        matrix = viewmtx(20, 70, angle)
+        np.testing.assert_array_equal(matrix[:2, :3], viewmtx(20, 70)[:2, :3])
+        assert np.abs(matrix[3, :3]).max() > 1e-3
+    np.testing.assert_array_equal(viewmtx(20, 70)[3], [0, 0, 0, 1])
+    near, far = (viewmtx(0, 90, 40) @ [0.9, 0.5, z, 1] for z in (1.0, 0.0))
+    assert near[0] / near[3] > far[0] / far[3] > 0  # divided, what is near is larger
 
 
 def assert_solvers_agree(matrices):

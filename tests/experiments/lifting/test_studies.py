@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import runs
 from places import SHARED
+from scipy.spatial.distance import pdist
 
 from deepmds_keras.alignment import normalise
 from deepmds_keras.baselines.closed_form import MeanShape
@@ -102,16 +103,24 @@ def test_pairs_are_of_the_view_that_a_variant_names():
 
 
 @pytest.mark.parametrize("shuffled", [False, True])
-def test_mini_batches_are_of_one_face_or_of_all(shuffled, tmp_path):
-    from experiments.lifting.pair_nets import PairNet
+def test_mini_batches_are_of_one_face_or_of_all(shuffled, tmp_path, monkeypatch):
+    from experiments.lifting import pair_nets
 
-    rng = np.random.default_rng(0)
-    shapes = rng.random((20, 6, 3)) * (1 + np.arange(20))[:, None, None]
-    losses = []
-    net = PairNet(replace(VARIANTS["cosine"], shuffled=shuffled), 2, 10, 0)
+    shape = np.random.default_rng(0).random((6, 3))
+    shapes, epochs = np.arange(1, 21)[:, None, None] * shape, []
+    monkeypatch.setattr(
+        pair_nets, "train_by_epoch", lambda _, batches, *more: epochs.append([*batches(0)])
+    )
+    net = pair_nets.PairNet(replace(VARIANTS["cosine"], shuffled=shuffled), 1, 20, 0)
     net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=tmp_path / "net.npz",
-            progress=losses.append)  # fmt: skip
-    assert len(losses) == 2 and (tmp_path / "net.npz").exists()
+            progress=print)  # fmt: skip
+    distances = np.array([batch[1].numpy().ravel() for batch in epochs[0]])
+    ratios = distances[:, :, None] / pdist(shape)  # at its own pair the number of the face
+    off = np.abs(ratios - ratios.round())
+    faces = np.take_along_axis(ratios, off.argmin(2)[..., None], 2)[..., 0].round()
+    assert off.min(2).max() < 1e-4 and {*faces.ravel()} == {*range(1, 21)}
+    for of_batch in faces:
+        assert len({*of_batch}) > 5 if shuffled else len({*of_batch}) == 1
 
 
 def test_components_are_those_of_the_shapes():
