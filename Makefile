@@ -125,7 +125,7 @@ footprint: | $(READY) ## size, memory and time of an installation: results/bench
 	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.
-test: | $(READY) ## the tests, except slow ones                (4 min)
+test: | $(READY) ## the tests, except slow ones                (3 min)
 	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests, including kills, full disks, damaged files

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.audit.claims import decide, numbers_of
-from experiments.audit.estimates import Tables
 from experiments.audit.poses import TRAINED
+from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
 from experiments.records import clear_results, write_csv, write_text

@@ -14,9 +14,9 @@ import numpy as np
 
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import wilcoxon_table
-from experiments.audit.estimates import (
+from experiments.audit.tables import Tables
+from experiments.scoring.intervals import (
     Estimate,
-    Tables,
     holm,
     over_samplings,
     over_seeds,

@@ -9,9 +9,9 @@ from scipy.stats import wilcoxon
 from deepmds_keras.alignment import align
 from deepmds_keras.embedding import doubly_centred, pairwise_distances
 from deepmds_keras.metrics import depth_corr
-from experiments.audit.estimates import LEVEL
 from experiments.audit.measure import Evidence
 from experiments.inputs import load_faces
+from experiments.scoring.intervals import LEVEL
 from experiments.scoring.scores import load_prediction
 from experiments.streams import Stream
 

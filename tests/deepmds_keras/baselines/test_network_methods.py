@@ -108,9 +108,7 @@ def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
         other.fit(*data, checkpoint=path)
 
 
-@pytest.mark.parametrize(
-    "method", ["mobileface", pytest.param("ringnet", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("method", ["mobileface", pytest.param("ringnet", marks=pytest.mark.slow)])
 def test_training_learns_and_predicts_in_the_face_models_frame(method):
     model, data, images = untrained(method, epochs=5, steps_per_epoch=50, learning_rate=3e-3)
     model.fit(*data)

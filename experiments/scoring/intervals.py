@@ -1,4 +1,4 @@
-"""Numbers with intervals, from the tables of results on one face model."""
+"""Numbers with their 95 % intervals: over seeds, samplings, faces or simulations."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.stats import binom, binomtest, chi2, ttest_1samp
-
-from experiments.run import SCHEMES, Run
 
 LEVEL = 0.05  # of significance
 _FEWEST_SEEDS = 5  # the range of five is an interval of 94 %
@@ -95,53 +92,3 @@ def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
         mean = np.exp(np.log(ratios[name]).mean())
         estimates[name] = Estimate(mean, *ends, len(ratios[name]), "seeds, Holm")
     return {name: estimates[name] for name in ratios}
-
-
-@dataclass(frozen=True)
-class Tables:
-    """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN."""
-
-    run: Run
-
-    def values(self, experiment: str, name: str, of: str, **where) -> np.ndarray:
-        """A column of a table in `results/<model>/<experiment>`; one NaN if it has no such row.
-
-        Args:
-            where: What other columns hold in the rows: a value, or several to choose from.
-        """
-        track = experiment.split("-")[0]
-        run = self.run.on(track if track in SCHEMES else "bfm")
-        path = run.experiment_results(experiment) / f"{name}.csv"
-        if not path.exists():
-            return np.array([np.nan])
-        table = pd.read_csv(path)
-        for column, wanted in where.items():
-            table = table[table[column].isin(np.atleast_1d(wanted))]
-        return table[of].to_numpy() if len(table) else np.array([np.nan])
-
-    def samplings(self, method: str, experiment: str = "bfm", metric: str = "mse") -> np.ndarray:
-        """A method's means over random samplings of the test faces."""
-        return self.values(experiment, "metrics", "value", method=method, metric=metric)
-
-    def error(self, method: str) -> float:
-        """A method's MSE on the BFM."""
-        return float(self.samplings(method).mean())
-
-    def seeds(self, method: str, metric: str = "mse") -> np.ndarray:
-        """A method's means over all test faces, from each seed."""
-        return self.samplings(method, "seeds", metric)
-
-    def variant(self, variant: str, metric: str = "mse") -> np.ndarray:
-        """A metric of a variant of the ablation, from each seed."""
-        where = {"variant": variant, "metric": metric, "faces": self.run.preset.train_faces}
-        return self.values("ablation", "metrics", "value", **where)
-
-    def measured(self, topic: str, of: str, **where) -> Estimate:
-        """One number of a topic of the audit."""
-        return point(self.values("audit", topic, of, **where)[0])
-
-    def over_faces(self, topic: str, of: str, standard_error: str, **where) -> Estimate:
-        """One number of a topic, with the interval of its standard error over faces."""
-        names = (of, standard_error)
-        value, error = (self.measured(topic, name, **where).value for name in names)
-        return Estimate(value, value - 1.96 * error, value + 1.96 * error, None, "faces")
