@@ -68,7 +68,7 @@ def test_one_predict_a_face_gives_the_dissimilarities_of_a_batch(networks, faces
     np.testing.assert_allclose(matrices, networks.dissimilarities(faces.views[:2]), atol=1e-5)
 
 
-def test_four_random_starts_recover_the_points_of_exact_distances(model):
+def test_one_classical_start_recovers_the_points_of_exact_distances(model):
     shape = model.mean[model.landmarks["ibug51"]]
     (points,) = released.embed(np.linalg.norm(shape[:, None] - shape, axis=-1))
     assert np.corrcoef(pdist(points), pdist(shape))[0, 1] > 0.99
