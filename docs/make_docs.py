@@ -80,9 +80,10 @@ def pivot(
         corner, columns: Head of the first column, and of the others by the values of `by`.
         names: Of the rows, in order; None are the titles of methods.
     """
-    cells = table.pivot_table(value, row, by)[[*columns]].dropna(how="all") / unit
+    numbers = table.pivot_table(value, row, by)[[*columns]].dropna(how="all") / unit
+    texts = numbers.map(_significant, digits=3)
     names = names or {method: title(method) for method in METHODS}
-    rows = [[names[key], *map(_three, cells.loc[key])] for key in names if key in cells.index]
+    rows = [[names[key], *texts.loc[key]] for key in names if key in texts.index]
     return grid([[corner, *columns.values()], *rows])
 
 
@@ -107,19 +108,20 @@ def span(values: pd.Series) -> str:
     return " to ".join(dict.fromkeys(f"{value:.2f}" for value in (values.min(), values.max())))
 
 
-def _three(value: float) -> str:
+def _significant(value: float, digits: int = 2) -> str:
+    """So many significant digits, zeros included."""
     if pd.isna(value):
         return NOTHING
-    return f"{value:,.0f}" if value >= 1000 else "0" if value < 1e-6 else f"{value:.3g}"
+    if value >= 1000:
+        return f"{value:,.0f}"
+    return "0" if value < 1e-6 else f"{value:#.{digits}g}".rstrip(".")
 
 
 def _error(row: pd.Series | None, unit: float) -> str:
     """An error; of several seeds their median and range."""
-    if row is None or pd.isna(row["mean"]):
-        return NOTHING
-    if row.get("n_seeds", 0) > 1:
-        return "{:.2g} ({:.2g} to {:.2g})".format(*row[["median", "lowest", "highest"]] / unit)
-    return f"{row['mean'] / unit:.2g}"
+    if row is None or not row.get("n_seeds", 0) > 1:
+        return NOTHING if row is None else _significant(row["mean"] / unit)
+    return "{} ({} to {})".format(*map(_significant, row[["median", "lowest", "highest"]] / unit))
 
 
 def pages(root: Path = ROOT) -> dict[str, str]:
@@ -138,7 +140,6 @@ def pages(root: Path = ROOT) -> dict[str, str]:
 
 
 def main() -> None:
-    """Write all of them."""
     for place, text in pages().items():
         write_bytes(ROOT / place, text.encode())
         print(place)
