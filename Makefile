@@ -129,7 +129,7 @@ test: | $(READY) ## the tests, except slow ones                (3 min)
 	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests, including kills, full disks, damaged files
-	FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	KILLS=6 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: | $(READY) ## ruff, and mypy on the public interface
 	$(PY) -m ruff check .

@@ -59,13 +59,12 @@ class Results:
         self, unit: float, paper: str, columns: Mapping[str, str], methods: Iterable[str]
     ) -> str:
         """The paper's errors next to ours, a row a method, a column a folder (by its head)."""
-        tables = [self.rows(folder) for folder in columns.values()]
+        tables = [self.rows(folder).reindex(methods) for folder in columns.values()]
         rows = [[f"MSE, in {power(unit)}", paper, *columns]]
         for method in methods:
-            known = [table.loc[method] if method in table.index else None for table in tables]
-            printed = [row["paper_mean"] for row in known if row is not None]
-            if any(row is not None and pd.notna(row["mean"]) for row in known):
-                quoted = f"{printed[0] / unit:g}" if pd.notna(printed[0]) else NOTHING
+            known = [table.loc[method] for table in tables]
+            if any(pd.notna(row["mean"]) for row in known):
+                quoted = f"{known[0]['paper_mean'] / unit:g}".replace("nan", NOTHING)
                 rows.append([title(method), quoted, *(_error(row, unit) for row in known)])
         return grid(rows)
 
@@ -112,16 +111,17 @@ def _significant(value: float, digits: int = 2) -> str:
     """So many significant digits, zeros included."""
     if pd.isna(value):
         return NOTHING
-    if value >= 1000:
+    if value < 1e-6 or value >= 1000:
         return f"{value:,.0f}"
-    return "0" if value < 1e-6 else f"{value:#.{digits}g}".rstrip(".")
+    return f"{value:#.{digits}g}".rstrip(".")
 
 
-def _error(row: pd.Series | None, unit: float) -> str:
+def _error(row: pd.Series, unit: float) -> str:
     """An error; of several seeds their median and range."""
-    if row is None or not row.get("n_seeds", 0) > 1:
-        return NOTHING if row is None else _significant(row["mean"] / unit)
-    return "{} ({} to {})".format(*map(_significant, row[["median", "lowest", "highest"]] / unit))
+    if row.get("n_seeds", 0) > 1:
+        ends = row[["median", "lowest", "highest"]] / unit
+        return "{} ({} to {})".format(*map(_significant, ends))
+    return _significant(row["mean"] / unit)
 
 
 def pages(root: Path = ROOT) -> dict[str, str]:

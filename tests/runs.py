@@ -23,6 +23,7 @@ from places import ROOT
 PRESET = "tiny"
 # A step that runs alone is as deterministic as its threads.
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+# One core: for ten faces no step needs a pool of processes.
 SNAKEMAKE = (
     sys.executable, "-m", "snakemake", "-s", str(ROOT / "experiments" / "Snakefile"),
     "--cores", "1", "--rerun-triggers", "mtime", "params", "input", "--nolock",

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 from collections.abc import Mapping
 
 import numpy as np
 
+from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import wilcoxon_table
 from experiments.audit.tables import Tables
@@ -27,6 +29,7 @@ from experiments.scoring.intervals import (
 )
 
 SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
+_CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")
 _SIGNS = {"<": operator.lt, ">": operator.gt, "=": math.isclose}
 _COMPARED = ("zhao", "aldrian", "mobileface")
 _MOST_NOISE = 5  # percent of the interocular distance
@@ -185,9 +188,15 @@ def _rank_less_dimensions(t: Tables) -> Estimate:
 
 
 def conditions(text: str) -> list[tuple[str, str, float]]:
-    """Number, comparison and bound of each condition in a cell of `supported_if`."""
-    parts = (part.split() for part in text.split(";"))
-    return [(number, sign, float(bound)) for number, sign, bound in parts]
+    """Number, comparison and bound of each condition in a cell of `supported_if`.
+
+    Raises:
+        InputError: It is not `number < bound`, with `<`, `>` or `=`, separated by semicolons.
+    """
+    matches = [_CONDITION.fullmatch(part.strip()) for part in text.split(";")]
+    if None in matches:
+        raise InputError(f"supported_if must be such as a < 1; b = 2. Received {text}.")
+    return [(match[1], match[2], float(match[3])) for match in matches]
 
 
 def decide(supported_if: str, estimates: Mapping[str, Estimate]) -> tuple[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.errors import InputError
-from experiments.inputs import load_faces
+from experiments.inputs import as_seen
 from experiments.methods import load
 from experiments.records import write_csv
 from experiments.run import Run
@@ -46,10 +46,10 @@ class Evidence:
     """
 
     def __init__(self, run: Run):
-        self.run, self.test = run, load_faces(run, "test")
+        dataset = load_dataset(run.work / "test.npz")
+        self.run, self.test = run, as_seen(dataset)
         n, rng = len(self.test.views), self.rng(Stream.AUDITED_FACES)
         self.audited = np.sort(rng.choice(n, min(run.preset.audited_faces, n), replace=False))
-        dataset = load_dataset(run.work / "test.npz")
         self.views, self.landmarks, self.shapes = (
             array[self.audited].astype(float)
             for array in (dataset.views, dataset.landmarks, self.test.shapes)

@@ -1,6 +1,7 @@
 """The authors' implementation: one face at a time, one pair at a time.
 
-Their MATLAB generator computes all vertices of each face and picks the landmarks. Their Python
+Their MATLAB generator computes all vertices of each face, picks the landmarks and views them
+through `viewmtx`. Their Python
 scripts compute the features of a face in two nested loops over all L² ordered pairs, and call
 Keras's `predict` for each face, in mini-batches of 32 pairs. Textures, renders and files, which
 those scripts also write, are left out. scikit-learn's `MDS` replaces MATLAB's `mdscale(K, 3)`,
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from sklearn.manifold import MDS
@@ -21,7 +23,9 @@ from data_gen.views import Cameras, project, rotations
 from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.camera import resolve_orientation
 from deepmds_keras.embedding import check_dissimilarities
-from deepmds_keras.pipeline import DeepMDS
+
+if TYPE_CHECKING:
+    from deepmds_keras.pipeline import DeepMDS  # which loads TensorFlow
 
 
 def make_faces(

@@ -84,11 +84,18 @@ def holm(ratios: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
     if any(len(values) < 2 for values in ratios.values()):
         return dict.fromkeys(ratios, NOT_KNOWN)
     tests = {name: ttest_1samp(np.log(values), 0) for name, values in ratios.items()}
-    estimates, level, rejected = {}, LEVEL, True
+    p_values, estimates = np.array([test.pvalue for test in tests.values()]), {}
+    n_rejected = (holm_adjusted(p_values) < LEVEL).sum()
     for place, name in enumerate(sorted(tests, key=lambda name: tests[name].pvalue)):
-        level = LEVEL / (len(tests) - place) if rejected else level
-        rejected = rejected and tests[name].pvalue < level
+        level = LEVEL / (len(tests) - min(place, n_rejected))
         ends = np.exp([*tests[name].confidence_interval(1 - level)])
         mean = np.exp(np.log(ratios[name]).mean())
         estimates[name] = Estimate(mean, *ends, len(ratios[name]), "seeds, Holm")
     return {name: estimates[name] for name in ratios}
+
+
+def holm_adjusted(p_values: np.ndarray) -> np.ndarray:
+    """p-values `(n,)` corrected for their number, after Holm 1979 (jstor.org/stable/4615733)."""
+    order, n = np.argsort(p_values), len(p_values)
+    steps = (n - np.arange(n)) * np.asarray(p_values)[order]
+    return np.maximum.accumulate(steps).clip(max=1)[np.argsort(order)]

@@ -122,7 +122,9 @@ def wilcoxon_tests(
     the number of pairs of methods. Subsets, as in the paper, differ by resampling alone, and both
     they and the faces come from one training.
     """
-    from deepmds_keras.metrics import wilcoxon_table  # scipy.stats takes a while to import
+    # Here, since scipy.stats takes a while to import.
+    from deepmds_keras.metrics import wilcoxon_table
+    from experiments.scoring.intervals import holm_adjusted
 
     samples, tables = [], {"subsets": metrics.dropna(subset="subset"), "seeds": seeds}
     for metric in (metric.id for metric in METRICS.values() if metric.in_paper):
@@ -140,13 +142,6 @@ def wilcoxon_tests(
         table["p_holm"] = holm_adjusted(table["p_value"]) if over == "seeds" else np.nan
         tests.append(names.merge(table, how="cross"))
     return pd.concat([test for test in tests if len(test)] or tests[:1], ignore_index=True)
-
-
-def holm_adjusted(p_values: np.ndarray) -> np.ndarray:
-    """p-values `(n,)` corrected for their number, after Holm 1979 (jstor.org/stable/4615733)."""
-    order, n = np.argsort(p_values), len(p_values)
-    steps = (n - np.arange(n)) * np.asarray(p_values)[order]
-    return np.maximum.accumulate(steps).clip(max=1)[np.argsort(order)]
 
 
 def print_tables(run: Run) -> None:

@@ -24,7 +24,7 @@ def prediction_times(
     Args:
         models: As from `methods.load`.
         inputs: Inputs of each model.
-        passes: Number of times.
+        passes: Timed predictions of each model, after the first.
 
     Returns:
         For each model `ms_per_face`, the median of all passes, `ms_per_face_lowest` and

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from places import committed
 
+from deepmds_keras.errors import InputError
 from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.tables import Tables
@@ -48,6 +49,12 @@ def test_the_whole_interval_is_to_meet_a_condition(low, high, condition, verdict
 )
 def test_one_condition_that_is_not_met_decides_whatever_is_missing(text, expected):
     assert decide(text, {"a": point(1), "b": point(1.5)}) == expected
+
+
+@pytest.mark.parametrize("text", ["a", "a <", "a < b", "a <= 1", "a < 1, b < 2", ""])
+def test_what_is_no_condition_is_refused(text):
+    with pytest.raises(InputError, match="a < 1; b = 2"):
+        conditions(text)
 
 
 def test_claims_are_named_once_and_their_conditions_are_on_numbers():

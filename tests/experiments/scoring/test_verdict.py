@@ -11,7 +11,8 @@ from deepmds_keras.errors import InputError
 from experiments.methods import constant_answers
 from experiments.presets import FULL, SMOKE
 from experiments.run import Run
-from experiments.scoring.tables import holm_adjusted, summarise, wilcoxon_tests
+from experiments.scoring.intervals import holm_adjusted
+from experiments.scoring.tables import summarise, wilcoxon_tests
 from experiments.scoring.typesetting import paper_layout
 from experiments.scoring.verdict import check, verdict
 
