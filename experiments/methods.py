@@ -226,7 +226,7 @@ _ROWS = (
         "it, and on photos it is the truth",
         note=_model_fit_note, colour="#6A7B00", marker="P", pictured=False,
     ),
-    # Of oneDNN's convolutions one at a time: two at once add up in an order that differs by run.
+    # One operation at a time: two of oneDNN's at once, outside XLA, round differently in each run.
     Method(
         id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
         description="network from an image to coefficients of the face model, or of FLAME",
