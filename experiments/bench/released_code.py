@@ -1,11 +1,10 @@
 """The authors' implementation: one face at a time, one pair at a time.
 
 Their MATLAB generator computes all vertices of each face, picks the landmarks and views them
-through `viewmtx`. Their Python
-scripts compute the features of a face in two nested loops over all L² ordered pairs, and call
-Keras's `predict` for each face, in mini-batches of 32 pairs. Textures, renders and files, which
-those scripts also write, are left out. scikit-learn's `MDS` replaces MATLAB's `mdscale(K, 3)`,
-which starts once, from classical scaling.
+through `viewmtx`. Their Python scripts compute the features of a face in two nested loops over all
+L² ordered pairs, and call Keras's `predict` for each face, in mini-batches of 32 pairs. Textures,
+renders and files, which those scripts also write, are left out. scikit-learn's `MDS` replaces
+MATLAB's `mdscale(K, 3)`, which starts once, from classical scaling.
 """
 
 from __future__ import annotations
