@@ -59,8 +59,7 @@ def measure(run: Run) -> Iterator[dict]:
                 continue
             regression = {} if kind == "exact" else _on_detections(faces)
             for model, (views, sd, truth, detected) in faces.items():
-                given = views[detected], sd[detected], truth[detected]
-                shapes = trained(run, scheme).predict(*given)
+                shapes = trained(run, scheme).predict(views[detected], sd[detected])
                 if kind != "exact":
                     shapes["linear_detections"] = regression[model]
                 if kind == "mediapipe":
