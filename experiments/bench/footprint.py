@@ -57,7 +57,7 @@ def main(run: Run) -> None:
 
 def measure(extra: str, folder: Path) -> Iterator[tuple[str, float, str]]:
     """Install with an extra into a folder; yield what is measured, how much, and in which unit."""
-    venv, sources, table = folder / "venv", folder / "sources", folder / "rows.csv"
+    venv, sources, rows = folder / "venv", folder / "sources", folder / "rows.npy"
     # A copy, since pip builds in the folder, whose `build/` is that of the runs.
     shutil.copytree(_ROOT / "deepmds_keras", sources / "deepmds_keras")
     for name in ("setup.cfg", "pyproject.toml", "README.md", "LICENSE"):
@@ -67,7 +67,7 @@ def measure(extra: str, folder: Path) -> Iterator[tuple[str, float, str]]:
     subprocess.run([python, "-m", "pip", "install", "-q", f"{sources}[{extra}]"], check=True)
     yield "size of what is installed", (_size(venv) - empty) / _MB, "MB"
 
-    command = [venv / "bin" / "deepmds", "predict", "--force", "--out", folder / "out"]
+    command = [venv / "bin" / "deepmds", "predict", "--overwrite", "--out", folder / "out"]
     _metered([*command, _PHOTO])  # compiles what is imported
     photos = [_metered([*command, _PHOTO]) for _ in range(_REPEATS)]
     yield "one photo, cold", median(seconds for seconds, _ in photos), "s"
@@ -75,8 +75,8 @@ def measure(extra: str, folder: Path) -> Iterator[tuple[str, float, str]]:
     warm = subprocess.check_output([python, "-c", _WARM, _PHOTO], text=True, cwd=folder)
     yield "one photo, warm", float(warm), "s"
     views, _, _ = sample_photo_views(load_openhead(), "ibug51", _ROWS, np.random.default_rng(0))
-    np.savetxt(table, (views * (1, -1)).reshape(_ROWS, -1), "%.3f", ",")
-    yield f"{_ROWS:,} rows to CSV", _metered([*command, table, "--format", "csv"])[0], "s"
+    np.save(rows, views * (1, -1))
+    yield f"{_ROWS:,} rows to CSV", _metered([*command, rows, "--format", "csv"])[0], "s"
 
 
 def _size(folder: Path) -> int:
