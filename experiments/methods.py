@@ -226,14 +226,12 @@ _ROWS = (
         "it, and on photos it is the truth",
         note=_model_fit_note, colour="#6A7B00", marker="P", pictured=False,
     ),
-    # Outside XLA, two of oneDNN's operations at once make runs differ from the first steps on; with
-    # one at a time they differ later, for a reason that is not known.
     Method(
         id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
         description="network from an image to coefficients of the face model, or of FLAME",
         inputs="photos", build=recipes.ringnet, data=recipes.ringnet_data,
         checkpoint=recipes.ringnet_file, networks=recipes.ringnet_networks, switch="RINGNET",
-        onednn=True, threads=(2, 1),
+        onednn=True,
         note=_ringnet_note, colour="#5F6B7A", marker=">", gallery=True, complexity="O(1)",
     ),
     Method(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from itertools import pairwise
 
 import keras
 import numpy as np
@@ -111,7 +112,7 @@ class RingNet(NetworkMethod):
         steps, n_rings = self.steps_per_epoch, self.steps_per_epoch * self.rings_per_batch
         # Not compiled by XLA, whose convolutions are slower.
         network = self._compiled(self._optimizer(), loss, jit_compile=False)
-        dropouts = [layer for layer in network.layers if isinstance(layer, layers.Dropout)]
+        dropouts = network.get_layer("regressor").dropouts
 
         def batches(epoch: int) -> tf.data.Dataset:
             for number, layer in enumerate(dropouts):  # as in an unbroken training
@@ -192,24 +193,58 @@ def build_ringnet(
     for layer in body.layers:
         if isinstance(layer, layers.BatchNormalization):
             layer.momentum = 0.9
-    n_parameters = _N_POSE + n_identity + n_expression
-    hidden = []
-    for number in (1, 2):
-        hidden.append(layers.Dense(512, activation="relu", name=f"regressor_{number}"))
-        hidden.append(layers.Dropout(0.2, seed=number, name=f"dropout_{number}"))
-    step = layers.Dense(n_parameters, name="correction")
-    join = layers.Concatenate(name="features_and_estimate")
-    estimate = ops.zeros_like(body.output[:, :1]) * ops.zeros((1, n_parameters))
-    for _ in range(3):
-        x = join([body.output, estimate])
-        for layer in hidden:
-            x = layer(x)
-        estimate = estimate + step(x)
-    net = keras.Model(body.input, estimate, name=f"ringnet_{n_identity}_{n_expression}")
+    regressor = Regressor(_N_POSE + n_identity + n_expression, name="regressor")
+    name = f"ringnet_{n_identity}_{n_expression}"
+    net = keras.Model(body.input, regressor(body.output), name=name)
     draw_kernels(net, seed)
     # So that training starts near the mean face, seen from the front.
-    step.kernel.assign(0.01 * step.kernel)
+    correction = regressor.kernels[-1]
+    correction.assign(0.01 * correction)
     return net
+
+
+class Regressor(layers.Layer):
+    """Three corrections, by the same dense layers, of an estimate that starts at zero.
+
+    Called with `(n, F)` features; returns `(n, n_parameters)`.
+    """
+
+    def __init__(self, n_parameters: int, **options):
+        super().__init__(**options)
+        self.n_parameters, self.kernels, self.biases = n_parameters, [], []
+        self.dropouts = [layers.Dropout(0.2, seed=number) for number in (1, 2)]
+
+    def build(self, shape: tuple) -> None:
+        sizes = (shape[-1] + self.n_parameters, 512, 512, self.n_parameters)
+        for number, size in enumerate(pairwise(sizes), 1):
+            self.kernels.append(self.add_weight(size, name=f"{number}_kernel"))
+            self.biases.append(self.add_weight(size[1:], "zeros", name=f"{number}_bias"))
+
+    def call(self, features, training: bool | None = None):
+        estimate = ops.zeros((ops.shape(features)[0], self.n_parameters))
+        weights = map(tf.convert_to_tensor, self.kernels + self.biases)
+        weights = zip(*map(three_copies, weights), strict=True)
+        for seen, all_weights in zip(three_copies(features), weights, strict=True):
+            kernels, biases = all_weights[:3], all_weights[3:]
+            x = ops.concatenate([seen, estimate], axis=1)
+            for kernel, bias, dropout in zip(kernels, biases, self.dropouts, strict=False):
+                x = dropout(ops.relu(x @ kernel + bias), training=training)
+            estimate = estimate + x @ kernels[-1] + biases[-1]
+        return estimate
+
+
+@tf.custom_gradient
+def three_copies(x):
+    """A tensor for three uses, whose gradients are added in a fixed order.
+
+    TensorFlow's own sum of more than two tensors starts with one whose memory is free to be
+    overwritten: which one that is depends on the timing of threads, and so does the last bit.
+    """
+
+    def add(*gradients):
+        return ops.sum(ops.stack(gradients), axis=0)
+
+    return [tf.identity(x) for _ in range(3)], add
 
 
 def draw_rings(
@@ -282,8 +317,9 @@ def ring_loss(identity, ring_size: int):
     """
     rings = ops.reshape(identity, (-1, ring_size, identity.shape[-1]))
     same, other = rings[:, :-1], rings[:, -1:]
-    apart = ops.sum(ops.square(same[:, :, None] - same[:, None]), axis=-1)
-    away = ops.sum(ops.square(same - other), axis=-1)
+    first, second, third = three_copies(same)
+    apart = ops.sum(ops.square(first[:, :, None] - second[:, None]), axis=-1)
+    away = ops.sum(ops.square(third - other), axis=-1)
     excess = ops.relu(apart - away[:, :, None] + _MARGIN)
     different = 1 - np.eye(ring_size - 1, dtype=np.float32)
     return ops.mean(ops.sum(excess * different, axis=(1, 2))) / ring_size
@@ -295,5 +331,6 @@ def rotation_matrices(axis_angle):
     x, y, z = ops.split(axis_angle / angle, 3, axis=1)
     zero = ops.zeros_like(x)
     rows = ops.concatenate([zero, -z, y, z, zero, -x, -y, x, zero], axis=1)
-    cross, turn = ops.reshape(rows, (-1, 3, 3)), angle[:, None]
-    return ops.eye(3) + ops.sin(turn) * cross + (1 - ops.cos(turn)) * ops.matmul(cross, cross)
+    first, second, third = three_copies(ops.reshape(rows, (-1, 3, 3)))
+    turn = angle[:, None]
+    return ops.eye(3) + ops.sin(turn) * first + (1 - ops.cos(turn)) * ops.matmul(second, third)
