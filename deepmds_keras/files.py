@@ -66,14 +66,13 @@ def write_arrays(
         save(file, description=np.array(json.dumps(description)), **arrays)
 
 
-def read_arrays(
-    path: str | Path, kind: str = "an npz written by save()"
-) -> tuple[dict[str, np.ndarray], dict]:
+def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
     """Read what `write_arrays` wrote.
 
     Raises:
         InputError: The file is missing, damaged or not of this kind.
     """
+    kind = "an npz written by save()"
     arrays = read_npz(path, kind)
     with _named(path, kind):
         description = json.loads(str(arrays.pop("description")))

@@ -29,25 +29,23 @@ def transfer_landmarks(
     source_anchors: np.ndarray,
     target: MorphableModel,
     target_anchors: np.ndarray,
-    scheme: str = "bfm72",
 ) -> np.ndarray:
-    """Places the source's landmarks on the target's mean face.
+    """Places the source's 72 landmarks (`"bfm72"`) on the target's mean face.
 
     Args:
-        source: Face model with landmarks of the scheme, mm.
+        source: Face model with these landmarks, mm.
         source_anchors: `(A,)` source vertex numbers of points also known on the target, `A >= 6`,
             not in one plane.
         target: Face model in any unit and pose.
         target_anchors: `(A,)` target vertex numbers of the same points.
-        scheme: Scheme of the landmarks.
 
     Returns:
-        `(L,)` target vertex numbers, all distinct.
+        `(72,)` target vertex numbers, all distinct.
 
     Raises:
         InputError: Too few anchors, or the surfaces do not meet near the landmarks.
     """
-    landmarks = source.landmarks[scheme]
+    landmarks = source.landmarks["bfm72"]
     anchors_from = source.mean[source_anchors]
     for label, anchors in (("source", anchors_from), ("target", target.mean[target_anchors])):
         if len(anchors) < MIN_ANCHORS:

@@ -38,7 +38,7 @@ class Estimate(NamedTuple):
     Attributes:
         shapes: `(n, L, 3)` as `LandmarkLifter.predict` returns them.
         std: `(n, L, 3)` standard deviations of the errors of the shapes.
-        pose: The n cameras, as `LandmarkLifter.pose` returns them.
+        pose: The n cameras, as solved for in the last step.
     """
 
     shapes: np.ndarray
@@ -227,23 +227,6 @@ class LandmarkLifter:
             check_views(seen.points)
         estimate = self._estimate(seen)
         return (estimate.shapes, estimate.std) if return_std else estimate.shapes
-
-    def pose(
-        self,
-        views: np.ndarray,
-        *,
-        landmark_sd: float | np.ndarray | None = None,
-        visible: np.ndarray | None = None,
-    ) -> HeadPose:
-        """The cameras of the views, as solved for in the last step.
-
-        Args:
-            views, landmark_sd, visible: As for `predict`.
-
-        Raises:
-            InputError: As for `predict`.
-        """
-        return self.estimate(views, landmark_sd=landmark_sd, visible=visible).pose
 
     def estimate(
         self,

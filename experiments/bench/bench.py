@@ -1,7 +1,7 @@
 """Step: time each part of the method on one core, ours and the authors' implementation.
 
 The column `way` has `released` for the authors' implementation, and `ours`, which for embeddings is
-scikit-learn's solver (`sklearn`) or the one compiled by numba (`batched`). `lifting` is our other
+scikit-learn's solver (`sklearn`) or the one compiled by numba (`numba`). `lifting` is our other
 method, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
 """
 
@@ -45,7 +45,7 @@ _LOOKS = {
     "released": Look("authors' implementation", "#777777", "s"),
     "ours": Look("ours", "#D55E00", "o"),
     "sklearn": Look("ours, scikit-learn's solver", "#0072B2", "^"),
-    "batched": Look("ours, batched solver", "#D55E00", "o"),
+    "numba": Look("ours, numba's solver", "#D55E00", "o"),
 }
 
 
@@ -89,10 +89,10 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
 
     faces = draw_faces(run.preset.bench_faces)
     shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
-    solvers = {"sklearn": "sklearn"} | ({"batched": "numba"} if compiled_solver() else {})
+    solvers = ("sklearn", "numba") if compiled_solver() else ("sklearn",)
     methods = {
-        way: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
-        for way, solver in solvers.items()
+        solver: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
+        for solver in solvers
     }
     networks = methods["sklearn"]
     matrices = np.abs(networks.dissimilarities(faces.views))
@@ -115,7 +115,7 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         },
         "embedding": {
             "released": lambda views: released.embed(matrices[: len(views)]),
-            **{w: lambda v, s=s: embed(matrices[: len(v)], solver=s) for w, s in solvers.items()},
+            **{s: lambda v, s=s: embed(matrices[: len(v)], solver=s) for s in solvers},
         },
         "end to end": {"released": lambda views: released.shapes(networks, views), **predictors},
     }
@@ -180,6 +180,6 @@ def with_ratios(rows: list[tuple]) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=["comparison", "part", "way", "n_faces", "seconds"])
     table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]
     times = table.set_index(["part", "way"])["ms_per_face"].unstack()
-    for way in [way for way in ("released", "sklearn", "batched", "eos") if way in times]:
+    for way in [way for way in ("released", "sklearn", "numba", "eos") if way in times]:
         table[f"times_{way}"] = table["part"].map(times[way]) / table["ms_per_face"]
     return table

@@ -18,6 +18,7 @@ _LEGEND = (
     "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
     f"model. {NOTHING}: not measured here, or not in the paper."
 )
+_N_LANDMARKS = 72  # at which the paper counts its networks
 _TIMES = ("ms_per_face", "ms_per_face_lowest", "ms_per_face_highest")
 HEADS = {
     "method": "Method",
@@ -30,14 +31,11 @@ HEADS = {
 }
 
 
-def parameter_table(
-    metrics: pd.DataFrame, n_landmarks: int = 72, n_coefficients: int = 199
-) -> pd.DataFrame:
+def parameter_table(metrics: pd.DataFrame, n_coefficients: int = 199) -> pd.DataFrame:
     """Parameters, complexity and measured time of every method, as strings.
 
     Args:
         metrics: As `metrics.csv`. Counts and times of methods that have no row stay empty.
-        n_landmarks: Number for which our networks are counted; the paper counts at 72.
         n_coefficients: Of the face model, for counting MobileFace; the Basel model has 199.
 
     Returns:
@@ -53,7 +51,7 @@ def parameter_table(
     table["trainable"] = table["total"] = table.pop("n_parameters")
     for method in methods:
         if method.networks:
-            networks = method.networks(n_landmarks, n_coefficients)
+            networks = method.networks(_N_LANDMARKS, n_coefficients)
             table.loc[method.id, "trainable"] = count_trainable(*networks)
             table.loc[method.id, "total"] = sum(network.count_params() for network in networks)
     for column, metric in (("paper", "n_parameters"), ("complexity_paper", "time_complexity")):

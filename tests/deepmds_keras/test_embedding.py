@@ -116,7 +116,7 @@ def test_without_numba_its_solver_is_refused_and_the_default_is_scikit_learns(wi
 
 def test_the_default_is_compiled():
     matrices = noisy(clouds())
-    assert DeepMDS.pretrained("deepmds-ibug51").solver == "auto"  # written as "batched"
+    assert DeepMDS.pretrained("deepmds-ibug51").solver == "auto"
     assert np.array_equal(embed(matrices), embed(matrices, solver="numba"))
     with pytest.raises(InputError, match="one of auto, numba, sklearn. Received 'new'"):
         embed(matrices, solver="new")

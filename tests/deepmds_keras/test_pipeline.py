@@ -73,6 +73,10 @@ def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp
     assert loaded.history_ == model.history_
     assert np.array_equal(loaded.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
     assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
+    arrays, described = read_arrays(tmp_path / "model.npz")
+    described["parameters"]["solver"] = "batched"  # of version 0.2
+    write_arrays(tmp_path / "older.npz", arrays, described)
+    assert DeepMDS.load(tmp_path / "older.npz").solver == "auto"
     for error in (NotFittedError, InputError):
         with pytest.raises(error, match="not trained: call fit, restore, load or pretrained"):
             copy.predict(shapes[:1, :, :2])

@@ -166,7 +166,7 @@ def test_standard_deviations_are_those_of_the_errors(lifter, faces):
 
 def test_pose_sees_the_shapes_where_the_landmarks_are(lifter, faces):
     views, _ = faces
-    pose = lifter.pose(100 * views + 7)
+    pose = lifter.estimate(100 * views + 7).pose
     seen = (pose.project(lifter.predict(views)) - 7) / 100
     assert np.sqrt(np.mean((seen - views) ** 2)) < 0.03
     assert np.allclose(pose.rotation @ np.swapaxes(pose.rotation, 1, 2), np.eye(3), atol=1e-5)

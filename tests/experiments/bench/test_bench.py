@@ -131,14 +131,14 @@ def test_ratios_are_those_of_faces_in_a_second_at_the_same_part():
         [
             ("parts", "embedding", "released", 4, 8.0),
             ("parts", "embedding", "sklearn", 30, 3.0),
-            ("parts", "embedding", "batched", 100, 1.0),
+            ("parts", "embedding", "numba", 100, 1.0),
             ("one face", "one face at a time", "sklearn", 10, 3.0),
         ]
     )
     assert table["ms_per_face"].tolist() == [2000, 100, 10, 300]
     assert table["times_released"].tolist()[:3] == [1, 20, 200]
     assert table["times_sklearn"].tolist() == [0.05, 1, 10, 1]
-    assert table["times_batched"].isna().tolist() == [False] * 3 + [True]
+    assert table["times_numba"].isna().tolist() == [False] * 3 + [True]
 
 
 @pytest.mark.slow
@@ -147,5 +147,5 @@ def test_bench_times_every_part_beside_the_released_way(tmp_path):
     table = pd.read_csv(tmp_path / "results" / "tiny" / "bench" / "bench.csv")
     ways = table[table["comparison"] == "parts"].groupby("part", sort=False)["way"].agg(set)
     assert all("released" in names and len(names) > 1 for names in ways)
-    assert {"sklearn", "batched", "lifting"} < ways["end to end"]
+    assert {"sklearn", "numba", "lifting"} < ways["end to end"]
     assert (table["seconds"] > 0).all()
