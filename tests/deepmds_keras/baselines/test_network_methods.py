@@ -125,8 +125,8 @@ def test_training_learns_and_predicts_in_the_face_models_frame(method):
 
 
 def test_gradients_of_ringnet_are_sums_of_two_or_of_parts_that_do_not_overlap():
-    # The last bit of TensorFlow's sum of three or more may depend on the timing of threads. That of
-    # Keras's batch normalisation is left: 60 steps by two threads agreed with it.
+    # The last bit of TensorFlow's sum of three or more depends on the timing of threads. Those in
+    # Keras's batch normalisation are left: two whole trainings ended with the same bits.
     model, network = untrained("ringnet")[0], build_ringnet(K, E, SIZE)
     loss = RingNetLoss(model, fill=0.6)
 
