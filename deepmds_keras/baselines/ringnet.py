@@ -223,9 +223,8 @@ class Regressor(layers.Layer):
     def call(self, features, training: bool | None = None):
         estimate = ops.zeros((ops.shape(features)[0], self.n_parameters))
         weights = map(tf.convert_to_tensor, self.kernels + self.biases)
-        weights = zip(*map(three_copies, weights), strict=True)
-        for seen, all_weights in zip(three_copies(features), weights, strict=True):
-            kernels, biases = all_weights[:3], all_weights[3:]
+        for seen, *copies in zip(*map(three_copies, [features, *weights]), strict=True):
+            kernels, biases = copies[:3], copies[3:]
             x = ops.concatenate([seen, estimate], axis=1)
             for kernel, bias, dropout in zip(kernels, biases, self.dropouts, strict=False):
                 x = dropout(ops.relu(x @ kernel + bias), training=training)
