@@ -236,7 +236,7 @@ class Regressor(layers.Layer):
 def three_copies(x):
     """A tensor for three uses, whose gradients are added in a fixed order.
 
-    TensorFlow's own sum of more than two tensors starts with one whose memory is free to be
+    TensorFlow's sum of more than two tensors starts with one whose memory is free to be
     overwritten: which one that is depends on the timing of threads, and so does the last bit.
     """
 
