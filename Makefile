@@ -121,7 +121,7 @@ real-faces: | $(READY) ## what real photos tell about detectors: results/<model>
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments pretrained.surface --data '$(DATA)'
 
-footprint: | $(READY) ## size, memory and time of an installation: results/bench/footprint.csv   (2 min)
+footprint: | $(READY) ## size, memory and time of an installation: results/footprint/footprint.csv   (2 min)
 	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.

@@ -19,7 +19,7 @@ import pandas as pd
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
-from experiments.records import environment, write_csv
+from experiments.records import clear_results, write_csv
 from experiments.run import Run
 
 _ROOT = Path(__file__).parents[2]
@@ -44,15 +44,16 @@ print(seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024)
 """
 
 
-def main(run: Run) -> None:
-    rows = []
+def main(run: Run) -> dict:
+    rows, folder = [], run.model_results.parent / "footprint"  # one for all face models
     for extra in ("dlib", "mediapipe"):
-        with tempfile.TemporaryDirectory() as folder:
-            rows += [(extra, *row) for row in measure(extra, Path(folder))]
+        with tempfile.TemporaryDirectory() as place:
+            rows += [(extra, *row) for row in measure(extra, Path(place))]
     table = pd.DataFrame(rows, columns=["extra", "measure", "value", "unit"])
-    table["processor"] = environment()["processor"]
-    write_csv(run.results / "bench" / "footprint.csv", table)
+    clear_results(folder)
+    write_csv(folder / "footprint.csv", table)
     print(table.to_string(index=False))
+    return {"results": [folder]}
 
 
 def measure(extra: str, folder: Path) -> Iterator[tuple[str, float, str]]:

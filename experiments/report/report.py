@@ -181,7 +181,7 @@ def _steps(result: Result) -> pd.DataFrame:
         {
             "Step": step.get("step") or step["stage"],
             "Took": duration(step["seconds"]),
-            "Memory (MB)": _text(step["peak_memory_mb"]),
+            "Memory of a process (MB)": _text(step["peak_memory_mb"]),
             "Commit": step["commit"] or "unknown",
             "Scans or photos": "; ".join(
                 f"{status}: {n:,}"
