@@ -128,15 +128,17 @@ def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
     return -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
 
 
-def metric_embed(dissimilarities: np.ndarray) -> np.ndarray:
+def metric_embed(dissimilarities: np.ndarray, n_jobs: int | None = None) -> np.ndarray:
     """Metric MDS, for comparison with `embed`.
 
     scikit-learn's `MDS` from the same start: `(n, L, L)` → `(n, L, 3)`, in any orientation.
+    `n_jobs` is the number of processes, as for `embed`.
     """
     matrices = check_dissimilarities(dissimilarities)
     starts = classical_scaling(matrices)
-    embedded = (sklearn_mds(*face, metric=True)[0] for face in zip(matrices, starts, strict=True))
-    return np.array([*embedded])
+    solve = delayed(sklearn_mds)
+    faces = (solve(*face, metric=True) for face in zip(matrices, starts, strict=True))
+    return np.array([points for points, *_ in Parallel(n_jobs)(faces)])
 
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:

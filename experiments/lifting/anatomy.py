@@ -89,7 +89,7 @@ def measure(run: Run) -> pd.DataFrame:
         distances = np.abs(distances)  # as in `DeepMDS.predict`
         shapes = embed(distances, solver="auto", n_jobs=run.jobs)
         add(step, "non_metric", seed, score(shapes, test).mse)
-        add(step, "metric", seed, score(metric_embed(distances), test).mse)
+        add(step, "metric", seed, score(metric_embed(distances, run.jobs), test).mse)
 
     mean_shape = load(run, "mean_shape").predict(test.views)
     add("mean_shape", "none", run.seed, score(mean_shape, test).mse)
