@@ -75,12 +75,12 @@ reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with R
 reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
 ablation: ## the method with one part changed, over five seeds   (40 min after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
-bench: ## speed against the authors' implementation: results/bench/
+bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (50 min)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (1.5 h)
-witness: ## the released weights around the BFM's mean: results/witness/   [AUTHORS=dir]   (50 min)
+lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (2.5 h)
+witness: ## the released weights around the BFM's mean: results/witness/   [AUTHORS=dir]   (45 min)
 check: ## compare results/<model>/bfm/table.csv with the committed one
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
@@ -121,7 +121,7 @@ real-faces: | $(READY) ## what real photos tell about detectors: results/<model>
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments pretrained.surface --data '$(DATA)'
 
-footprint: | $(READY) ## size, memory and time of an installation: results/footprint/footprint.csv   (2 min)
+footprint: | $(READY) ## size, memory and time of an installation: results/footprint/   (2 min)
 	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.
