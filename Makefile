@@ -73,11 +73,11 @@ $(READY): setup.cfg constraints.txt
 reproduce-bfm: ## the paper's BFM table next to ours   (28 min; 10 with MOBILEFACE=no)
 reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with RINGNET=no)
 reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
-ablation: ## the method with one part changed, over five seeds   (40 min after reproduce-bfm)
+ablation: ## the method with one part changed, over five seeds   (1 h after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
 bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
-seeds: ## ten seeds of Deep-MDS   (50 min)
+seeds: ## ten seeds of Deep-MDS   (1 h)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (2.5 h)
 witness: ## the released weights around the BFM's mean: results/witness/   [AUTHORS=dir]   (45 min)
@@ -88,7 +88,7 @@ $(TARGETS): | $(READY)
 
 # What is done is skipped, so the same command goes on after a stop. Paths without spaces.
 GIVEN := AUTHORS=$(AUTHORS) SFM=$(SFM)
-all-results: | $(READY) ## all of results/, on both open models   DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz   (10 h)
+all-results: | $(READY) ## all of results/, on both open models   DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz   (12 h)
 	@for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
 	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
 	      'reproduce-bfm PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba ablation \
