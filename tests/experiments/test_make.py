@@ -1,6 +1,7 @@
 """`make` runs what is missing or made from other files, and nothing that is there."""
 
 import importlib.util
+import itertools
 import json
 import os
 import resource
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import datetime
 
 import pandas as pd
 import pytest
@@ -150,11 +152,15 @@ def test_the_steps_of_a_target_are_drawn(tmp_path):
 def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_methods(
     whole_bfm, tmp_path
 ):
-    runs.ended(runs.command("reproduce-bfm", tmp_path))
-    records = runs.work(tmp_path, "bfm") / "records"
-    names = ("preview", "train-mobileface", "bfm")
-    started = [read_record(records / f"{name}.json")["started"] for name in names]
-    assert started == sorted(started)
+    runs.ended(runs.command("reproduce-bfm", tmp_path, "JOBS=1"))
+    records = [read_record(path) for path in runs.work(tmp_path, "bfm").glob("records/*.json")]
+    started = {record["name"]: datetime.fromisoformat(record["started"]) for record in records}
+    assert started["preview"] < started["train-mobileface"] < started["bfm"]
+    # One job is one: Snakemake 9.10 to 9.16 forget a job that is started alone.
+    records.sort(key=lambda record: record["started"])
+    for first, second in itertools.pairwise(records):
+        took = (started[second["name"]] - started[first["name"]]).total_seconds()
+        assert took > first["seconds"] - 1  # starts are in whole seconds
     tables = [runs.results(folder, "bfm") / "metrics.csv" for folder in (tmp_path, whole_bfm)]
     # A forked step has no oneDNN, by which MobileFace is trained.
     rows = "metric == 'mse' and method != 'mobileface'"
