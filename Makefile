@@ -50,6 +50,7 @@ help: ## this text
 	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|paper|no]'
 	@echo '                    [SEEDS=10]'
 	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
+	@echo '     all-results: DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz'
 	@echo '     lifting, pretrained: [SFM=eos'\''s folder share, with the Surrey Face Model]'
 	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
 	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
@@ -88,7 +89,7 @@ $(TARGETS): | $(READY)
 
 # What is done is skipped, so the same command goes on after a stop. Paths without spaces.
 GIVEN := AUTHORS=$(AUTHORS) SFM=$(SFM)
-all-results: | $(READY) ## all of results/, on both open models   DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz   (12 h)
+all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	@for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
 	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
 	      'reproduce-bfm PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba ablation \

@@ -132,10 +132,14 @@ class Run:
         return f"{self.track}{released}"
 
     @property
+    def shared_results(self) -> Path:
+        """Of all face models: `results`; presets other than `full` have separate folders."""
+        return self.results if self.preset.name == "full" else self.results / self.preset.name
+
+    @property
     def model_results(self) -> Path:
-        """`results/<model>`; presets other than `full` have separate folders."""
-        root = self.results if self.preset.name == "full" else self.results / self.preset.name
-        return root / self.model
+        """`<model>` in `shared_results`."""
+        return self.shared_results / self.model
 
     def experiment_results(self, name: str) -> Path:
         """`results/<model>/<name>`, with the protocol and seed after it if not the default."""

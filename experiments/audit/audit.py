@@ -42,7 +42,7 @@ def main(run: Run, *topics: str) -> dict:
         save(figure, folder / "figures", name, run.preset.caution)
     counts = judge(run)["verdict"].value_counts()
     print(f"\n{run.model}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}")
-    print(f"{folder}/ and, of all face models, {combine(run.model_results.parent)}/")
+    print(f"{folder}/ and, of all face models, {combine(run.shared_results)}/")
     return {"results": [folder]}
 
 

@@ -54,7 +54,7 @@ def main(run: Run) -> dict:
     tf.config.threading.set_inter_op_parallelism_threads(1)
     with single_threaded():
         table = with_ratios([(*task, seconds(run, call)) for *task, call in tasks(run)])
-    folder = run.model_results.parent / "bench"  # one for all face models
+    folder = run.shared_results / "bench"
     clear_results(folder)
     write_csv(folder / "bench.csv", table)
     write_text(folder / "bench.tex", plain_tabular(table.drop(columns="seconds")))

@@ -45,11 +45,12 @@ print(seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024)
 
 
 def main(run: Run) -> dict:
-    rows, folder = [], run.model_results.parent / "footprint"  # one for all face models
+    rows = []
     for extra in ("dlib", "mediapipe"):
-        with tempfile.TemporaryDirectory() as place:
-            rows += [(extra, *row) for row in measure(extra, Path(place))]
+        with tempfile.TemporaryDirectory() as environment:
+            rows += [(extra, *row) for row in measure(extra, Path(environment))]
     table = pd.DataFrame(rows, columns=["extra", "measure", "value", "unit"])
+    folder = run.shared_results / "footprint"
     clear_results(folder)
     write_csv(folder / "footprint.csv", table)
     print(table.to_string(index=False))

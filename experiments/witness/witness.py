@@ -66,7 +66,7 @@ def main(run: Run) -> dict:
         trained = pd.concat([pd.read_csv(trained_file(run, name)) for name in trainings(run)])
         tables["trained"] = trained
         figures = {"witness": draw_released(released), "trained": draw_trained(trained)}
-        folder = run.model_results.parent / "witness"  # one for all open models
+        folder = run.shared_results / "witness"
     return write_results(run, folder, tables, cells(released), figures=figures)
 
 

@@ -159,8 +159,8 @@ def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_me
     # One job is one: Snakemake 9.10 to 9.16 forget a job that is started alone.
     records.sort(key=lambda record: (record["started"], record["seconds"]))
     for first, second in itertools.pairwise(records):
-        took = (started[second["name"]] - started[first["name"]]).total_seconds()
-        assert took > first["seconds"] - 1  # starts are in whole seconds
+        between = (started[second["name"]] - started[first["name"]]).total_seconds()
+        assert between > first["seconds"] - 1  # starts are in whole seconds
     tables = [runs.results(folder, "bfm") / "metrics.csv" for folder in (tmp_path, whole_bfm)]
     # A forked step has no oneDNN, by which MobileFace is trained.
     rows = "metric == 'mse' and method != 'mobileface'"
