@@ -91,6 +91,7 @@ def read_faces(
         points = _READERS[suffix](path)
     except (OSError, MemoryError, RecursionError) as error:
         raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
+    points[np.isnan(points).any(2)] = np.nan  # half a landmark is none
     faults = _find_faults(points)
     points[[*faults]] = np.nan
     if np.isnan(points).all():
@@ -184,14 +185,8 @@ def _read_json(path: Path) -> np.ndarray:
             keys = ", ".join(f'"{key}"' for key in _KEYS)
             raise InputError(f"{path} must have one of the keys {keys}. Received none of them.")
         content = content[key]
-    if isinstance(content, list):
-        content = [_points(item) for item in content]
-        some = next((face for face in content if face is not None), None)
-        if isinstance(some, list) and some and isinstance(some[0], list):  # faces, perhaps gaps
-            gap = [[np.nan] * len(some[0])] * len(some)
-            content = [gap if face is None else face for face in content]
     try:
-        points = np.asarray(content)
+        points = np.asarray(_without_null(_points(content)))
     except (ValueError, OverflowError, RecursionError):
         raise InputError(
             f"{path} must hold [x, y] for each landmark, as many in each face. "
@@ -207,6 +202,21 @@ def _points(item):
         return [item.get("x"), item.get("y")] if named else _points(item.get("landmarks"))
     nested = isinstance(item, list) and not isinstance(item[:1] and item[0], (int, float))
     return [*map(_points, item)] if nested else item
+
+
+def _without_null(item):
+    """Lists of numbers, with NaN for null and for lists of nothing else, as many as next to them.
+
+    A list of nothing but null is None.
+    """
+    if not isinstance(item, list):
+        return item
+    items = [*map(_without_null, item)]
+    if None not in items:
+        return items
+    known = next((each for each in items if each is not None), None)
+    gap = np.full(np.shape(known), np.nan).tolist()
+    return None if known is None else [gap if each is None else each for each in items]
 
 
 def _as_faces(path: Path, points: np.ndarray) -> np.ndarray:

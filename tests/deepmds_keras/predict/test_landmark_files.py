@@ -157,12 +157,18 @@ def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
 
 
 def test_landmarks_may_be_missing(tmp_path):
-    rows = long_rows()
+    rows, faces, records = long_rows(), FACES.tolist(), FACES.tolist()
     rows[70] = (*rows[70][:2], "", rows[70][3])
-    points, faults = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
-    missing = np.isnan(points).any(2)
-    assert not faults and np.argwhere(missing).tolist() == [[1, 2]]
-    np.testing.assert_allclose(points[~missing], FACES[~missing], rtol=1e-12)
+    faces[1][2], records[1][2] = None, [None, None]  # as `deepmds predict` writes it
+    for name, content in (
+        ("f.csv", table(rows, "face,number,x,y")),
+        ("f.json", json.dumps(faces)),
+        ("f.json", json.dumps({"faces": [{"landmarks": face} for face in records]})),
+    ):
+        points, faults = read_faces(written(tmp_path, name, content))
+        missing = np.isnan(points).all(2)
+        assert not faults and np.argwhere(missing).tolist() == [[1, 2]]
+        np.testing.assert_allclose(points[~missing], FACES[~missing], rtol=1e-12)
 
 
 REFUSED = {
@@ -208,7 +214,7 @@ REFUSED = {
     "JSON cut short": ("f.json", json.dumps(FACES.tolist())[:-5], "must be JSON"),
     "JSON too deep": ("f.json", "[" * 100_000, "must be JSON"),
     "JSON ragged": ("f.json", "[[1, 2], [3]]", "lists of other lengths"),
-    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "null"),
+    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "nothing but gaps"),
     "JSON without landmarks": ("f.json", '{"points": []}', 'keys "faces", "landmarks"'),
     "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "null"),
 }
