@@ -28,7 +28,8 @@ class Detector:
         open: Takes the user's model file, or None, and returns a function. From an RGB photo
             `(H, W, 3)` that gives the landmarks `(n, L, 2)` of its faces in pixels, x right and y
             down, the largest face first; and scores `(n,)`, 0 to 1, NaN if the detector has none
-            and finds upright faces only. If it is not installed, an InputError says how to.
+            and finds upright faces only. Threads call it in turns. If the detector is not
+            installed, an InputError says how to.
         is_installed: Whether it is installed; loads nothing.
         licence: Licence of its landmark model.
         commercial: Whether that allows commercial use.

@@ -52,7 +52,7 @@ def shared_detector() -> DlibLandmarks:
 
 
 class DlibLandmarks:
-    """Finds the landmarks of the faces in an image.
+    """Finds the landmarks of the faces in an image; not for two threads at once.
 
     Raises:
         InputError: dlib or its landmark model is missing or damaged.

@@ -14,7 +14,6 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
-from threading import Lock, RLock
 
 import numpy as np
 
@@ -30,7 +29,6 @@ _HOW_TO = (
     "from the repository, pip install '.[mediapipe]', for Python 3.11 and 3.12 on x86-64 and "
     "macOS; a later MediaPipe takes a model by --landmarker FILE; or take --detector dlib"
 )
-_LOCK = RLock()  # a second thread would take the silenced stderr for the real one, and keep it
 
 
 @cache
@@ -40,7 +38,7 @@ def shared_detector() -> MediaPipeLandmarks:
 
 
 class MediaPipeLandmarks:
-    """Finds the points of the faces in an image; threads take turns.
+    """Finds the points of the faces in an image; not for two threads at once.
 
     Args:
         landmarker: File of a face landmarker (`.task`), for a MediaPipe later than 0.10.21; None
@@ -57,7 +55,7 @@ class MediaPipeLandmarks:
                 self._find = _FaceMesh(max_faces)
             else:
                 self._find = _FaceLandmarker(landmarker, max_faces)
-        self._lock, self._has_found = Lock(), False
+        self._has_found = False
 
     def detect_all(self, image: np.ndarray) -> np.ndarray:
         """Points of every face, without the scores of `detect_scored`."""
@@ -80,7 +78,7 @@ class MediaPipeLandmarks:
         """
         image = np.ascontiguousarray(check_photo(image))
         # The library logs only until it has found a face.
-        with self._lock, nullcontext() if self._has_found else _silenced():
+        with nullcontext() if self._has_found else _silenced():
             faces, scores = self._find(image)
         self._has_found |= len(faces) > 0
         height, width = image.shape[:2]
@@ -266,8 +264,8 @@ def _bare_package() -> Iterator[None]:
 
 @contextmanager
 def _silenced() -> Iterator[None]:
-    """Silence stderr, where MediaPipe logs in spite of its settings; threads take turns."""
-    with _LOCK, open(os.devnull, "w") as nowhere, redirect_stderr(nowhere):
+    """Silence stderr, where MediaPipe logs in spite of its settings."""
+    with open(os.devnull, "w") as nowhere, redirect_stderr(nowhere):
         kept = os.dup(2)
         os.dup2(nowhere.fileno(), 2)
         try:

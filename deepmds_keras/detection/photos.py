@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import BinaryIO
 
 import numpy as np
@@ -16,6 +19,7 @@ from deepmds_keras.errors import InputError, MissingPackageError, brief, needs
 IMAGE_SIZE = 96  # of a side of what MobileFace sees
 MIN_SIDE, MAX_PIXELS = 32, 256_000_000
 _MAX_BYTES = 1 << 29
+_turn = Lock()
 
 
 def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
@@ -36,19 +40,17 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
             than 256 million pixels, or is larger than 512 MiB.
     """
     name = source if isinstance(source, (str, os.PathLike)) else "image"
-    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS  # Pillow's limit is lower
     try:
-        with warnings.catch_warnings(action="ignore"):  # about images above half its limit
-            content = _content(source)
-            # By the content: telephones send HEIC files called `.jpg`.
-            if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
-                with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
-                    from pillow_heif import register_heif_opener
-                register_heif_opener()
-            # From memory, where what is claimed to follow is not allotted before it is read.
-            with Image.open(io.BytesIO(content)) as photo:
-                _check_head(photo)
-                return np.array(in_colour(ImageOps.exif_transpose(photo)))
+        content = _content(source)
+        # By the content: telephones send HEIC files called `.jpg`.
+        if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
+            with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
+                from pillow_heif import register_heif_opener
+            register_heif_opener()
+        # From memory, where what is claimed to follow is not allotted before it is read.
+        with _limit_raised(), Image.open(io.BytesIO(content)) as photo:
+            _check_head(photo)
+            return np.array(in_colour(ImageOps.exif_transpose(photo)))
     except MissingPackageError:
         raise
     except FileNotFoundError:
@@ -67,8 +69,6 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
         elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
             received = "a folder"
         raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = before
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:
@@ -94,6 +94,17 @@ def in_colour(photo: Image.Image) -> Image.Image:
         photo = photo.convert("RGBA")
         photo = Image.alpha_composite(Image.new("RGBA", photo.size, "white"), photo)
     return photo.convert("RGB")
+
+
+@contextmanager
+def _limit_raised() -> Iterator[None]:
+    """Raise Pillow's limit of pixels, and ignore its warnings; both are the whole process's."""
+    with _turn, warnings.catch_warnings(action="ignore"):
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
 
 
 def _content(source: str | Path | bytes | BinaryIO) -> bytes:

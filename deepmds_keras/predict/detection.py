@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from itertools import islice
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -29,6 +30,7 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 # much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
+_turn = Lock()  # threads share a detector, which two at once would crash
 
 
 def open_detector(detector: str, landmarker: str | None) -> Find:
@@ -94,7 +96,8 @@ def find_in_photo(
     """
     scheme = DETECTORS[detector].scheme
     target = target_scheme(scheme, model)
-    landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
+    with _turn:
+        landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
     return Detections(
         source=source,
         names=name_faces(name, len(landmarks)),
@@ -254,7 +257,8 @@ def smooth_over_time(
 
 def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
     """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
-    return open_detector(detector, landmarker)(image)[0]
+    with _turn:
+        return open_detector(detector, landmarker)(image)[0]
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 class FaceLifter:
     """Photos, videos and landmarks to 3D faces; detector and weights are loaded once.
 
-    Several threads may use it; they take turns at the detector and at the model.
+    Threads may use it, or one each; they take turns at the detector.
 
     Args:
         detector: `"mediapipe"` or `"dlib"`; None uses the first that is installed.
@@ -62,7 +61,7 @@ class FaceLifter:
         check_interocular(interocular)
         self.landmarker = None if landmarker is None else str(landmarker)
         self.model = None if model is None else str(model)
-        self.interocular, self._lock = interocular, Lock()
+        self.interocular = interocular
         self._detector = "mediapipe" if landmarker and not detector else detector
 
     @property
@@ -92,10 +91,8 @@ class FaceLifter:
             pixels = open_photo(image)
         else:
             pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
-        name, options = "face" if path is None else path.stem, self._detection
-        with self._lock:
-            detections = find_in_photo(pixels, path, name, **options)
-        return self._estimate(detections)
+        name = "face" if path is None else path.stem
+        return self._estimate(find_in_photo(pixels, path, name, **self._detection))
 
     def predict_landmarks(
         self,
@@ -180,8 +177,7 @@ class FaceLifter:
                 f"Received {every} and {smooth}."
             )
         options = self._detection | {"every": every, "smooth": smooth}
-        with self._lock:
-            detections = find_in_video(path, Path(path).stem, **options)
+        detections = find_in_video(path, Path(path).stem, **options)
         by_frame = groupby(self._estimate(detections), key=lambda face: face.frame_ref.frame)
         faces = {frame: [*some] for frame, some in by_frame}
         for frame in Video(path, every):
@@ -192,9 +188,8 @@ class FaceLifter:
         return {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
 
     def _estimate(self, detections: Detections) -> list[Face]:
-        with self._lock:
-            options = {"model": self.model, "interocular": self.interocular}
-            return estimate(detections, **options) if len(detections.names) else []
+        options = {"model": self.model, "interocular": self.interocular}
+        return estimate(detections, **options) if len(detections.names) else []
 
 
 def predict_photo(

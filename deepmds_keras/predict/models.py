@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import ClassVar
 
 import numpy as np
@@ -67,7 +68,7 @@ class PaperNetworks:
         with needs("TensorFlow with Keras, which run the paper's networks,", "keras"):
             from deepmds_keras.pipeline import DeepMDS
 
-        self._networks = DeepMDS.load(path)
+        self._networks, self._turn = DeepMDS.load(path), Lock()
         self.n_landmarks = self._networks.n_landmarks
         self.centred = self._networks.centre_views
 
@@ -84,8 +85,9 @@ class PaperNetworks:
                 "landmarks must all be there for the model deepmds; the model lifting takes faces "
                 f"with some missing. Received {np.isnan(views).any(2).sum()} missing landmarks."
             )
-        self._networks.set_params(n_jobs=jobs)
-        shapes = self._networks.predict(views, check_orientation=False, progress=progress)
+        with self._turn:  # threads share the networks, and their n_jobs
+            self._networks.set_params(n_jobs=jobs)
+            shapes = self._networks.predict(views, check_orientation=False, progress=progress)
         return shapes, None, head_poses(views, shapes)
 
 
