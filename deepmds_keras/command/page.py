@@ -7,6 +7,7 @@ import hashlib
 import html
 import io
 import json
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -90,7 +91,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
         "scale": SCALE[face.unit],
         "digits": digits,
         "points": np.round(face.xyz, digits + 1).tolist(),
-        "landmarks": np.round(face.landmarks, 3).tolist(),
+        "landmarks": _or_null(face.landmarks, 3),
         "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
         "notes": face.notes,
         "photo": _picture(face, photo),
@@ -99,15 +100,16 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
 
 def _picture(face: Face, photo: np.ndarray | None) -> dict:
     """Picture next to the shape; in its pixels the landmarks, and the shape in the head's pose."""
+    seen = face.landmarks_3d[:, :2]
     if photo is None:
-        low, extent = face.landmarks.min(0), np.ptp(face.landmarks, axis=0)
+        low, extent = seen.min(0), np.ptp(seen, axis=0)
         scale, jpeg = _BARE_SIDE / extent.max(), None
         width, height = scale * extent + 2 * _BARE_MARGIN
 
         def place(points):
             return scale * (points - low) + _BARE_MARGIN
     else:
-        cutout, buffer = cut_out(photo, face.landmarks), io.BytesIO()
+        cutout, buffer = cut_out(photo, seen), io.BytesIO()
         cutout.image.save(buffer, "jpeg", quality=85, optimize=True)
         jpeg = "data:image/jpeg;base64," + _base64(buffer.getvalue())
         place, (width, height) = cutout.place, cutout.image.size
@@ -115,9 +117,15 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
         "jpeg": jpeg,
         "width": round(float(width), 1),
         "height": round(float(height), 1),
-        "landmarks": np.round(place(face.landmarks), 1).tolist(),
+        "landmarks": _or_null(place(face.landmarks), 1),
         "shape": np.round(place(face.seen_shape), 1).tolist(),
     }
+
+
+def _or_null(points: np.ndarray, decimals: int) -> list[list[float] | None]:
+    """Rounded points `(L, 2)`, None where one is missing."""
+    rounded = np.round(points, decimals).tolist()
+    return [None if math.isnan(x) else [x, y] for x, y in rounded]
 
 
 def _mesh(face: Face) -> dict:

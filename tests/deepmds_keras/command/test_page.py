@@ -100,6 +100,20 @@ def test_the_photo_is_loaded_and_the_shape_drawn(page_of, face, photo):
     assert page.locator("svg circle").count() == 72
 
 
+@pytest.mark.parametrize("in_photo", [True, False])
+def test_a_missing_landmark_has_no_dot_and_no_place(page_of, face, photo, in_photo):
+    landmarks = face.landmarks.copy()
+    landmarks[3] = np.nan
+    page = page_of([replace(face, landmarks=landmarks)], [photo if in_photo else None])
+    radii = "(all) => all.map((dot) => Number(dot.getAttribute('r')) > 0)"
+    dots = page.locator("svg circle").evaluate_all(radii)
+    assert dots == [i != 3 for i in range(72)]
+    page.get_by_text("Coordinates").click()
+    page.locator("tbody").wait_for()
+    cells = page.locator("tbody tr").nth(3).locator("td").all_inner_texts()
+    assert cells[5:] == ["–", "–"] and "–" not in cells[:5]
+
+
 @pytest.mark.parametrize(
     ("button", "pose"), [("Front", FRONT), ("Side", SIDE), ("As in the photo", {})]
 )
