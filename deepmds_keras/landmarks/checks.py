@@ -11,6 +11,21 @@ import numpy as np
 from deepmds_keras.errors import InputError
 
 
+def as_numbers(points: np.ndarray, name: str) -> np.ndarray:
+    """An array of floats, NaN where the input is masked.
+
+    Raises:
+        InputError: Lists of unequal lengths, or anything but real numbers.
+    """
+    try:
+        points = points if np.ma.isMaskedArray(points) else np.asarray(points)
+    except ValueError:
+        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
+    if points.dtype.kind not in "fiu":
+        raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
+    return np.ma.filled(points.astype(float), np.nan)
+
+
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:
     """Landmarks as a validated finite float array `(n, L, n_dimensions)`.
 
@@ -22,13 +37,7 @@ def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray
     Raises:
         InputError: Wrong shape, or a face with one of the faults of `find_faults`.
     """
-    try:
-        points = points if np.ma.isMaskedArray(points) else np.asarray(points)
-    except ValueError:  # lists of unequal lengths
-        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
-    if not np.issubdtype(points.dtype, np.number):
-        raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
-    points = np.ma.filled(points.astype(float), np.nan)  # what is masked is unknown
+    points = as_numbers(points, name)
     points = points[None] if points.ndim == 2 else points
     shape = points.shape
     if len(shape) != 3 or shape[0] < 1 or shape[1] < 3 or shape[2] != n_dimensions:

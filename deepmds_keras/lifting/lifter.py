@@ -202,7 +202,7 @@ class LandmarkLifter:
 
         Args:
             views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale and place. A
-                landmark with a coordinate that is NaN is missing.
+                landmark with a coordinate that is NaN or masked is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
                 views: one number, one for each face `(n,)` or for each landmark `(n, L)`. None
                 assumes `default_sd_`, which suits good landmarks; use 0 for exact ones.

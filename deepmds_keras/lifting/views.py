@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks.checks import as_numbers
 
 LEAST_VISIBLE = 6
 _FLAT = 1e-6  # variance across a line relative to the whole: less is rounding
@@ -31,7 +32,7 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
     """Check views, mark what is missing, centre and scale what is visible.
 
     Args:
-        points: `(n, L, 2)` or `(L, 2)`, NaN where a landmark is missing.
+        points: `(n, L, 2)` or `(L, 2)`, NaN or masked where a landmark is missing.
         n_landmarks: L.
         visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
         landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the points:
@@ -96,10 +97,7 @@ def standardise(points, visible):
 
 
 def _check_points(points, n_landmarks):
-    points = np.asarray(points)
-    if points.dtype.kind not in "fiu":
-        raise InputError(f"views must hold numbers. Received dtype {points.dtype}.")
-    points = points.astype(float, copy=False)
+    points = as_numbers(points, "views")
     if points.ndim == 2:
         points = points[None]
     if points.ndim != 3 or points.shape[1:] != (n_landmarks, 2) or not len(points):

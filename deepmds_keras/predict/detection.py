@@ -133,7 +133,8 @@ def find_in_video(
     Raises:
         InputError: It cannot be read, or no frame has a face.
     """
-    video, frames, times, faces, pictures = Video(source, every), [], [], [], []
+    video, frames, times, faces = Video(source, every), [], [], []
+    changes, before = [], None
     frames_left, scheme = iter(video), DETECTORS[detector].scheme
     target = target_scheme(scheme, model)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
@@ -145,12 +146,14 @@ def find_in_video(
             faces += [to_ibug(convert(p, scheme, target), detector, target) for p in detections]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
-            pictures += [_sampled(frame.image) for frame in batch]
+            for picture in (_sampled(frame.image) for frame in batch):
+                changes.append(0.0 if before is None else np.abs(picture - before).mean() / 255)
+                before = picture
             bar.update(len(batch))
     counts = [len(here) for here in faces]
     if not any(counts):
         raise no_face(Path(source), detector, "in any frame")
-    tracks = np.concatenate(follow_faces(faces, times, find_cuts(pictures)))
+    tracks = np.concatenate(follow_faces(faces, times, find_cuts(changes)))
     landmarks = np.concatenate(faces)
     frames, times = np.repeat(frames, counts), np.repeat(times, counts)
     order = np.lexsort((tracks, frames))
@@ -166,13 +169,12 @@ def find_in_video(
     )
 
 
-def find_cuts(pictures: Sequence[np.ndarray]) -> np.ndarray:
+def find_cuts(changes: Sequence[float]) -> np.ndarray:
     """Whether a video cuts to another scene at each of its frames, `(n,)` bool.
 
-    All pictures have the same shape.
+    Changes are mean absolute differences from the frame before, as a part of the range.
     """
-    changes = [np.abs(a - b).mean() / 255 for a, b in zip(pictures, pictures[1:], strict=False)]
-    changes = np.array([0.0, *changes])
+    changes = np.array(changes)
     cuts = changes > _CUT
     for i in np.flatnonzero(cuts):
         near = np.r_[changes[max(i - _CUT_FRAMES, 1) : i], changes[i + 1 : i + 1 + _CUT_FRAMES]]

@@ -14,6 +14,7 @@ from deepmds_keras.detection import DETECTORS, default_detector
 from deepmds_keras.detection.photos import check_photo, in_colour, open_photo
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks.checks import as_numbers
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.predict.detection import find_in_photo, find_in_video
 from deepmds_keras.predict.estimation import check_interocular, estimate
@@ -230,19 +231,14 @@ def predict_landmarks(
 
 def _check_points(points) -> np.ndarray:
     """`(n, L, 2)` floats, NaN where the input is masked."""
-    try:
-        masked = isinstance(points, np.ma.MaskedArray)
-        points = points.astype(float).filled(np.nan) if masked else np.asarray(points)
-    except ValueError:  # lists of unequal lengths
-        points = np.empty(0, object)
-    if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.shape[-1] != 2:
+    points = as_numbers(points, "landmarks")
+    if points.ndim not in (2, 3) or points.shape[-1] != 2:
         raise InputError(
-            "landmarks must be numbers of shape (n, L, 2) or (L, 2). "
-            f"Received {points.dtype} of shape {points.shape}."
+            f"landmarks must be of shape (n, L, 2) or (L, 2). Received shape {points.shape}."
         )
     if np.isinf(points).any():
         raise InputError("landmarks must be finite, or NaN where they are missing.")
-    return np.asarray(points if points.ndim == 3 else points[None], float)
+    return points if points.ndim == 3 else points[None]
 
 
 def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:

@@ -144,7 +144,9 @@ def test_what_is_missing_does_not_matter(lifter, faces):
         views[~visible] = anything
         estimate = lifter.predict(views, visible=visible, return_std=True)
         assert all(map(np.array_equal, estimate, expected))
-    assert np.array_equal(lifter.predict(views), expected[0])
+    masked = np.ma.masked_array(np.nan_to_num(views), np.isnan(views))
+    for missing in (views, masked):
+        assert np.array_equal(lifter.predict(missing), expected[0])
 
 
 def test_landmarks_that_are_said_to_be_bad_count_less(lifter, faces):

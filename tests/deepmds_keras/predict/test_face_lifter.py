@@ -144,11 +144,11 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (None, "numbers of shape"),
-        ({}, "numbers of shape"),
-        ([1.0, 2.0], "numbers of shape"),
-        ([[1.0], [2.0, 3.0]], "numbers of shape"),
-        (np.zeros((68, 3)), r"\(L, 2\). Received float64 of shape \(68, 3\)"),
+        (None, "hold numbers. Received dtype object"),
+        ({}, "hold numbers. Received dtype object"),
+        ([1.0, 2.0], r"of shape .* Received shape \(2,\)"),
+        ([[1.0], [2.0, 3.0]], "one array. Received rows of unequal lengths"),
+        (np.zeros((68, 3)), r"\(L, 2\). Received shape \(68, 3\)"),
         (np.ones((68, 2)), "spread out"),
         (np.full((68, 2), np.nan), "not all be missing"),
         (np.full((68, 2), np.inf), "finite, or NaN"),
