@@ -40,7 +40,7 @@ from deepmds_keras.predict.detection import (
 )
 from deepmds_keras.predict.estimation import estimate
 from deepmds_keras.predict.faces import Detections, Face, name_faces
-from deepmds_keras.predict.landmark_files import read_faces
+from deepmds_keras.predict.landmark_files import find_unusable, read_faces
 from deepmds_keras.predict.models import (
     DEFAULT,
     FAMILIES,
@@ -275,20 +275,26 @@ def _detect(
         return photo, detections
     landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size)
     n, scheme = len(landmarks), scheme_of(landmarks.shape[1])
-    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
     odd = check_y_axis(landmarks, scheme, str(source))
-    landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     target = target_scheme(scheme, model)
-    incomplete = np.flatnonzero(np.isnan(landmarks).any((1, 2)) & ~np.isnan(landmarks).all((1, 2)))
-    if len(incomplete) and load_model(name_for(target, model)).family != DEFAULT:
-        landmarks[incomplete] = np.nan
+    landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing
+    faults |= find_unusable(landmarks)
+    missing = np.isnan(landmarks).any(2)
+    if missing.any() and load_model(name_for(target, model)).family != DEFAULT:
+        incomplete = np.flatnonzero(missing.any(1) & ~missing.all(1))
         fault = f"must have all landmarks for the model {model}. Received some without"
         faults |= dict.fromkeys(incomplete.tolist(), fault)
+    landmarks[[*faults]] = np.nan
+    if np.isnan(landmarks).all():
+        fault = next(iter(faults.values()), f"must have landmarks of {target}. Received none")
+        raise InputError(f"{source}: each face {fault}.")
+    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+    landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     return None, Detections(
         source=source,
         names=name_faces(name, n),
         scheme=target,
-        landmarks=convert(landmarks, scheme, target),
+        landmarks=landmarks,
         is_photo=False,
         faults=faults,
         notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},

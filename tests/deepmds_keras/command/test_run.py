@@ -434,6 +434,10 @@ def test_faces_with_missing_landmarks_are_estimated_but_by_the_networks_of_the_p
     assert table["residual"].isna().sum() == 1
     written = json.loads((tmp_path / "out" / "some.json").read_text())["faces"][1]
     assert written["landmarks"][3] == [None, None] and None not in written["shape"][3]
-    options = ("--model", "deepmds", "--out", tmp_path / "paper")
-    status, _, errors = predict(tmp_path / "some.npy", *options)
-    assert status == 1 and "1 of 2 faces cannot be used and are gaps: 2" in errors[0]
+    np.save(tmp_path / "jawless.npy", convert(faces[0], "ibug51", "ibug68", missing="nan"))
+    np.save(tmp_path / "alone.npy", faces[1])
+    sources = [tmp_path / f"{name}.npy" for name in ("some", "jawless", "alone")]
+    status, output, errors = predict(*sources, "--model", "deepmds", "--out", tmp_path / "paper")
+    assert status == 1 and "jawless.npy: 1 face →" in output, "whose 51 landmarks are all there"
+    assert "1 of 2 faces cannot be used and are gaps: 2" in errors[0]
+    assert "alone.npy: each face must have all landmarks for the model deepmds" in errors[1]
