@@ -77,6 +77,11 @@ def evaluate(
                 f"{landmarks} must have {shapes.shape[1]} landmarks of {len(shapes)} faces, as "
                 f"{truth}. Received {views.shape[1]} of {len(views)}."
             )
+        for face in np.flatnonzero(np.isnan(views).all((1, 2))).tolist():
+            raise InputError(
+                f"{landmarks} must have landmarks of each face. Received none of face {face + 1}: "
+                "leave it out of both files."
+            )
     predicted = {
         "mean shape": np.broadcast_to(mean, shapes.shape),
         "lifting": lifter.predict(views),
