@@ -132,7 +132,7 @@ def camera_angles(rotations: np.ndarray) -> np.ndarray:
     """
     (right, up_x, front), (_, up_y, _), (side, up, ahead) = np.moveaxis(rotations, 0, 2)
     steepness = np.hypot(side, ahead)
-    level = steepness > _STEEP
+    level = ~(steepness <= _STEEP)  # NaN, of a gap, stays NaN
     yaw = np.arctan2(*np.where(level, (-side, ahead), (front, right)))
     roll = np.where(level, np.arctan2(-up_x, up_y), 0.0)
     return np.rad2deg([yaw, -np.arctan2(up, steepness), roll])

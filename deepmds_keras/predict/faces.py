@@ -104,9 +104,8 @@ class Face:
     score: float | None = None
 
     def __repr__(self) -> str:
-        notes = f", {len(self.notes)} notes" * bool(self.notes)
-        pose = "gap" if self.is_gap else self.angles
-        return f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {pose}{notes}>"
+        pose = self.angles + f", {len(self.notes)} notes" * bool(self.notes)
+        return f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {pose}>"
 
     def __getattr__(self, name: str):
         """Names of an earlier release."""
@@ -147,7 +146,9 @@ class Face:
 
     @property
     def angles(self) -> str:
-        """The head's pose in whole degrees: `yaw +20°, pitch +12°, roll -8°`."""
+        """The head's pose in whole degrees: `yaw +20°, pitch +12°, roll -8°`; or `gap`."""
+        if self.is_gap:
+            return "gap"
         pose = self.pose
         return f"yaw {round(pose.yaw):+}°, pitch {round(pose.pitch):+}°, roll {round(pose.roll):+}°"
 

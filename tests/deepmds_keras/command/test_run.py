@@ -217,7 +217,7 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
     assert "f.npy: 5 faces, 3 gaps →" in output
     out, seen = tmp_path / "out", [0, 3, 4, 7]
     arrays, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
-    for key in ("shape", "landmarks", "yaw", "rotation"):
+    for key in ("shape", "landmarks", "yaw", "roll", "rotation"):
         np.testing.assert_allclose(arrays[key][seen], expected[key], atol=1e-6)
         assert np.isnan(arrays[key][[1, 5, 6]]).all(), key
     records = json.loads((out / "f.json").read_bytes())["faces"]

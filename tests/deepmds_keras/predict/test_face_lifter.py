@@ -116,7 +116,8 @@ def test_missing_landmarks_are_predicted_and_do_not_touch_other_faces(landmarks)
     )
     for faces in ways:
         assert np.array_equal(shapes(faces), shapes(ways[0]), equal_nan=True)
-        assert [face.is_gap for face in faces] == [i == 3 for i in range(N)]
+        assert [face.angles == "gap" for face in faces] == [i == 3 for i in range(N)]
+        assert np.isnan([faces[3].pose.yaw, faces[3].pose.roll, faces[3].pose.scale]).all()
     assert np.array_equal(shapes(ways[0])[4:], shapes(whole)[4:])
     jaw = ways[0][0]
     assert np.isfinite(jaw.xyz).all() and np.isfinite(jaw.landmarks_3d).all()
