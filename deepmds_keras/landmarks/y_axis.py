@@ -39,7 +39,8 @@ def check_y_axis(
     Then y grows upwards, or right and left are swapped. A batch is judged as a whole: single faces
     may be oriented oddly. Eyes and mouth decide: the eyes must be above the mouth, and seen from
     the mouth towards the eyes, the subject's right eye must be on the left. A face may lean by
-    nearly 90 degrees. Profiles pass, whichever side they show; faces with a NaN are not judged.
+    nearly 90 degrees. Profiles pass, whichever side they show; faces that lack a landmark of the
+    eyes or of the outer mouth are not judged.
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
@@ -59,7 +60,7 @@ def check_y_axis(
     area = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
     faults = {}
     for face in np.flatnonzero((down[:, 1] < 0) | (area < 0)).tolist():  # few, if any
-        size = rms_radius(faces[face])
+        size = rms_radius(faces[face][~np.isnan(faces[face]).any(1)])
         least = _SWAPPED * size * np.linalg.norm(down[face])
         upside_down = down[face, 1] < -_BELOW * size
         if upside_down and area[face] > least:
@@ -77,7 +78,7 @@ def check_views(views: np.ndarray) -> None:
     """`check_y_axis` for views whose y grows upwards; views of an unknown scheme pass.
 
     Args:
-        views: `(n, L, 2)`; faces with a NaN are not judged.
+        views: `(n, L, 2)`, NaN where a landmark is missing.
 
     Raises:
         InputError: y grows downwards, or most faces are mirrored or upside down.
@@ -120,11 +121,12 @@ def _eyes_and_mouth(
     landmarks: np.ndarray, scheme: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Checked landmarks, and the vectors from the right eye to the left, and to the mouth."""
-    # A part may be unknown: then the vectors are NaN.
     judged = scheme if {*_PARTS} <= {*load_scheme(scheme).groups} else "ibug51"
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
-    right, left, mouth = (_middles(judged) @ faces).swapaxes(0, 1)
+    # Of a part that is not known the vectors are NaN; what belongs to none may be missing.
+    parts = np.where(_middles(judged).any(0)[:, None], faces, 0)
+    right, left, mouth = (_middles(judged) @ parts).swapaxes(0, 1)
     return faces, left - right, mouth - (right + left) / 2
 
 

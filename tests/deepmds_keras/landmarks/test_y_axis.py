@@ -84,10 +84,16 @@ def test_points_of_mediapipe_are_judged_by_those_that_are_ibugs():
         check_y_axis(points * DOWN, "mediapipe", "a.npy")
 
 
-def test_faces_with_nan_are_not_judged():
+def test_faces_without_all_of_eyes_and_mouth_are_not_judged_but_those_without_a_jaw_are():
     faces = np.concatenate([seen() * DOWN, seen()])
     faces[0, 3] = np.nan
     check_y_axis(faces, "bfm72", "a.npy")
+    jawless = seen(scheme="ibug68")
+    jawless[:, :17] = np.nan
+    check_y_axis(jawless, "ibug68", "a.npy")
+    assert quarter_turns(jawless[..., ::-1] * DOWN, "ibug68").tolist() == [-1]
+    with pytest.raises(InputError, match="--y-up"):
+        check_y_axis(jawless * DOWN, "ibug68", "a.npy")
 
 
 def test_the_wrong_number_of_landmarks_is_refused():
