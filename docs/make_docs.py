@@ -7,6 +7,7 @@ named.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -140,7 +141,11 @@ def pages(root: Path = ROOT) -> dict[str, str]:
 
 
 def main() -> None:
-    for place, text in pages().items():
+    try:
+        written = pages()
+    except (KeyError, FileNotFoundError) as error:
+        sys.exit(f"error: results/ must be those of make all-results. Received none of {error}.")
+    for place, text in written.items():
         write_bytes(ROOT / place, text.encode())
         print(place)
 

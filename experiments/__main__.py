@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -73,11 +74,23 @@ def _spec(module: str):
     return None
 
 
+def _step(module: str, *arguments):
+    """`main` of a module that takes such arguments."""
+    step = getattr(import_module(module), "main", None)
+    try:
+        signature(step).bind(*arguments)
+    except TypeError as error:
+        reason = f"{module} must be a step that takes these items. Received: {error}."
+        raise InputError(reason) from None
+    return step
+
+
 def _run_step(module: str, run: Run, values: dict) -> None:
     """Run a step, then write its record and the manifests of its results."""
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
     machine = environment()  # before the step, lest a commit made meanwhile is taken for its code
-    outcome = import_module(module).main(run, *values["items"]) or {}
+    step = _step(module, run, *values["items"])
+    outcome = step(run, *values["items"]) or {}
     records = [path for path in values["inputs"] if path.parent.name == "records"]
     outside = [p for p in values["inputs"] if p not in records and run.build not in p.parents]
     record = {

@@ -23,7 +23,7 @@ from data_gen.models.registry import model_files
 from deepmds_keras.errors import InputError
 from experiments.__main__ import PARENT, one_line_errors
 from experiments.records import is_current, read_record
-from experiments.run import Run, check_authors, run_of_variables
+from experiments.run import Run, check_weights, run_of_variables
 
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
     more = shlex.split(variables.pop("SNAKEMAKE", ""))
     with one_line_errors():
         run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
-        check_authors(run)
+        check_weights(run)
         model_files(run.model, run.data)  # which says where to get what is missing
         snakemake = [
             sys.executable, "-m", "snakemake", target.replace("-", "_"), "-s", str(_SNAKEFILE),
@@ -93,9 +93,9 @@ def draw(command: list[str], path: Path) -> None:
     """
     if shutil.which("dot") is None:
         raise InputError("Graphviz must be installed to draw (apt install graphviz). None found.")
-    graph = subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
+    graph = _planned(command)
     path.parent.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["dot", "-Tsvg", "-o", str(path)], input=graph, check=True)
+    subprocess.run(["dot", "-Tsvg", "-o", str(path)], input=graph, text=True, check=True)
     print(path)
 
 
@@ -117,12 +117,17 @@ def locked(folder: Path) -> Iterator[None]:
 
 def _plan(command: list[str]) -> None:
     """Print the steps of a dry run of Snakemake, and nothing else of its output."""
+    steps = [line for line in _planned(command).splitlines() if line.startswith("Step ")]
+    print("\n".join(steps) or "Nothing is to be done.")
+
+
+def _planned(command: list[str]) -> str:
+    """Output of a Snakemake command that runs no step; its errors are shown, and end this one."""
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         print(done.stderr, file=sys.stderr)
         raise SystemExit(2)
-    steps = [line for line in done.stdout.splitlines() if line.startswith("Step ")]
-    print("\n".join(steps) or "Nothing is to be done.")
+    return done.stdout
 
 
 def _run(command: list[str], made_by: str) -> None:

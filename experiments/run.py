@@ -237,15 +237,20 @@ def run_of(values: dict) -> Run:
     return run
 
 
-def check_authors(run: Run) -> None:
-    """Check that the folder of the authors' weights has those of the run's track.
+def check_weights(run: Run) -> None:
+    """Check that the authors' weights of the run's track and RingNet's are there, if given.
 
     Raises:
-        InputError: It has not.
+        InputError: They are not.
     """
     for name in AUTHORS_FILES[run.track] if run.authors else ():
         if not Path(run.authors, name).is_file():
             raise InputError(f"AUTHORS must be a folder with {name}. Received {run.authors}.")
+    if run.ringnet and not Path(f"{run.ringnet}.index").is_file():
+        raise InputError(
+            "RINGNET must be yes, no or the path of the licensed checkpoint without suffix, such "
+            f"as ring_6_68641. Received {run.ringnet}."
+        )
 
 
 def run_of_variables(variables: dict[str, str], track: str = "bfm") -> Run:
@@ -285,6 +290,10 @@ def _check_numbers(given: dict) -> None:
     for name, least in (("seed", 0), ("seeds", 2), ("faces", 2)):
         if given[name] is not None and given[name] < least:
             raise InputError(f"{name.upper()} must be at least {least}. Received {given[name]}.")
+    if given["jobs"] < 1 and given["jobs"] != -1:
+        raise InputError(
+            f"JOBS must be at least 1, or -1 for every core. Received {given['jobs']}."
+        )
 
 
 def _within(data: Path, dataset: str) -> str | None:

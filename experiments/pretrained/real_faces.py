@@ -39,6 +39,8 @@ _STRENGTH = 6.0
 
 
 def main(run: Run, file: str) -> dict:
+    if not file:
+        raise InputError("REAL must be an npz file of arrays dlib and mediapipe. Received nothing.")
     arrays = read_npz(file)
     if not {"dlib", "mediapipe"} <= {*arrays}:
         raise InputError(f"{file} must hold arrays dlib and mediapipe. Received {[*arrays]}.")

@@ -34,23 +34,22 @@ def verdict(run: Run) -> list[str]:
     ]
     if run.preset.caution:
         return [*lines, f"Not compared with the committed run: {run.preset.caution}."]
-    off = _differences(rows, _committed(run))
-    if off is None:
+    there = _committed(run)
+    if there is None:
         return [*lines, "There is no committed run to compare with."]
+    off = _differences(rows, there)
     if off.empty:
-        return [*lines, "This run agrees with the committed one."]
+        return [*lines, f"This run agrees with the committed one{_not_compared(rows, there)}."]
     return [*lines, f"It differs from the committed run, see make check: {', '.join(off.index)}."]
 
 
-def _differences(here: pd.DataFrame, there: pd.DataFrame | None) -> pd.DataFrame | None:
-    """Methods whose error differs from the committed one; None if none is committed.
+def _differences(here: pd.DataFrame, there: pd.DataFrame) -> pd.DataFrame:
+    """Methods whose error differs from the committed one.
 
     Returns:
         `here, low, high` by method: the error, and the range that the committed run allows: that of
         its seeds or, for one training, its error, widened by `_TOLERANCE`.
     """
-    if there is None:
-        return None
     ends = there.reindex(columns=["lowest", "highest"])
     allowed = pd.DataFrame(
         {
@@ -62,19 +61,31 @@ def _differences(here: pd.DataFrame, there: pd.DataFrame | None) -> pd.DataFrame
     return allowed[~allowed["here"].between(allowed["low"], allowed["high"])]
 
 
+def _not_compared(here: pd.DataFrame, there: pd.DataFrame) -> str:
+    """End of a sentence with the methods of the committed run that this one was without."""
+    without = there.index[there["mean"].notna() & here["mean"].reindex(there.index).isna()]
+    return f"; not run here: {', '.join(without)}" if len(without) else ""
+
+
 def check(run: Run) -> None:
     """Report whether the table of a run matches the committed one; exit with status 1 if not.
 
     Raises:
-        InputError: One of the two does not exist.
+        InputError: One of the two does not exist, or they are the same file.
     """
-    off = _differences(_fresh(run), _committed(run))
-    if off is None:
+    here, there = _fresh(run), _committed(run)
+    if there is None:
         raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")
+    if _table(run).read_text(encoding="utf-8").strip() == _committed_text(run):  # times and all
+        raise InputError(
+            f"{_table(run)} must be of a run of yours. Received the committed one: run "
+            f"make reproduce-{run.track} first."
+        )
+    off = _differences(here, there)
     if len(off):
         print(off.to_string(float_format="{:.3g}".format))
         raise SystemExit(1)
-    print(f"{_table(run)} agrees with the committed run.")
+    print(f"{_table(run)} agrees with the committed run{_not_compared(here, there)}.")
 
 
 def _cell(rows: pd.DataFrame, method: str, unit: float) -> str:
@@ -97,9 +108,14 @@ def _fresh(run: Run) -> pd.DataFrame:
 
 
 def _committed(run: Run) -> pd.DataFrame | None:
+    text = _committed_text(run)
+    return None if text is None else _errors(io.StringIO(text))
+
+
+def _committed_text(run: Run) -> str | None:
     path = _table(run)
     try:
-        return _errors(io.StringIO(git("show", f"HEAD:./{path.name}", folder=path.parent)))
+        return git("show", f"HEAD:./{path.name}", folder=path.parent)
     except (OSError, subprocess.CalledProcessError):
         return None
 

@@ -146,6 +146,8 @@ def test_the_steps_of_a_target_are_drawn(tmp_path):
     assert status == 0
     drawn = (tmp_path / "audit.svg").read_text(encoding="utf-8")
     assert drawn.startswith("<?xml") and "ablation" in drawn
+    status, _, errors = ended(runs.command("audti", tmp_path, "DAG=audti.svg"))
+    assert status == 2 and "No rule to produce audti" in errors and "Traceback" not in errors
 
 
 @pytest.mark.slow
@@ -177,6 +179,8 @@ def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_me
         ("reproduce-bfm", ["MODEL=foo"], "invalid choice: 'foo'"),
         ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
         ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
+        ("reproduce-bfm", ["JOBS=0"], "JOBS must be at least 1, or -1"),
+        ("reproduce-flame", ["RINGNET=ja"], "RINGNET must be yes, no or the path"),
         ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file of bfm2009"),
         ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),
         ("reproduce-flame", ["EVALUATOR=released"], "EVALUATOR must be paper"),
@@ -295,7 +299,7 @@ def test_the_command_line_of_a_run_is_that_run(tmp_path):
     assert run_of_variables(again | {"TRACK": "flame"}, "flame") == run
 
 
-def test_the_makefile_hands_on_every_variable():
+def test_the_makefile_hands_on_every_variable_and_needs_all_for_all_results():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     given = {"DATA": "it's a folder", "SEEDS": "7", "DRY": "1"}
     words = [f"{name}={value}" for name, value in given.items()]
@@ -305,6 +309,11 @@ def test_the_makefile_hands_on_every_variable():
     )  # fmt: skip
     for name, value in given.items():
         assert f"'{name}={value}'".replace("it's", "it'\\''s") in done.stdout
+    done = subprocess.run(
+        ["make", "-o", ".venv/.ready", "all-results", "DATA=.", "AUTHORS=."],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode and "error: SFM must be a file or folder" in done.stderr
     defaults = {line.split()[0] for line in makefile.splitlines() if " ?=" in line}
     handed_on = makefile.partition("VARIABLES :=")[2].partition("PY :=")[0].split()
     assert defaults - {"PYTHON", "VENV", "TARGET", "REAL"} == {*handed_on} - {"\\"}

@@ -63,6 +63,8 @@ def test_a_run_ends_with_its_verdict(run):
     assert compared == "This run agrees with the committed one."
     write(run, ERRORS | {"ours": 3e-4})
     assert verdict(run)[1].endswith("see make check: ours.")
+    write(run, {method: ERRORS[method] for method in ("mean_shape", "own_constant", "ours")})
+    assert verdict(run)[1].endswith("agrees with the committed one; not run here: lifting.")
     small = replace(run, preset=SMOKE)
     write(small, ERRORS)
     assert "Not compared" in verdict(small)[1]
@@ -91,8 +93,10 @@ def test_check_allows_what_seeds_do(run, capsys, changes, off):
     assert [row.split()[0] for row in rows] == off
 
 
-def test_check_needs_a_committed_table_and_a_fresh_one(tmp_path):
-    run = Run("openhead", FULL, results=tmp_path / "results")
+def test_check_needs_a_committed_table_and_a_fresh_one(run, tmp_path):
+    with pytest.raises(InputError, match="Received the committed one: run make reproduce-bfm"):
+        check(run)
+    run = replace(run, results=tmp_path / "ignored")
     with pytest.raises(InputError, match=r"table.csv must be there. Run make reproduce-bfm"):
         check(run)
     write(run, ERRORS)
