@@ -144,7 +144,7 @@ def main() -> None:
     try:
         written = pages()
     except (KeyError, FileNotFoundError) as error:
-        sys.exit(f"error: results/ must be those of make all-results. Received none of {error}.")
+        sys.exit(f"error: results/ must be those of make all-results. Missing: {error}.")
     for place, text in written.items():
         write_bytes(ROOT / place, text.encode())
         print(place)

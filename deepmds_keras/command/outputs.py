@@ -264,8 +264,12 @@ def _rounded(values) -> list | float | None:
     if np.isnan(values).all():
         return None
     largest = max(np.nanmax(np.abs(values)), 1e-9)
-    rounded = np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest))))
-    return np.where(np.isnan(rounded), None, rounded).tolist()
+    return or_null(np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))))
+
+
+def or_null(values: np.ndarray) -> list | float | None:
+    """Numbers for JSON, which has no NaN."""
+    return np.where(np.isnan(values), None, values).tolist()
 
 
 def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:

@@ -7,7 +7,6 @@ import hashlib
 import html
 import io
 import json
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras import __version__
-from deepmds_keras.command.outputs import AXES, SCALE
+from deepmds_keras.command.outputs import AXES, SCALE, or_null
 from deepmds_keras.command.overlay import cut_out
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
@@ -91,7 +90,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
         "scale": SCALE[face.unit],
         "digits": digits,
         "points": np.round(face.xyz, digits + 1).tolist(),
-        "landmarks": _or_null(face.landmarks, 3),
+        "landmarks": or_null(np.round(face.landmarks, 3)),
         "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
         "notes": face.notes,
         "photo": _picture(face, photo),
@@ -117,15 +116,9 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
         "jpeg": jpeg,
         "width": round(float(width), 1),
         "height": round(float(height), 1),
-        "landmarks": _or_null(place(face.landmarks), 1),
+        "landmarks": or_null(np.round(place(face.landmarks), 1)),
         "shape": np.round(place(face.seen_shape), 1).tolist(),
     }
-
-
-def _or_null(points: np.ndarray, decimals: int) -> list[list[float] | None]:
-    """Rounded points `(L, 2)`, None where one is missing."""
-    rounded = np.round(points, decimals).tolist()
-    return [None if math.isnan(x) else [x, y] for x, y in rounded]
 
 
 def _mesh(face: Face) -> dict:

@@ -278,7 +278,8 @@ def _detect(
     odd = check_y_axis(landmarks, scheme, str(source))
     target = target_scheme(scheme, model)
     landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing
-    faults |= find_unusable(landmarks)
+    if target != scheme:
+        faults |= find_unusable(landmarks)
     missing = np.isnan(landmarks).any(2)
     if missing.any() and load_model(name_for(target, model)).family != DEFAULT:
         incomplete = np.flatnonzero(missing.any(1) & ~missing.all(1))

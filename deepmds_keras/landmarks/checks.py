@@ -12,7 +12,7 @@ from deepmds_keras.errors import InputError
 
 
 def as_numbers(points: np.ndarray, name: str) -> np.ndarray:
-    """An array of floats, NaN where the input is masked.
+    """An array of floats, NaN where the input is masked; the input itself if it is one.
 
     Raises:
         InputError: Lists of unequal lengths, or anything but real numbers.
@@ -23,7 +23,7 @@ def as_numbers(points: np.ndarray, name: str) -> np.ndarray:
         raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
     if points.dtype.kind not in "fiu":
         raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
-    return np.ma.filled(points.astype(float), np.nan)
+    return np.ma.filled(points.astype(float, copy=False), np.nan)
 
 
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:

@@ -30,12 +30,16 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 # much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
-_turn = Lock()  # threads share a detector, which two at once would crash
+_turn = Lock()
 
 
 def open_detector(detector: str, landmarker: str | None) -> Find:
-    """A detector of `DETECTORS`, opened once per process; InputError says what is missing."""
-    return _opened(DETECTORS[detector].open, landmarker)
+    """A detector of `DETECTORS`, opened once per process; InputError says what is missing.
+
+    Threads take turns: two at once would crash it.
+    """
+    with _turn:
+        return _opened(DETECTORS[detector].open, landmarker)
 
 
 def no_face(source: Path, detector: str, where: str) -> InputError:
@@ -96,8 +100,7 @@ def find_in_photo(
     """
     scheme = DETECTORS[detector].scheme
     target = target_scheme(scheme, model)
-    with _turn:
-        landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
+    landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
     return Detections(
         source=source,
         names=name_faces(name, len(landmarks)),
@@ -259,8 +262,7 @@ def smooth_over_time(
 
 def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
     """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
-    with _turn:
-        return open_detector(detector, landmarker)(image)[0]
+    return open_detector(detector, landmarker)(image)[0]
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -279,4 +281,10 @@ def _sampled(image: np.ndarray) -> np.ndarray:
 @cache
 def _opened(open_, landmarker: str | None) -> Find:
     """Open a detector once per process: a landmarker takes a while to load."""
-    return open_(landmarker)
+    find = open_(landmarker)
+
+    def find_in_turn(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with _turn:
+            return find(image)
+
+    return find_in_turn

@@ -23,7 +23,7 @@ _TOLERANCE = 0.15
 
 def verdict(run: Run) -> list[str]:
     """Lines on the paper's method: its error, the paper's, and those of constant answers."""
-    rows, unit = _fresh(run), unit_of(run.track, "mse")
+    rows, unit = _errors(_fresh(run)), unit_of(run.track, "mse")
     ours, constant, mean = (
         _cell(rows, method, unit) for method in ("ours", OWN_CONSTANT, "mean_shape")
     )
@@ -34,9 +34,10 @@ def verdict(run: Run) -> list[str]:
     ]
     if run.preset.caution:
         return [*lines, f"Not compared with the committed run: {run.preset.caution}."]
-    there = _committed(run)
-    if there is None:
+    committed = _committed(run)
+    if committed is None:
         return [*lines, "There is no committed run to compare with."]
+    there = _errors(committed)
     off = _differences(rows, there)
     if off.empty:
         return [*lines, f"This run agrees with the committed one{_not_compared(rows, there)}."]
@@ -73,14 +74,15 @@ def check(run: Run) -> None:
     Raises:
         InputError: One of the two does not exist, or they are the same file.
     """
-    here, there = _fresh(run), _committed(run)
-    if there is None:
+    fresh, committed = _fresh(run), _committed(run)
+    if committed is None:
         raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")
-    if _table(run).read_text(encoding="utf-8").strip() == _committed_text(run):  # times and all
+    if fresh == committed:  # times and all
         raise InputError(
             f"{_table(run)} must be of a run of yours. Received the committed one: run "
             f"make reproduce-{run.track} first."
         )
+    here, there = _errors(fresh), _errors(committed)
     off = _differences(here, there)
     if len(off):
         print(off.to_string(float_format="{:.3g}".format))
@@ -101,18 +103,13 @@ def _table(run: Run) -> Path:
     return run.experiment_results(run.evaluation) / "table.csv"
 
 
-def _fresh(run: Run) -> pd.DataFrame:
+def _fresh(run: Run) -> str:
     if not _table(run).is_file():
         raise InputError(f"{_table(run)} must be there. Run make reproduce-{run.track}.")
-    return _errors(_table(run))
+    return _table(run).read_text(encoding="utf-8").strip()
 
 
-def _committed(run: Run) -> pd.DataFrame | None:
-    text = _committed_text(run)
-    return None if text is None else _errors(io.StringIO(text))
-
-
-def _committed_text(run: Run) -> str | None:
+def _committed(run: Run) -> str | None:
     path = _table(run)
     try:
         return git("show", f"HEAD:./{path.name}", folder=path.parent)
@@ -120,7 +117,7 @@ def _committed_text(run: Run) -> str | None:
         return None
 
 
-def _errors(file: Path | io.StringIO) -> pd.DataFrame:
+def _errors(text: str) -> pd.DataFrame:
     """Rows of a table with the MSE, by method."""
-    table = pd.read_csv(file)
+    table = pd.read_csv(io.StringIO(text))
     return table[table["metric"] == "mse"].set_index("method")
