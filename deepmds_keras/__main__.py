@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import os
 import signal
@@ -12,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from deepmds_keras.command.cli import parse, printable
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, escape_unprintable
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
 
@@ -73,9 +72,7 @@ def _be_quiet() -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")  # its start-up notice; same sums everywhere
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    escape_unprintable()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
@@ -20,6 +22,13 @@ def brief(message: object, longest: int = _LONGEST) -> str:
     """A library's message, or the content of a file, on one line of limited length."""
     line = " ".join(str(message).split())
     return line if len(line) <= longest else f"{line[:longest]}…"
+
+
+def escape_unprintable() -> None:
+    """Print what the encoding of the terminal lacks, such as "×", as an escape, without an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def check_choice(value: object, name: str, choices: Collection[str]) -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, escape_unprintable
 from experiments.methods import METHODS
 from experiments.records import environment, outside_files, write_manifest, write_record
 from experiments.run import OPTIONS, Parser, Run, add_options, run_of
@@ -172,6 +172,7 @@ def end_with_parent() -> None:
 @contextmanager
 def one_line_errors() -> Iterator[None]:
     """End with one line and status 2 on a file or argument that cannot be used, or a full disk."""
+    escape_unprintable()
     try:
         yield
         return

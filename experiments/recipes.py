@@ -71,7 +71,7 @@ def _epochs(model) -> dict[str, int]:
         return {type(model).__name__: model.epochs}
     from deepmds_keras.lifting.training import Recipe
 
-    return {f"lifting {model.size}": len(Recipe(model.steps).blocks)}
+    return {"lifting": len(Recipe(model.steps).blocks)}
 
 
 # What methods are fitted to

@@ -13,7 +13,7 @@ from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.network import SIZES, UNIT, lift
+from deepmds_keras.lifting.network import UNIT, lift
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
 from deepmds_keras.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
 from deepmds_keras.weights import PRETRAINED
@@ -112,7 +112,7 @@ def _traced(lifter: LandmarkLifter):
     radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
     sd = landmark_sd / radius[:, 0]
     sd = xp.where(xp.isnan(sd), lifter.default_sd_, sd)
-    lifted = lift(xp, lifter.weights_, SIZES[lifter.size].iterations, points / radius, seen, sd)
+    lifted = lift(xp, lifter.weights_, points / radius, seen, sd)
     shape, log_sd = (xp.transpose(a, (0, 2, 1)) for a in (lifted.shapes, lifted.log_sd))
     camera, radius = lifted.camera, radius[:, 0]
     outputs = {

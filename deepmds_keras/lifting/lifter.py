@@ -21,7 +21,7 @@ from deepmds_keras.landmarks.checks import check_fitted
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces
-from deepmds_keras.lifting.network import SIZES, UNIT, check_weights, initial_weights, lift
+from deepmds_keras.lifting.network import UNIT, check_weights, initial_weights, lift
 from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
 
 # Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view:
@@ -58,7 +58,6 @@ class LandmarkLifter:
 
     Args:
         n_landmarks: L, at least 6.
-        size: `"small"` (at 72 landmarks fewer parameters than Deep-MDS) or `"large"`.
         steps: Number of mini-batches.
         batch_size: Faces per mini-batch.
         learning_rate: Adam's initial learning rate; it decays to 0 along a cosine.
@@ -95,7 +94,6 @@ class LandmarkLifter:
     def __init__(
         self,
         n_landmarks: int = 72,
-        size: str = "small",
         *,
         steps: int = 4000,
         batch_size: int = 128,
@@ -105,7 +103,6 @@ class LandmarkLifter:
         seed: int = 0,
     ):
         self.n_landmarks = n_landmarks
-        self.size = size
         self.steps = steps
         self.batch_size = batch_size
         self.learning_rate = learning_rate
@@ -153,10 +150,8 @@ class LandmarkLifter:
         else:
             given = read_faces(views, shapes, landmark_sd, self.n_landmarks)
             faces = given_faces(given, self.missing, self.noise, self.seed)
-        size = SIZES[self.size]
         self.weights_, self.history_ = train_lifting_net(
-            initial_weights(faces.shapes, size, self.seed),
-            size.iterations,
+            initial_weights(faces.shapes, self.seed),
             faces.block,
             faces.held_out,
             Recipe(self.steps, self.batch_size, self.learning_rate),
@@ -274,9 +269,11 @@ class LandmarkLifter:
         """
         arrays, described = read_arrays(path)
         try:
-            lifter = cls(**described["parameters"])
+            parameters = dict(described["parameters"])
+            parameters.pop("size", None)  # in older files; that of another size fails the check
+            lifter = cls(**parameters)
             lifter._check_parameters()
-            check_weights(arrays, lifter.n_landmarks, SIZES[lifter.size])
+            check_weights(arrays, lifter.n_landmarks)
             lifter.default_sd_ = float(described["default_sd"])
             lifter.history_ = described["history"]
         except (KeyError, TypeError, ValueError) as error:
@@ -333,9 +330,8 @@ class LandmarkLifter:
         arrays = check_fitted(self, "weights_", _SETTERS)
         sd = np.full_like(seen.visible, self.default_sd_) if seen.sd is None else seen.sd
         inputs = (seen.views, seen.visible, sd)
-        iterations = SIZES[self.size].iterations
         chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]
-        lifted = [lift(np, arrays, iterations, *(a[c] for a in inputs)) for c in chunks]
+        lifted = [lift(np, arrays, *(a[c] for a in inputs)) for c in chunks]
         shapes, log_sd, cameras = zip(*lifted, strict=True)
         camera = Camera(*map(np.concatenate, zip(*cameras, strict=True)))
         shapes, log_sd = (np.concatenate(parts).swapaxes(1, 2) for parts in (shapes, log_sd))
@@ -348,8 +344,6 @@ class LandmarkLifter:
         return Estimate(shapes, UNIT * np.exp(log_sd), pose)
 
     def _check_parameters(self):
-        if self.size not in SIZES:
-            raise InputError(f"size must be one of {', '.join(SIZES)}. Received {self.size!r}.")
         if self.n_landmarks < LEAST_VISIBLE:
             raise InputError(
                 f"n_landmarks must be at least {LEAST_VISIBLE}. Received {self.n_landmarks}."

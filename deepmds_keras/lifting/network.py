@@ -16,31 +16,16 @@ from deepmds_keras.lifting.equations import (
 from deepmds_keras.weights import Stream
 
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
+ITERATIONS = (1, 6)  # conjugate gradient iterations of each step
+_RANK = 64  # coefficients of the code
+_N_HIDDEN = 48  # units that correct the code
+_N_SPREAD = 16  # units that predict the standard deviation
 _N_STATE = 8  # inputs of the hidden units besides the code
 _LEAST_VARIANCE = 1e-8
 # At most one in eight training views lies below. The learnt correction would extrapolate far below
 # it, and go astray on a view that the basis fits exactly, such as that of the mean face.
 _LEAST_MISFIT = 0.15
 _FIRST_FLOOR = -4.0  # initial log standard deviation of exact landmarks
-
-
-class Size(NamedTuple):
-    """Size of a network.
-
-    Attributes:
-        rank: Number of coefficients of the code.
-        hidden: Number of units that correct the code.
-        spread: Number of units that predict the standard deviation.
-        iterations: Conjugate gradient iterations of each step.
-    """
-
-    rank: int
-    hidden: int
-    spread: int
-    iterations: tuple[int, ...]
-
-
-SIZES = {"small": Size(64, 48, 16, (1, 6)), "large": Size(128, 256, 64, (1, 12))}
 
 
 class Lift(NamedTuple):
@@ -51,12 +36,11 @@ class Lift(NamedTuple):
     camera: Camera
 
 
-def initial_weights(shapes: np.ndarray, size: Size, seed: int) -> dict[str, np.ndarray]:
+def initial_weights(shapes: np.ndarray, seed: int) -> dict[str, np.ndarray]:
     """Weights that make the network a fit of the shapes' principal components.
 
     Args:
-        shapes: `(n, 3, L)` centred shapes.
-        size: Size of the network; small sets of faces have a lower rank.
+        shapes: `(n, 3, L)` centred shapes; of few faces or landmarks the rank is lower.
         seed: Seed of the kernels.
     """
     n, _, n_landmarks = shapes.shape
@@ -64,31 +48,31 @@ def initial_weights(shapes: np.ndarray, size: Size, seed: int) -> dict[str, np.n
     mean = flat.mean(0)
     covariance = (flat - mean).T @ (flat - mean) / n
     values, vectors = np.linalg.eigh(covariance)
-    rank = min(size.rank, n - 1, len(values))
+    rank = min(_RANK, n - 1, len(values))
     basis = (vectors * np.sqrt(values.clip(0))).T[::-1][:rank]
     rest = (np.diag(covariance) - (basis**2).sum(0)).clip(_LEAST_VARIANCE)
     known = {
         "mean": mean.reshape(3, -1),
         "basis": basis / UNIT,
         "log_rest": np.log(rest).reshape(3, -1) / 2,
-        "log_floor": np.full(len(size.iterations) + 1, _FIRST_FLOOR),
+        "log_floor": np.full(len(ITERATIONS) + 1, _FIRST_FLOOR),
     }
     rng = np.random.default_rng([seed, Stream.LIFTING_WEIGHTS])
-    for name, shape in _shapes(n_landmarks, rank, size).items():
+    for name, shape in _shapes(n_landmarks, rank).items():
         if name.endswith("hidden_kernel"):
             known[name] = rng.standard_normal(shape) / np.sqrt(shape[0])
         known.setdefault(name, np.zeros(shape))
     return {name: np.float32(array) for name, array in known.items()}
 
 
-def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) -> None:
-    """Check that weights are of a network of this size.
+def check_weights(weights: dict[str, np.ndarray], n_landmarks: int) -> None:
+    """Check that weights are of a network for that many landmarks.
 
     Raises:
         ValueError: One is missing, not finite, or of another shape.
     """
     rank = len(weights["basis"])
-    needed = _shapes(n_landmarks, rank, size)
+    needed = _shapes(n_landmarks, rank)
     for name in {**needed, **weights}:
         array = weights.get(name, np.empty(0, object))
         if array.dtype.kind != "f" or array.shape != needed.get(name):
@@ -97,30 +81,29 @@ def check_weights(weights: dict[str, np.ndarray], n_landmarks: int, size: Size) 
             raise ValueError(f"{name} has NaN or infinity")
 
 
-def _shapes(n_landmarks: int, rank: int, size: Size) -> dict[str, tuple[int, ...]]:
+def _shapes(n_landmarks: int, rank: int) -> dict[str, tuple[int, ...]]:
     return {
         "mean": (3, n_landmarks),
         "basis": (rank, 3 * n_landmarks),
         "log_rest": (3, n_landmarks),
-        "log_floor": (len(size.iterations) + 1,),
-        "hidden_kernel": (rank + _N_STATE, size.hidden),
-        "hidden_bias": (size.hidden,),
-        "code_kernel": (size.hidden, rank),
-        "spread_hidden_kernel": (rank + _N_STATE, size.spread),
-        "spread_hidden_bias": (size.spread,),
-        "spread_kernel": (size.spread, 3 * n_landmarks),
+        "log_floor": (len(ITERATIONS) + 1,),
+        "hidden_kernel": (rank + _N_STATE, _N_HIDDEN),
+        "hidden_bias": (_N_HIDDEN,),
+        "code_kernel": (_N_HIDDEN, rank),
+        "spread_hidden_kernel": (rank + _N_STATE, _N_SPREAD),
+        "spread_hidden_bias": (_N_SPREAD,),
+        "spread_kernel": (_N_SPREAD, 3 * n_landmarks),
         "spread_bias": (3 * n_landmarks,),
         "spread_unseen": (n_landmarks,),
     }
 
 
-def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x) -> Lift:
+def lift(xp, weights, views, visible, sd, stop_gradient=lambda x: x) -> Lift:
     """Shapes, standard deviations and cameras of views.
 
     Args:
         xp: NumPy or `keras.ops`.
         weights: Arrays as from `initial_weights`.
-        iterations: As in `Size`.
         views: `(n, 2, L)` centred views of unit root mean square radius, 0 where not visible.
         visible: `(n, L)` 1 or 0.
         sd: `(n, L)` standard deviation of the errors of a coordinate, in the unit of the views.
@@ -144,10 +127,10 @@ def lift(xp, weights, iterations, views, visible, sd, stop_gradient=lambda x: x)
     def with_code():
         return mean + xp.reshape(code @ basis, (-1, 3, n_landmarks))
 
-    for i, n_iterations in enumerate(iterations):
+    for i, n_iterations in enumerate(ITERATIONS):
         code, camera = posterior_step(xp, camera, seen(i), basis, code, n_iterations)
         shapes = with_code()
-    sight = seen(len(iterations))
+    sight = seen(len(ITERATIONS))
     share = xp.mean(visible, 1, keepdims=True)
     misfit = xp.mean(sight.residual * sight.residual, 1, keepdims=True) / share
     mean_noise = xp.sum(noise * visible, 1, keepdims=True) / (share * n_landmarks)

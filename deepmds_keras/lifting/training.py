@@ -45,7 +45,6 @@ class Recipe:
 
 def train_lifting_net(
     initial: dict[str, np.ndarray],
-    iterations: tuple[int, ...],
     faces_of_block: Callable[[int, int], Faces],
     held_out: Faces,
     recipe: Recipe,
@@ -58,7 +57,6 @@ def train_lifting_net(
 
     Args:
         initial: Weights as from `initial_weights`.
-        iterations: As in `Size`.
         faces_of_block: From the number of a block and of faces to that many training faces, which
             depend on the numbers alone.
         held_out: Faces that the network is checked on after each block.
@@ -73,7 +71,7 @@ def train_lifting_net(
     Raises:
         InputError: The checkpoint is of another run, or damaged.
     """
-    model = build_lifting_net(initial, iterations)
+    model = build_lifting_net(initial)
     network = model.get_layer("lifting")
     schedule = keras.optimizers.schedules.CosineDecay(recipe.learning_rate, recipe.steps)
     optimizer = keras.optimizers.Adam(schedule, global_clipnorm=1.0)
@@ -88,7 +86,7 @@ def train_lifting_net(
 
     def check() -> float:
         weights = {name: weight.numpy() for name, weight in network.arrays.items()}
-        error = error_of(weights, iterations, held_out)
+        error = error_of(weights, held_out)
         if error <= float(network.least_error):
             network.least_error.assign(error)
             for name, array in weights.items():
@@ -100,9 +98,9 @@ def train_lifting_net(
     return {name: weight.numpy() for name, weight in network.best.items()}, history
 
 
-def error_of(weights, iterations, faces: Faces) -> float:
+def error_of(weights, faces: Faces) -> float:
     """Mean squared error of the shapes, computed by NumPy as in use."""
-    shapes = lift(np, weights, iterations, faces.views, faces.visible, faces.sd).shapes
+    shapes = lift(np, weights, faces.views, faces.visible, faces.sd).shapes
     return float(np.mean((shapes - faces.shapes) ** 2))
 
 
@@ -111,7 +109,6 @@ class Lifting(layers.Layer):
 
     Args:
         initial: Weights as from `initial_weights`.
-        iterations: As in `Size`.
 
     Attributes:
         arrays: The weights by name.
@@ -119,9 +116,8 @@ class Lifting(layers.Layer):
             every checkpoint.
     """
 
-    def __init__(self, initial: dict[str, np.ndarray], iterations: tuple[int, ...], **options):
+    def __init__(self, initial: dict[str, np.ndarray], **options):
         super().__init__(**options)
-        self.iterations = iterations
         self.arrays = {name: self._keep(name, array) for name, array in initial.items()}
         self.best = {name: self._keep(f"best_{name}", initial[name], False) for name in initial}
         self.least_error = self._keep("least_error", np.finfo(np.float32).max, False)
@@ -137,11 +133,11 @@ class Lifting(layers.Layer):
 
     def call(self, views, visible, sd):
         weights = {name: ops.convert_to_tensor(array) for name, array in self.arrays.items()}
-        lifted = lift(ops, weights, self.iterations, views, visible, sd, ops.stop_gradient)
+        lifted = lift(ops, weights, views, visible, sd, ops.stop_gradient)
         return ops.concatenate([lifted.shapes, lifted.log_sd], 1)
 
 
-def build_lifting_net(initial: dict[str, np.ndarray], iterations: tuple[int, ...]) -> keras.Model:
+def build_lifting_net(initial: dict[str, np.ndarray]) -> keras.Model:
     """Uncompiled model from views `(n, 2, L)`, visible and sd `(n, L)` to `(n, 6, L)`.
 
     The output is that of `lift`: shapes, then logarithms of standard deviations.
@@ -149,7 +145,7 @@ def build_lifting_net(initial: dict[str, np.ndarray], iterations: tuple[int, ...
     n_landmarks = initial["mean"].shape[1]
     shapes = {"views": (2, n_landmarks), "visible": (n_landmarks,), "sd": (n_landmarks,)}
     inputs = [keras.Input(shape, name=name) for name, shape in shapes.items()]
-    outputs = Lifting(initial, iterations, name="lifting")(*inputs)
+    outputs = Lifting(initial, name="lifting")(*inputs)
     return keras.Model(inputs, outputs, name=f"lifting_{n_landmarks}")
 
 

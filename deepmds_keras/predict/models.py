@@ -168,5 +168,5 @@ def weights_path(name: str) -> Path:
 
 @lru_cache(8)
 def _load(path: Path, version: tuple[int, int]) -> Model:
-    parameters = read_arrays(path)[1].get("parameters", {})
-    return (Lifting if "size" in parameters else PaperNetworks)(path)
+    arrays, _ = read_arrays(path)
+    return (Lifting if "basis" in arrays else PaperNetworks)(path)

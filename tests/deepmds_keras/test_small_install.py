@@ -13,7 +13,7 @@ from places import ROOT
 import deepmds_keras
 from data_gen.models.registry import load_model
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.network import SIZES, initial_weights
+from deepmds_keras.lifting.network import initial_weights
 
 # Modules of the packages that each extra brings, none of which the small installation has.
 EXTRAS = {
@@ -61,7 +61,7 @@ def weights(tmp_path_factory):
     shapes = rng.normal(size=(51, 3)) + 0.1 * rng.normal(size=(40, 51, 3))
     path = tmp_path_factory.mktemp("weights") / "lifter.npz"
     lifter = LandmarkLifter(51)
-    lifter.weights_ = initial_weights(np.swapaxes(shapes, 1, 2), SIZES["small"], 0)
+    lifter.weights_ = initial_weights(np.swapaxes(shapes, 1, 2), 0)
     lifter.default_sd_, lifter.history_ = 0.0, {}
     lifter.save(path)
     return path

@@ -34,12 +34,23 @@ def test_a_terminal_gets_one():
     os.close(terminal)
 
 
+def preview(folder, stdout, **variables):
+    return subprocess.run(
+        [sys.executable, "-m", "experiments", "tracks.preview", "linear", "--preset", "tiny"],
+        cwd=folder, env=runs.ENVIRONMENT | variables, stdout=stdout, stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+
+
 def test_a_reader_that_leaves_ends_a_step_without_a_traceback(whole_bfm):
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(
-        [sys.executable, "-m", "experiments", "tracks.preview", "linear", "--preset", "tiny"],
-        cwd=whole_bfm, env=runs.ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    done = preview(whole_bfm, writer)
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_a_terminal_without_special_characters_gets_the_table(whole_bfm):
+    done = preview(whole_bfm, subprocess.PIPE, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"10\u207b" in done.stdout, "an escaped power of ten"

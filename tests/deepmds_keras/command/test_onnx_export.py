@@ -16,7 +16,7 @@ from deepmds_keras.alignment import normalise
 from deepmds_keras.command.onnx_export import export
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER, load_scheme
-from deepmds_keras.lifting.network import SIZES, initial_weights
+from deepmds_keras.lifting.network import initial_weights
 
 onnx = pytest.importorskip("onnx", reason="onnx is an extra")
 runtime = pytest.importorskip("onnxruntime", reason="onnxruntime has no wheel for Python 3.10")
@@ -35,8 +35,7 @@ def shapes():
 def weights(shapes, tmp_path_factory):
     """File of a lifter, of which no part does nothing."""
     lifter, rng = LandmarkLifter(L), np.random.default_rng(1)
-    arrays = initial_weights((shapes - shapes.mean(1, keepdims=True)).swapaxes(1, 2),
-                             SIZES["small"], 0)  # fmt: skip
+    arrays = initial_weights((shapes - shapes.mean(1, keepdims=True)).swapaxes(1, 2), 0)
     lifter.weights_ = {
         name: array if array.any() else np.float32(0.1 * rng.standard_normal(array.shape))
         for name, array in arrays.items()

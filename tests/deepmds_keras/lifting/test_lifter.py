@@ -21,7 +21,7 @@ from deepmds_keras.alignment import centre, procrustes
 from deepmds_keras.baselines.closed_form import Linear
 from deepmds_keras.lifting import equations, training
 from deepmds_keras.lifting.faces import Faces, disturb, read_faces
-from deepmds_keras.lifting.network import SIZES, Size, initial_weights, lift
+from deepmds_keras.lifting.network import initial_weights, lift
 from deepmds_keras.lifting.training import build_lifting_net
 from deepmds_keras.weights import read_arrays
 
@@ -39,28 +39,20 @@ def sample_faces(n, rng):
 
 
 @pytest.fixture(scope="module")
-def tiny():
-    """A size whose graph TensorFlow makes in little time."""
-    SIZES["tiny"] = Size(8, 16, 8, (1, 3))
-    yield SIZES["tiny"]
-    del SIZES["tiny"]
-
-
-@pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """The file that a run killed in its second block leaves."""
     return tmp_path_factory.mktemp("training") / "killed.npz"
 
 
 @pytest.fixture(scope="module")
-def lifter(checkpoint, tiny):
+def lifter(checkpoint):
     running = checkpoint.with_name("running.npz")
 
     def keep_the_first(losses):
         if not checkpoint.exists():
             shutil.copy(running, checkpoint)
 
-    lifter = LandmarkLifter(L, "tiny", steps=150, batch_size=32, learning_rate=3e-3, missing=0.3)
+    lifter = LandmarkLifter(L, steps=150, batch_size=32, learning_rate=3e-3, missing=0.3)
     return lifter.fit(sample_faces, checkpoint=running, progress=keep_the_first)
 
 
@@ -93,9 +85,8 @@ def test_numpy_and_keras_agree(lifter, faces):
     seen = disturb(read_faces(*faces, 0.005, L), missing=0.3, noise=0.05, rng=rng)
     assert 0.8 < seen.visible.mean() < 0.9
     inputs = seen.views, seen.visible, seen.sd
-    iterations = SIZES["tiny"].iterations
-    numpy_output = lift(np, lifter.weights_, iterations, *inputs)
-    keras_output = np.asarray(build_lifting_net(lifter.weights_, iterations)(inputs))
+    numpy_output = lift(np, lifter.weights_, *inputs)
+    keras_output = np.asarray(build_lifting_net(lifter.weights_)(inputs))
     assert numpy_output.shapes.dtype == numpy_output.log_sd.dtype == np.float32
     assert np.abs(numpy_output.shapes - keras_output[:, :3]).max() < 1e-5
     assert np.abs(numpy_output.log_sd - keras_output[:, 3:]).max() < 1e-3
@@ -180,13 +171,12 @@ def test_one_face_and_a_batch_give_the_same(lifter, faces):
     assert np.allclose(lifter.predict(faces[0][7]), lifter.predict(faces[0])[7:8], atol=1e-5)
 
 
-@pytest.mark.parametrize(("size", "most"), [("small", 27_323), ("large", 250_000)])
-def test_sizes_at_72_landmarks(size, most):
+def test_it_has_no_more_parameters_than_deep_mds():
     shapes = np.random.default_rng(0).normal(size=(500, 3, 72))
-    lifter = LandmarkLifter(size=size)
-    lifter.weights_ = initial_weights(shapes, SIZES[size], 0)
-    assert lifter.n_parameters <= most
-    network = build_lifting_net(lifter.weights_, SIZES[size].iterations)
+    lifter = LandmarkLifter()
+    lifter.weights_ = initial_weights(shapes, 0)
+    assert lifter.n_parameters <= 27_323
+    network = build_lifting_net(lifter.weights_)
     assert sum(weight.numpy().size for weight in network.trainable_weights) == lifter.n_parameters
 
 
@@ -227,12 +217,12 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
 
 
 @pytest.mark.slow
-def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypatch, tiny):
+def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypatch):
     views, shapes, sd = sample_faces(60, np.random.default_rng(4))
     errors, now, path = iter([2.0, 1.0, 3.0]), [], tmp_path / "checkpoint.npz"
     monkeypatch.setattr(training, "STEPS_PER_BLOCK", 10)
     monkeypatch.setattr(training, "error_of", lambda *_: next(errors))
-    lifter = LandmarkLifter(L, "tiny", steps=25, batch_size=8)
+    lifter = LandmarkLifter(L, steps=25, batch_size=8)
     lifter.fit(views, shapes, landmark_sd=sd, checkpoint=path,
                progress=lambda _: now.append(read_arrays(path)[0]["lifting/basis"]))  # fmt: skip
     assert lifter.history_["inference"] == [2, 1, 3]
@@ -285,7 +275,6 @@ def test_unusable_options_are_named(lifter, faces, options, message):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"size": "huge"}, "size must be one of small, large.*Received 'huge'"),
         ({"n_landmarks": 5}, "n_landmarks must be at least 6"),
         ({"steps": 0}, "steps must be positive"),
         ({"missing": 1}, "missing must be in"),
@@ -307,7 +296,7 @@ def test_unequal_numbers_of_faces_and_untrained_lifters_are_refused(faces):
 def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
     lifter = LandmarkLifter(L)
     shapes = read_faces(*faces, None, L).shapes
-    lifter.weights_ = initial_weights(shapes, SIZES["small"], 0)
+    lifter.weights_ = initial_weights(shapes, 0)
     lifter.default_sd_, lifter.history_ = 0.0, {}
     lifter.save(tmp_path / "lifter.npz")
     code = (
@@ -421,8 +410,8 @@ def test_names_of_before_still_find_the_weights():
 
 
 @pytest.mark.slow
-def test_a_compiled_training_is_the_same_but_for_rounding(tiny, monkeypatch):
-    plain, compiled = (LandmarkLifter(L, "tiny", steps=5, batch_size=16) for _ in range(2))
+def test_a_compiled_training_is_the_same_but_for_rounding(monkeypatch):
+    plain, compiled = (LandmarkLifter(L, steps=5, batch_size=16) for _ in range(2))
     plain.fit(sample_faces)
     monkeypatch.setattr(training, "_COMPILED_FROM", 5)
     compiled.fit(sample_faces)
