@@ -25,7 +25,7 @@ def brief(message: object, longest: int = _LONGEST) -> str:
 
 
 def escape_unprintable() -> None:
-    """Print what the encoding of the terminal lacks, such as "×", as an escape, without an error."""
+    """Let characters that the terminal's encoding lacks, such as "×", be printed as escapes."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -10,6 +10,7 @@ import errno
 import json
 import logging
 import os
+import platform
 import resource
 import shlex
 import signal
@@ -153,19 +154,27 @@ def _silent_stderr() -> Iterator[None]:
         os.close(null)
 
 
+def this_process() -> str:
+    """Name of this process, for `PARENT`: its number and machine."""
+    return f"{os.getpid()}@{platform.node()}"
+
+
 def end_with_parent() -> None:
-    """End this process when that of `make` ends, for whatever reason."""
-    parent = int(os.environ.get(PARENT, 0))
+    """End this process when that of `make` ends, for whatever reason.
+
+    Not on another machine: clusters hand the variables of `make` on to their jobs.
+    """
+    parent, _, machine = os.environ.get(PARENT, "").partition("@")
 
     def watch() -> None:
         while True:
             try:
-                os.kill(parent, 0)
+                os.kill(int(parent), 0)
             except ProcessLookupError:
                 os._exit(128 + signal.SIGTERM)
             time.sleep(0.5)
 
-    if parent:
+    if parent and machine == platform.node():
         threading.Thread(target=watch, daemon=True).start()
 
 

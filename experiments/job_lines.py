@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from statistics import median
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 from experiments.progress import duration
 from experiments.records import MANIFEST, read_manifest, read_record, steps_of
 
@@ -42,6 +42,10 @@ class JobLines(logging.Handler):
                 self._left.discard(record.jobid)
         elif event == "job_finished":
             self._left.discard(record.job_id)
+        elif event == "job_error" and record.rule_msg:  # of a cluster, whose logs have the reason
+            job = f"{self._jobs[record.jobid][0]}, job {record.aux.get('external_jobid')}"
+            print("error:", " ".join([f"{job}:", brief(record.rule_msg), *record.log]),
+                  file=sys.stderr)  # fmt: skip
         elif event is None and record.levelno >= logging.ERROR:
             message = " ".join(record.getMessage().split())
             # A failed step has already printed its own message.

@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from data_gen.models.registry import model_files
 from deepmds_keras.errors import InputError
-from experiments.__main__ import PARENT, one_line_errors
+from experiments.__main__ import PARENT, one_line_errors, this_process
 from experiments.records import is_current, read_record
 from experiments.run import Run, check_weights, run_of_variables
 
@@ -132,7 +132,7 @@ def _planned(command: list[str]) -> str:
 
 def _run(command: list[str], made_by: str) -> None:
     """Run Snakemake in a separate session, so that Ctrl-C ends all of it within seconds."""
-    variables = {PARENT: str(os.getpid()), "EXPERIMENTS_COMMAND": made_by}
+    variables = {PARENT: this_process(), "EXPERIMENTS_COMMAND": made_by}
     process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 
     def stop(signal_number: int, _) -> None:

@@ -100,9 +100,9 @@ class Evaluation:
 
     def write(self) -> None:
         """Write `metrics.csv`, the tables and their figure, replacing those of an earlier run."""
+        values = per_face(self.scores)  # before the old results go: scoring may fail
         clear_results(self.folder)
         write_csv(self.folder / "metrics.csv", self.metrics)
-        values = per_face(self.scores)
         table = write_tables(self.folder, self.metrics, per_face=values, **self.table_options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self.folder / "table_paper.tex", layout)

@@ -18,6 +18,7 @@ from places import MEDIAPIPE
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
+from experiments.__main__ import PARENT
 from experiments.inputs import image_files
 from experiments.presets import TINY
 from experiments.records import load_record, read_record
@@ -127,16 +128,26 @@ def test_what_was_killed_or_starved_goes_on_to_the_same_tables(
 @pytest.mark.slow
 def test_steps_run_as_jobs_of_a_cluster(tmp_path):
     """By Snakemake's generic executor, and a script that runs jobs in another place."""
-    submit = tmp_path / "submit.sh"
-    submit.write_text('#!/bin/sh\necho "$1" >> jobs.txt\nsh "$1" > "$1.log" 2>&1 &\necho $!\n')
-    submit.chmod(0o755)
-    cluster = f"--executor cluster-generic --cluster-generic-submit-cmd {submit} --jobs 2"
     record = "build/openhead/bfm-tiny-paper-seed0/records/train-zhao.json"
-    command = [*runs.SNAKEMAKE, record, *cluster.split(), "--latency-wait", "30"]
-    subprocess.run(
-        [*command, "--config", "PRESET=tiny"],
-        cwd=tmp_path, env=runs.ENVIRONMENT, check=True, timeout=300, capture_output=True,
-    )  # fmt: skip
+    # What clusters hand on from the machine on which `make` runs.
+    environment = runs.ENVIRONMENT | {PARENT: "99999999@head-node"}
+
+    def submitted(script):
+        path = tmp_path / "submit.sh"
+        path.write_text(f"#!/bin/bash\n{script}")
+        path.chmod(0o755)
+        cluster = f"--executor cluster-generic --cluster-generic-submit-cmd {path} --jobs 2"
+        command = [*runs.SNAKEMAKE, record, *cluster.split(), "--latency-wait", "30"]
+        return subprocess.run(
+            [*command, "--quiet", "all", "--config", "PRESET=tiny"], cwd=tmp_path, text=True,
+            env=environment, timeout=300, capture_output=True,
+        )  # fmt: skip
+
+    fails = submitted('touch "${1%/*}"/{1,2}.jobfailed\necho job-7\n')
+    assert fails.returncode == 1
+    assert fails.stderr.startswith("error: faces, job job-7: For further error details see the cl")
+    runs_them = 'echo "$1" >> jobs.txt\nsh "$1" > "$1.log" 2>&1 &\necho $!\n'
+    assert submitted(runs_them).returncode == 0
     assert len((tmp_path / "jobs.txt").read_text().splitlines()) == 2
     assert read_record(tmp_path / record)["step"] == "tracks.train zhao"
 
