@@ -63,7 +63,7 @@ $(READY): setup.cfg constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,test]'
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
-	  || echo 'eos-py has no wheel here: the one test that compares with it will skip.'
+	  || echo 'eos-py has no wheel here: the tests that need it will skip.'
 # Alone: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.
 	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
 	  || echo 'MediaPipe 0.10.21 has no wheel here (it has for Python 3.11 and 3.12 on x86-64 and' \

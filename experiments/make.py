@@ -20,10 +20,11 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from data_gen.models.registry import model_files
+from deepmds_keras.detection.mediapipe_landmarks import has_face_mesh
 from deepmds_keras.errors import InputError
 from experiments.__main__ import PARENT, one_line_errors, this_process
 from experiments.records import is_current, read_record
-from experiments.run import Run, check_weights, run_of_variables
+from experiments.run import Run, check_weights, left_out, run_of_variables
 
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
@@ -42,6 +43,11 @@ def main(arguments: list[str] | None = None) -> None:
     with one_line_errors():
         run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
         check_weights(run)
+        if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_face_mesh():
+            raise InputError(
+                "MEDIAPIPE must be no where no MediaPipe with FaceMesh is installed, which is for "
+                "Python 3.11 and 3.12 on x86-64 and macOS. Received neither."
+            )
         model_files(run.model, run.data)  # which says where to get what is missing
         snakemake = [
             sys.executable, "-m", "snakemake", target.replace("-", "_"), "-s", str(_SNAKEFILE),

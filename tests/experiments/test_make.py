@@ -199,6 +199,18 @@ def test_a_wrong_variable_is_one_line(tmp_path, monkeypatch, capsys, target, var
     assert errors.startswith("error: ") and message in errors and errors.count("\n") == 1
 
 
+def test_without_mediapipe_its_row_must_be_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(make, "has_face_mesh", lambda: False)
+    monkeypatch.setattr(make, "_planned", lambda command: "")
+    with pytest.raises(SystemExit):
+        make.main(["reproduce-flame", "DRY=1"])
+    assert capsys.readouterr().err.startswith("error: MEDIAPIPE must be no where no MediaPipe")
+    make.main(["reproduce-flame", "DRY=1", "MEDIAPIPE=no"])
+    make.main(["reproduce-bfm", "DRY=1"])
+    assert capsys.readouterr() == (2 * "Nothing is to be done.\n", "")
+
+
 @pytest.mark.slow
 def test_unusable_weights_are_named_before_the_long_work(tmp_path):
     process = runs.command("reproduce-bfm", tmp_path, weights(tmp_path / "authors", b"no weights"))

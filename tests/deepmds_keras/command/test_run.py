@@ -114,7 +114,7 @@ def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
     out = tmp_path / "deepmds-out"
     names = [f"{name}.{kind}" for name in ("turned", "two", "one") for kind in ("csv", "png")]
     assert written(out) == sorted(names)
-    table = pd.read_csv(out / "turned.csv", comment="#")
+    table = pd.read_csv(out / "turned.csv", comment="#")[-51:]  # dlib has the jaw before them
     assert tuple(table.name) == load_scheme("ibug51").names
     assert np.abs(table[["image_x", "image_y"]] - heads[1][1]).mean().max() < 4
     with Image.open(out / "two.png") as picture:

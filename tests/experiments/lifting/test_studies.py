@@ -169,6 +169,7 @@ def test_landmarks_that_a_model_lacks_are_filled_in_for_methods_that_need_them()
 
 @pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")
 def test_faces_of_the_surrey_model_are_tested_where_it_is_given():
+    pytest.importorskip("eos", reason="eos-py has no wheel here")
     run = Run("openhead", TINY, sfm=str(SHARED / "sfm"))
     views, shapes = transfer.tested_faces(run, transfer.SURREY, 0.0)
     noisy, same = transfer.tested_faces(run, transfer.SURREY, 1.0)
