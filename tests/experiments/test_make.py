@@ -170,6 +170,16 @@ def test_a_run_by_snakemake_is_that_of_its_steps_and_begins_with_the_landmark_me
     pd.testing.assert_frame_equal(*errors)
 
 
+def test_folders_may_have_spaces(tmp_path):
+    index = tmp_path / "my data" / "scans of today.csv"
+    index.parent.mkdir()
+    index.write_text("scan\n")
+    switches = ("RINGNET=no", "MEDIAPIPE=no")
+    steps = runs.plan("reproduce-flame", tmp_path, f"CASIA_INDEX={index}", *switches)
+    (scans,) = (words for words in steps if words[0] == "datasets.scans")
+    assert str(index) in scans[scans.index("--inputs") :]
+
+
 # Errors.
 
 
