@@ -87,12 +87,13 @@ report: ## all results of the model on one page: results/<model>/report/report.m
 $(TARGETS): | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
 
-# What is done is skipped, so the same command goes on after a stop. Paths without spaces.
+# What is done is skipped, so the same command goes on after a stop.
 GIVEN := AUTHORS=$(AUTHORS) SFM=$(SFM)
 all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	@for given in 'DATA=$(DATA)' 'AUTHORS=$(AUTHORS)' 'SFM=$(SFM)' 'REAL=$(REAL)'; do \
-	  test -e "$${given#*=}" || { echo "error: $${given%%=*} must be a file or folder, see" \
-	    "docs/commands.md. Received '$${given#*=}'." >&2; exit 2; }; \
+	  [[ -e "$${given#*=}" && "$$given" != *' '* ]] || { \
+	    echo "error: $${given%%=*} must be a file or folder without a space in its path, see" \
+	      "docs/commands.md. Received '$${given#*=}'." >&2; exit 2; }; \
 	done
 	@for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
 	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \

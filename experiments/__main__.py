@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--inputs", type=Path, nargs="*", default=[], help="files it is made from")
     add_options(parser)
     values = vars(parser.parse_intermixed_args(arguments))
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # cleaning up
+    signal.signal(signal.SIGTERM, _end)
     with one_line_errors():
         run = run_of(values)
         module = f"experiments.{values['step']}"
@@ -67,6 +67,12 @@ def main(arguments: list[str] | None = None) -> None:
         end_with_parent()
         _run_step(module, run, values)
         sys.stdout.flush()
+
+
+def _end(*_) -> None:
+    """Exit with clean-up. A library that this interrupts as it is loaded may abort, with a text."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    sys.exit(128 + signal.SIGTERM)
 
 
 def _spec(module: str):
