@@ -16,7 +16,7 @@ from deepmds_keras.lifting.equations import (
 from deepmds_keras.weights import Stream
 
 UNIT = 0.01  # of the basis and the standard deviations, in which all weights are of order 1
-ITERATIONS = (1, 6)  # conjugate gradient iterations of each step
+_ITERATIONS = (1, 6)  # conjugate gradient iterations of each step
 _RANK = 64  # coefficients of the code
 _N_HIDDEN = 48  # units that correct the code
 _N_SPREAD = 16  # units that predict the standard deviation
@@ -55,7 +55,7 @@ def initial_weights(shapes: np.ndarray, seed: int) -> dict[str, np.ndarray]:
         "mean": mean.reshape(3, -1),
         "basis": basis / UNIT,
         "log_rest": np.log(rest).reshape(3, -1) / 2,
-        "log_floor": np.full(len(ITERATIONS) + 1, _FIRST_FLOOR),
+        "log_floor": np.full(len(_ITERATIONS) + 1, _FIRST_FLOOR),
     }
     rng = np.random.default_rng([seed, Stream.LIFTING_WEIGHTS])
     for name, shape in _shapes(n_landmarks, rank).items():
@@ -86,7 +86,7 @@ def _shapes(n_landmarks: int, rank: int) -> dict[str, tuple[int, ...]]:
         "mean": (3, n_landmarks),
         "basis": (rank, 3 * n_landmarks),
         "log_rest": (3, n_landmarks),
-        "log_floor": (len(ITERATIONS) + 1,),
+        "log_floor": (len(_ITERATIONS) + 1,),
         "hidden_kernel": (rank + _N_STATE, _N_HIDDEN),
         "hidden_bias": (_N_HIDDEN,),
         "code_kernel": (_N_HIDDEN, rank),
@@ -127,10 +127,10 @@ def lift(xp, weights, views, visible, sd, stop_gradient=lambda x: x) -> Lift:
     def with_code():
         return mean + xp.reshape(code @ basis, (-1, 3, n_landmarks))
 
-    for i, n_iterations in enumerate(ITERATIONS):
+    for i, n_iterations in enumerate(_ITERATIONS):
         code, camera = posterior_step(xp, camera, seen(i), basis, code, n_iterations)
         shapes = with_code()
-    sight = seen(len(ITERATIONS))
+    sight = seen(len(_ITERATIONS))
     share = xp.mean(visible, 1, keepdims=True)
     misfit = xp.mean(sight.residual * sight.residual, 1, keepdims=True) / share
     mean_noise = xp.sum(noise * visible, 1, keepdims=True) / (share * n_landmarks)
