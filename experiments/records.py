@@ -268,6 +268,8 @@ def _processor() -> str:
 def _commit() -> str | None:
     """Commit of the code, with a `+` if tracked files have changed, other than by runs."""
     try:
+        if git("rev-parse", "--show-prefix"):  # a repository of something else, around this folder
+            return None
         commit = git("rev-parse", "--short=12", "HEAD")
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
     except (OSError, subprocess.CalledProcessError):

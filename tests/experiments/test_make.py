@@ -1,5 +1,6 @@
 """`make` runs what is missing or made from other files, and nothing that is there."""
 
+import functools
 import importlib.util
 import itertools
 import json
@@ -18,7 +19,7 @@ import runs
 from filelock import FileLock
 from places import ROOT
 
-from experiments import make
+from experiments import make, records
 from experiments.__main__ import main
 from experiments.records import (
     commits_of,
@@ -299,6 +300,24 @@ def test_a_manifest_lists_the_steps_behind_a_table_and_what_was_written(whole_bf
     assert model.endswith("openhead.npz")
     written = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert {*manifest["files"], "manifest.json"} == written
+
+
+def test_the_commit_is_that_of_the_code_and_says_if_it_was_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "git", functools.partial(records.git, folder=tmp_path))
+    assert records._commit() is None
+    for name in ("code", "results"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+    for words in ("init", "add .", "-c user.name=a -c user.email=a commit -m a"):
+        subprocess.run(["git", *words.split()], cwd=tmp_path, check=True, capture_output=True)
+    commit = records._commit()
+    assert len(commit) == 12
+    (tmp_path / "results" / "file").write_text("of a run")
+    assert records._commit() == commit
+    (tmp_path / "code" / "file").write_text("another")
+    assert records._commit() == f"{commit}+"
+    monkeypatch.setattr(records, "git", functools.partial(records.git, folder=tmp_path / "code"))
+    assert records._commit() is None, "of a repository around it"
 
 
 def test_commits_of_old_manifests_are_read_too():
