@@ -186,7 +186,10 @@ def end_with_parent() -> None:
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """End with one line and status 2 on a file or argument that cannot be used, or a full disk."""
+    """End with one line and status 2 on a file or argument that cannot be used, or a full disk.
+
+    Characters that the terminal lacks are no error; they are escaped.
+    """
     escape_unprintable()
     try:
         yield

@@ -44,8 +44,7 @@ class JobLines(logging.Handler):
             self._left.discard(record.job_id)
         elif event == "job_error" and record.rule_msg:  # of a cluster, whose logs have the reason
             job = f"{self._jobs[record.jobid][0]}, job {record.aux.get('external_jobid')}"
-            print("error:", " ".join([f"{job}:", brief(record.rule_msg), *record.log]),
-                  file=sys.stderr)  # fmt: skip
+            print(f"error: {job}:", brief(record.rule_msg), *record.log, file=sys.stderr)
         elif event is None and record.levelno >= logging.ERROR:
             message = " ".join(record.getMessage().split())
             # A failed step has already printed its own message.

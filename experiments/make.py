@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
         if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_face_mesh():
             raise InputError(
                 "MEDIAPIPE must be no where no MediaPipe with FaceMesh is installed, which is for "
-                "Python 3.11 and 3.12 on x86-64 and macOS. Received neither."
+                "Python 3.11 and 3.12 on x86-64 and macOS. Received yes."
             )
         model_files(run.model, run.data)  # which says where to get what is missing
         snakemake = [

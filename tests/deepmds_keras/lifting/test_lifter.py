@@ -19,11 +19,11 @@ from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.alignment import centre, procrustes
 from deepmds_keras.baselines.closed_form import Linear
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.lifting import equations, training
 from deepmds_keras.lifting.faces import Faces, disturb, read_faces
 from deepmds_keras.lifting.network import initial_weights, lift
 from deepmds_keras.lifting.training import build_lifting_net
-from deepmds_keras.weights import read_arrays
 
 L = 20
 
@@ -190,6 +190,18 @@ def test_saved_and_loaded_predict_the_same(lifter, faces, tmp_path):
     copy = clone(lifter)
     assert copy.get_params() == lifter.get_params()
     assert not hasattr(copy, "weights_")
+
+
+def test_of_older_files_which_name_a_size_those_of_the_only_one_are_read(lifter, tmp_path):
+    path = tmp_path / "lifter.npz"
+    lifter.save(path)
+    arrays, described = read_arrays(path)
+    described["parameters"]["size"] = "small"
+    write_arrays(path, arrays, described)
+    assert LandmarkLifter.load(path).get_params() == lifter.get_params()
+    write_arrays(path, arrays | {"hidden_bias": np.zeros(256, "f")}, described)
+    with pytest.raises(InputError, match=r"hidden_bias has shape \(256,\), not \(48,\)"):
+        LandmarkLifter.load(path)
 
 
 def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
