@@ -19,8 +19,8 @@ from data_gen.landmarks import load_vertices
 from data_gen.models.mesh import largest_component
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.renderer import part_of
-from deepmds_keras.camera import HeadPose
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.camera import HeadPose
 
 _N_LANDMARKS = len(load_vertices("ibug68").numbers)
 _N_JAW = load_vertices("ibug51").numbers[0] - 1

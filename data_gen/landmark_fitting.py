@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.camera import HeadPose, orthographic_cameras
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.camera import HeadPose, orthographic_cameras
 
 N_POSE = 6  # rotation vector, logarithm of the scale, translation
 _DAMPING = 1e-3  # of the first step, as a share of the diagonal

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from data_gen.landmark_fitting import LandmarkFit, LandmarkFitter
 from data_gen.models.mesh import largest_component, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.alignment import procrustes
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.alignment import procrustes
 
 _MIN_POINTS = 3  # fewer leave the rotation open
 _STRETCH = 1.5  # growth of the steps while they keep their direction

@@ -17,8 +17,8 @@ from data_gen.models.expressions import (
     scan_expression_weights,
 )
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.camera import camera_angles
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.camera import camera_angles
 
 PROJECTIONS = ("orthographic", "perspective")
 PROTOCOLS = ("paper", "released", "posed")

@@ -12,42 +12,42 @@ from deepmds_keras.errors import InputError, MissingPackageError, needs
 if TYPE_CHECKING:  # for editors and type checkers: the same names as below
     from deepmds_keras import baselines as baselines
     from deepmds_keras import metrics as metrics
-    from deepmds_keras.alignment import align as align
-    from deepmds_keras.alignment import normalise as normalise
-    from deepmds_keras.camera import HeadPose as HeadPose
-    from deepmds_keras.camera import head_pose as head_pose
+    from deepmds_keras.deep_mds import DeepMDS as DeepMDS
     from deepmds_keras.embedding import embed as embed
+    from deepmds_keras.geometry.alignment import align as align
+    from deepmds_keras.geometry.camera import HeadPose as HeadPose
+    from deepmds_keras.geometry.camera import head_pose as head_pose
+    from deepmds_keras.geometry.units import normalise as normalise
     from deepmds_keras.landmarks import convert as convert
     from deepmds_keras.landmarks import load_scheme as load_scheme
     from deepmds_keras.lifting.lifter import LandmarkLifter as LandmarkLifter
     from deepmds_keras.networks import build_autoencoder as build_autoencoder
     from deepmds_keras.networks import build_dissimilarity_net as build_dissimilarity_net
-    from deepmds_keras.pipeline import DeepMDS as DeepMDS
-    from deepmds_keras.predict.face_lifter import FaceLifter as FaceLifter
-    from deepmds_keras.predict.face_lifter import predict_landmarks as predict_landmarks
-    from deepmds_keras.predict.face_lifter import predict_photo as predict_photo
-    from deepmds_keras.predict.faces import Face as Face
-    from deepmds_keras.predict.landmark_files import read_landmarks as read_landmarks
     from deepmds_keras.proximities import pair_features as pair_features
+    from deepmds_keras.tool.predict.face_lifter import FaceLifter as FaceLifter
+    from deepmds_keras.tool.predict.face_lifter import predict_landmarks as predict_landmarks
+    from deepmds_keras.tool.predict.face_lifter import predict_photo as predict_photo
+    from deepmds_keras.tool.predict.faces import Face as Face
+    from deepmds_keras.tool.predict.landmark_files import read_landmarks as read_landmarks
 
 _HOME = {
-    "DeepMDS": "pipeline",
-    "Face": "predict.faces",
-    "FaceLifter": "predict.face_lifter",
-    "HeadPose": "camera",
+    "DeepMDS": "deep_mds",
+    "Face": "tool.predict.faces",
+    "FaceLifter": "tool.predict.face_lifter",
+    "HeadPose": "geometry.camera",
     "LandmarkLifter": "lifting.lifter",
-    "align": "alignment",
+    "align": "geometry.alignment",
     "build_autoencoder": "networks",
     "build_dissimilarity_net": "networks",
     "convert": "landmarks",
     "embed": "embedding",
-    "head_pose": "camera",
+    "head_pose": "geometry.camera",
     "load_scheme": "landmarks",
-    "normalise": "alignment",
+    "normalise": "geometry.units",
     "pair_features": "proximities",
-    "predict_landmarks": "predict.face_lifter",
-    "predict_photo": "predict.face_lifter",
-    "read_landmarks": "predict.landmark_files",
+    "predict_landmarks": "tool.predict.face_lifter",
+    "predict_photo": "tool.predict.face_lifter",
+    "read_landmarks": "tool.predict.landmark_files",
 }
 _MODULES = ("baselines", "metrics")
 _KERAS = ("h5py", "keras", "sklearn", "tensorflow")  # what the extra of that name brings

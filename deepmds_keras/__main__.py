@@ -10,8 +10,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from deepmds_keras.command.cli import parse, printable
 from deepmds_keras.errors import InputError, escape_unprintable
+from deepmds_keras.tool.command.cli import parse, printable
 
 _STOPPED = 130  # what shells expect of a command that Ctrl-C stopped
 
@@ -25,17 +25,17 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         command = options.pop("command")
         if command == "evaluate":
-            from deepmds_keras.command.evaluation import evaluate
+            from deepmds_keras.tool.command.evaluation import evaluate
 
             evaluate(**options)
         elif command == "export":
-            from deepmds_keras.command.onnx_export import export
+            from deepmds_keras.tool.command.onnx_export import export
 
             export(options["out"], options["model"])
             print(f"{options['model']} → {options['out']}")
         else:
             # Not before: --help and wrong arguments are answered without its many imports.
-            from deepmds_keras.command.run import run
+            from deepmds_keras.tool.command.run import run
 
             failed = run(**options, stopped=stopped)
         sys.stdout.flush()

@@ -10,13 +10,11 @@ from joblib import Parallel, delayed
 from sklearn.manifold import MDS
 
 from deepmds_keras.errors import InputError, check_choice, needs
+from deepmds_keras.geometry.classical_scaling import classical_scaling, with_signs
 
 # Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
 # largest distance, the matrix does not hold distances.
 _NEGATIVE_SHARE = 0.1
-_STEPS = 18  # of Lanczos' method: the Gram matrices of faces need 12 to 18
-_RESIDUAL = 1e-13
-_ROUNDING = 1e-14  # both relative to the norm of the matrix
 
 
 def embed(
@@ -102,32 +100,6 @@ def compiled_solver() -> Callable | None:
     return compiled_mds
 
 
-def pairwise_distances(points: np.ndarray) -> np.ndarray:
-    """Euclidean distances between all pairs of points: `(…, L, d)` → `(…, L, L)` float64."""
-    points = np.asarray(points, float)
-    return np.linalg.norm(points[..., :, None, :] - points[..., None, :, :], axis=-1)
-
-
-def classical_scaling(dissimilarities: np.ndarray, n_components: int = 3) -> np.ndarray:
-    """Classical (Torgerson) scaling of each matrix: `(n, L, L)` → `(n, L, n_components)`.
-
-    Components of negative eigenvalues, which Euclidean distances do not have, are zero. Distances
-    leave the sign of a component open; the first landmark far out on it gets a positive coordinate.
-    """
-    values, vectors = leading_eigenpairs(doubly_centred(dissimilarities), n_components)
-    return _with_signs(vectors * np.sqrt(np.maximum(values, 0))[:, None])
-
-
-def doubly_centred(dissimilarities: np.ndarray) -> np.ndarray:
-    """Minus half the squares, with rows and columns that sum to 0 (Torgerson 1952).
-
-    Of distances these are the Gram matrices of the points about their mean: `(…, L, L)` → the same.
-    """
-    squared = np.square(np.asarray(dissimilarities, float))
-    rows = squared.mean(-1, keepdims=True)
-    return -0.5 * (squared - rows - np.swapaxes(rows, -1, -2) + rows.mean(-2, keepdims=True))
-
-
 def metric_embed(dissimilarities: np.ndarray, n_jobs: int | None = None) -> np.ndarray:
     """Metric MDS, for comparison with `embed`.
 
@@ -169,25 +141,13 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     return np.abs((matrices + np.swapaxes(matrices, 1, 2)) / 2)
 
 
-def _with_signs(points: np.ndarray) -> np.ndarray:
-    """Points `(..., L, k)`, each axis signed so that the first landmark far out is positive.
-
-    The sign of an eigenvector depends on rounding, hence on the processor, and in a symmetric face
-    so does which of two landmarks is farthest out. The first of those at least 0.6 times as far
-    out does not.
-    """
-    sizes = np.abs(points)
-    first = (sizes >= 0.6 * sizes.max(-2, keepdims=True)).argmax(-2)
-    return points * np.sign(np.take_along_axis(points, first[..., None, :], -2))
-
-
 def _embed_faces(matrices, n_components, solve, max_iter, eps):
     points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
     for face, matrix in enumerate(matrices):
         points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
     points -= points.mean(1, keepdims=True)
     points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)
-    points = _with_signs(points)
+    points = with_signs(points)
     return points * _scales(points, matrices)[:, None, None], stress
 
 
@@ -214,72 +174,3 @@ def sklearn_mds(
     scaling = MDS(start.shape[1], metric_mds=metric, max_iter=max_iter, eps=eps, **options)
     points = scaling.fit_transform(dissimilarities, init=start)
     return points, scaling.stress_, scaling.n_iter_
-
-
-def leading_eigenpairs(matrices: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest eigenvalues and their eigenvectors, as `numpy.linalg.eigh` has them to rounding.
-
-    Lanczos' method with full reorthogonalisation (Golub & Van Loan, Matrix Computations, chapter
-    10) where a bound proves its result, `eigh` for the other matrices. The result for a matrix
-    does not depend on the others.
-
-    Args:
-        matrices: `(n, L, L)`, symmetric.
-        count: Eigenvalues per matrix.
-
-    Returns:
-        `(n, count)` eigenvalues in descending order and `(n, L, count)` eigenvectors of length 1.
-    """
-    # SciPy's eigh(subset_by_index=) would make the compiled solver a fifth slower on one core, and
-    # block its threads, since it holds the interpreter lock.
-    n, size, _ = matrices.shape
-    values, vectors = np.empty((n, count)), np.empty((n, size, count))
-    proven = np.zeros(n, bool)
-    if size > _STEPS > count:
-        values, vectors, proven = _lanczos(matrices, count)
-    if not proven.all():
-        all_values, all_vectors = np.linalg.eigh(matrices[~proven])
-        top = slice(None, -count - 1, -1)
-        values[~proven], vectors[~proven] = all_values[:, top], all_vectors[..., top]
-    return values, vectors
-
-
-def _lanczos(matrices, count):
-    """Ritz values, Ritz vectors and whether they are proven to be the largest eigenpairs."""
-    n, size, _ = matrices.shape
-    squared_norms = np.einsum("nij,nij->n", matrices, matrices)
-    norms = np.sqrt(squared_norms)
-    basis = np.zeros((n, _STEPS + 1, size))
-    diagonal, off_diagonal = np.empty((n, _STEPS)), np.empty((n, _STEPS))
-    # No symmetry of a face leaves this start unchanged: its Krylov space would miss eigenvectors.
-    start = matrices @ np.random.default_rng(0).standard_normal(size)
-    basis[:, 0] = _unit(start, _ROUNDING * norms)[0]
-    for step in range(_STEPS):
-        image = matrices @ basis[:, step, :, None]
-        diagonal[:, step] = np.einsum("ni,ni->n", basis[:, step], image[..., 0])
-        known = basis[:, : step + 1]
-        for _ in range(2):  # once would leave rounding errors that grow
-            image -= np.swapaxes(known, 1, 2) @ (known @ image)
-        basis[:, step + 1], off_diagonal[:, step] = _unit(image[..., 0], _ROUNDING * norms)
-    reduced, steps = np.zeros((n, _STEPS, _STEPS)), np.arange(_STEPS)
-    reduced[:, steps, steps] = diagonal
-    reduced[:, steps[1:], steps[:-1]] = off_diagonal[:, :-1]
-    values, vectors = np.linalg.eigh(reduced)  # reads the lower triangle only
-    values, vectors = values[:, ::-1], vectors[..., ::-1]
-    last = off_diagonal[:, -1]
-    residuals = last * np.abs(vectors[:, -1, :count]).max(1)
-    # In this basis, completed, the matrix consists of the reduced one and a remainder, coupled by
-    # `last`. Without the coupling no other eigenvalue exceeds the next Ritz value or the norm of
-    # the remainder; the coupling adds at most its own norm (Weyl's inequality).
-    rest = squared_norms - np.square(diagonal).sum(1) - 2 * np.square(off_diagonal).sum(1)
-    others = np.maximum(values[:, count], np.sqrt(np.maximum(rest, 0))) + last
-    proven = (residuals <= _RESIDUAL * norms) & (others < values[:, count - 1])
-    vectors = np.swapaxes(basis[:, :-1], 1, 2) @ vectors[..., :count]
-    return values[:, :count].copy(), vectors, proven
-
-
-def _unit(vectors, rounding):
-    """Unit vectors, and the lengths before; zeros where there is only rounding error."""
-    lengths = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    lengths[lengths <= rounding] = 0
-    return vectors / np.where(lengths > 0, lengths, np.inf)[:, None], lengths

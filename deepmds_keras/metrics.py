@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm, rankdata, wilcoxon
 
-from deepmds_keras.alignment import align, centre, normalise
 from deepmds_keras.errors import InputError, brief
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import centre, normalise
 
 if TYPE_CHECKING:
     import pandas as pd

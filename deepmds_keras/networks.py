@@ -9,11 +9,11 @@ from collections.abc import Callable
 import keras
 import numpy as np
 import tensorflow as tf
-from keras import layers, ops
+from keras import layers
 
 from deepmds_keras.errors import check_choice
-from deepmds_keras.landmarks.checks import check_n_landmarks
 from deepmds_keras.proximities import VARIANTS
+from deepmds_keras.validation import check_n_landmarks
 
 
 def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
@@ -112,16 +112,6 @@ def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) ->
         outputs, inputs = network.inference_graph, np.asarray(inputs, np.float32)
     batches = range(0, len(inputs), batch_size)
     return np.concatenate([np.asarray(outputs(inputs[i : i + batch_size])) for i in batches])
-
-
-def forward_images(network: keras.Model, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
-    """`forward` for `(n, size, size, 3)` uint8 images, which the network takes in [-1, 1]."""
-    return forward(lambda batch, **mode: network(scale_images(batch), **mode), images, batch_size)
-
-
-def scale_images(images: np.ndarray | keras.KerasTensor) -> keras.KerasTensor:
-    """[0, 255] → [-1, 1]."""
-    return ops.cast(images, "float32") / 127.5 - 1
 
 
 def dense_blocks(seed: int) -> Callable:

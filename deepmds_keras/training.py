@@ -13,12 +13,13 @@ import numpy as np
 import tensorflow as tf
 import tensorflow.experimental.numpy as tnp
 
-from deepmds_keras.alignment import normalise
 from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_arrays
-from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward, scale_images
+from deepmds_keras.geometry.units import normalise
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
 from deepmds_keras.proximities import proximities
-from deepmds_keras.weights import Stream, read_checkpoint, set_network_arrays, write_checkpoint
+from deepmds_keras.streams import Stream
+from deepmds_keras.weights import read_checkpoint, set_network_arrays, write_checkpoint
 
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
 _DISSIMILARITY_CHECK_FACES = 50
@@ -263,23 +264,6 @@ def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
     options = tf.data.Options()
     options.autotune.enabled = False
     return data.with_options(options)
-
-
-def image_batches(images, targets: np.ndarray, rows: np.ndarray) -> tf.data.Dataset:
-    """Mini-batches of images in [-1, 1] and targets, read a few steps ahead of the training.
-
-    Args:
-        images: `(n, size, size, 3)` uint8, an array or something indexed like one.
-        targets: `(n, d)` float32, what the network must predict.
-        rows: `(steps, batch)` numbers of the images in each mini-batch.
-    """
-    first = images[rows[0]], targets[rows[0]]
-    signature = tuple(tf.TensorSpec(array.shape, array.dtype) for array in first)
-    data = tf.data.Dataset.from_generator(
-        lambda: ((images[batch], targets[batch]) for batch in rows), output_signature=signature
-    )
-    data = data.apply(tf.data.experimental.assert_cardinality(len(rows)))
-    return data.map(lambda image, target: (scale_images(image), target)).prefetch(8)
 
 
 def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray:

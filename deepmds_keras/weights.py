@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntEnum, unique
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,24 +14,6 @@ if TYPE_CHECKING:
     import keras
 
 PRETRAINED = Path(__file__).with_name("pretrained")
-
-
-@unique
-class Stream(IntEnum):
-    """Random streams of training: `default_rng([seed, Stream.FACE_ORDER, epoch])`.
-
-    Numbers below 100; `experiments.streams` has those from 100 on. None is 0: NumPy pads short
-    seeds with zeros, so that `default_rng(s)` equals `default_rng([s, 0])`.
-    """
-
-    FACE_ORDER = 1
-    SHUFFLED_PAIRS = 2
-    RINGS = 3
-    LIFTING_SPLIT = 11
-    LIFTING_BASIS = 12
-    LIFTING_CHECK = 13
-    LIFTING_TRAINING = 14
-    LIFTING_WEIGHTS = 15
 
 
 def network_arrays(network: keras.Model) -> dict[str, np.ndarray]:

@@ -21,8 +21,8 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Renderer, square_frames
 from data_gen.views import in_camera_frame, sample_expressive, sample_hard_cameras
-from deepmds_keras.alignment import centre, normalise
 from deepmds_keras.files import write_bytes
+from deepmds_keras.geometry.units import centre, normalise
 from deepmds_keras.landmarks import convert, load_scheme
 from experiments.figures.style import INK, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view
@@ -180,7 +180,7 @@ def _crossing(
 @styled
 def method_picture() -> Figure:
     """The paper's method on one face: a view, its frontal view, distances, and their shape."""
-    from deepmds_keras.pipeline import DeepMDS  # not in the process that renders
+    from deepmds_keras.deep_mds import DeepMDS  # not in the process that renders
 
     scheme, model = load_scheme("bfm72"), DeepMDS.pretrained("deepmds-bfm72")
     head, rng = load_openhead(), np.random.default_rng(_METHOD_SEED)

@@ -20,8 +20,8 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from data_gen.models.registry import model_files
-from deepmds_keras.detection.mediapipe_landmarks import has_face_mesh
 from deepmds_keras.errors import InputError
+from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
 from experiments.__main__ import PARENT, one_line_errors, this_process
 from experiments.records import is_current, read_record
 from experiments.run import Run, check_weights, left_out, run_of_variables

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.alignment import normalise
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.units import normalise
 from experiments import recipes
 from experiments.inputs import Faces, load_landmark_model
 from experiments.method import Method

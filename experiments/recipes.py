@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.alignment import normalise, rms_radius
-from deepmds_keras.detection.photos import IMAGE_SIZE
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
+from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import load_scheme
 from experiments.inputs import load_faces, load_images, load_landmark_model
 from experiments.progress import EpochBar
@@ -69,7 +69,7 @@ def _epochs(model) -> dict[str, int]:
         }
     if hasattr(model, "epochs"):
         return {type(model).__name__: model.epochs}
-    from deepmds_keras.lifting.training import Recipe
+    from deepmds_keras.lifting.trainer import Recipe
 
     return {"lifting": len(Recipe(model.steps).blocks)}
 
@@ -154,7 +154,7 @@ class MediaPipe:
 
     def predict(self, photos: np.ndarray) -> np.ndarray:
         """Landmarks `(n, 51, 3)` in pixels; NaN where no face is found."""
-        from deepmds_keras.detection.mediapipe_landmarks import detect, landmarks51
+        from deepmds_keras.tool.detection.mediapipe_landmarks import detect, landmarks51
 
         return landmarks51(detect(photos), self.points)
 
@@ -164,7 +164,7 @@ class MediaPipe:
 
 def deep_mds(run: Run, variant: str, schedule: str):
     """The untrained method, of the landmarks and sizes of a run."""
-    from deepmds_keras.pipeline import DeepMDS
+    from deepmds_keras.deep_mds import DeepMDS
 
     return DeepMDS(
         len(load_scheme(run.scheme)),
@@ -196,7 +196,7 @@ def networks_with_errors(run: Run) -> Path:
 
 def authors_weights(run: Run):
     """The authors' released networks."""
-    from deepmds_keras.pipeline import DeepMDS
+    from deepmds_keras.deep_mds import DeepMDS
 
     files = (Path(run.authors, name) for name in AUTHORS_FILES[run.track])
     model = DeepMDS.from_released(*files, n_landmarks=len(load_scheme(run.scheme)))

@@ -18,7 +18,7 @@ from deepmds_keras import (
     predict_photo,
     read_landmarks,
 )
-from deepmds_keras.predict.videos import Frame
+from deepmds_keras.tool.predict.videos import Frame
 
 views = np.zeros((2, 51, 2))
 faces = predict_photo("photo.jpg", interocular=90.0)

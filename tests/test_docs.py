@@ -19,10 +19,10 @@ from deepmds_keras import build_autoencoder, build_dissimilarity_net
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.ringnet import RingNet
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
-from deepmds_keras.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.errors import InputError
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
+from deepmds_keras.tool.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.training import Recipe
 from docs.make_docs import pages
 from experiments.presets import FULL, PRESETS

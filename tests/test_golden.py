@@ -14,7 +14,8 @@ import pytest
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.embedding import embed, pairwise_distances
+from deepmds_keras.embedding import embed
+from deepmds_keras.geometry.classical_scaling import pairwise_distances
 
 GOLDEN = Path(__file__).with_name("golden.csv")
 EXACT = ("mean_shape", "linear", "aldrian", "aldrian_authors")

@@ -15,8 +15,8 @@ from data_gen.build_openhead.cut import Head
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead, read_openhead
 from data_gen.views import sample_expressive
-from deepmds_keras.alignment import procrustes
 from deepmds_keras.files import atomic_write
+from deepmds_keras.geometry.alignment import procrustes
 
 N_COMPONENTS = 199  # as many as the Basel Face Model has
 RANK = 48  # of the small model; more gain nothing: 32 lose 0.03 mm

@@ -16,8 +16,8 @@ from joblib import Parallel, delayed
 from data_gen.mesh_files import read_ply
 from data_gen.models.flame import LandmarkEmbedding
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.alignment import procrustes
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.alignment import procrustes
 
 _MM = 1e3  # the files are in metres
 _MESHES_PER_CHUNK = 128

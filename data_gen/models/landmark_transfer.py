@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 
 from data_gen.models.mesh import largest_component, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.alignment import procrustes
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.alignment import procrustes
 
 MIN_ANCHORS = 6
 # Number of surface points, spline smoothing (mm), farthest match (mm): stiff and far-sighted first.

@@ -8,10 +8,10 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.linear_model import RidgeCV
 
-from deepmds_keras.alignment import align
-from deepmds_keras.camera import affine_cameras
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks.checks import (
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.camera import affine_cameras
+from deepmds_keras.validation import (
     check_faces,
     check_fitted,
     check_points,

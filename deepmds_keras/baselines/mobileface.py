@@ -10,12 +10,10 @@ import numpy as np
 import tensorflow as tf
 from keras import layers, ops
 
-from deepmds_keras.baselines.networks import NetworkMethod, check_shape, draw_kernels
-from deepmds_keras.detection.photos import IMAGE_SIZE
+from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
+from deepmds_keras.baselines.images import IMAGE_SIZE, check_images, forward_images, image_batches
 from deepmds_keras.errors import check_choice
-from deepmds_keras.landmarks.checks import check_images
-from deepmds_keras.networks import forward_images
-from deepmds_keras.training import Recipe, face_order, image_batches
+from deepmds_keras.training import Recipe, face_order
 
 _IMAGES_PER_CALL = 250
 _CHECK_FACES = 500

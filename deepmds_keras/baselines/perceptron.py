@@ -7,11 +7,11 @@ from dataclasses import KW_ONLY, dataclass
 import keras
 import numpy as np
 
-from deepmds_keras.alignment import centre, rms_radius
-from deepmds_keras.baselines.networks import NetworkMethod, dense_network
-from deepmds_keras.landmarks.checks import check_faces, check_n_landmarks, check_views_and_shapes
+from deepmds_keras.baselines.base import NetworkMethod, dense_network
+from deepmds_keras.geometry.units import centre, rms_radius
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe
+from deepmds_keras.validation import check_faces, check_n_landmarks, check_views_and_shapes
 
 _UNIT = 0.01  # unit of the output, in which faces differ by about 1
 

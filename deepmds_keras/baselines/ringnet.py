@@ -10,12 +10,12 @@ import numpy as np
 import tensorflow as tf
 from keras import layers, ops
 
-from deepmds_keras.baselines.networks import NetworkMethod, check_shape, draw_kernels
+from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
+from deepmds_keras.baselines.images import check_images, forward_images, image_batches
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks.checks import check_images, check_points
-from deepmds_keras.networks import forward_images
-from deepmds_keras.training import face_order, image_batches
-from deepmds_keras.weights import Stream
+from deepmds_keras.streams import Stream
+from deepmds_keras.training import face_order
+from deepmds_keras.validation import check_points
 
 _N_POSE = 6  # parameters before the coefficients: log scale, x, y, axis-angle
 _MARGIN = 0.5  # by which the squared distance of another person's code must be larger

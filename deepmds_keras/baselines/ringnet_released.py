@@ -12,8 +12,8 @@ import numpy as np
 import tensorflow as tf
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
+from deepmds_keras.baselines.images import check_images
 from deepmds_keras.errors import InputError, brief
-from deepmds_keras.landmarks.checks import check_images
 
 IMAGE_SIZE = 224
 N_VERTICES = 5023  # FLAME's

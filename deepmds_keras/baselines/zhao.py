@@ -7,10 +7,10 @@ from dataclasses import KW_ONLY, dataclass
 import keras
 import numpy as np
 
-from deepmds_keras.baselines.networks import NetworkMethod, dense_network
+from deepmds_keras.baselines.base import NetworkMethod, dense_network
 from deepmds_keras.errors import check_choice
-from deepmds_keras.landmarks.checks import check_faces, check_n_landmarks
 from deepmds_keras.networks import forward
+from deepmds_keras.validation import check_faces, check_n_landmarks
 
 
 @dataclass(eq=False, repr=False)

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from deepmds_keras.alignment import rms_radius
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.units import rms_radius
 from deepmds_keras.landmarks import convert, face_sizes, load_scheme, scheme_of
 
 _PARTS = ("right_eye", "left_eye", "outer_mouth")

@@ -14,15 +14,15 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 
 from deepmds_keras import weights
-from deepmds_keras.camera import HeadPose
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import read_arrays, write_arrays
-from deepmds_keras.landmarks.checks import check_fitted
+from deepmds_keras.geometry.camera import HeadPose
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.lifting.equations import Camera
-from deepmds_keras.lifting.faces import given_faces, read_faces, sampled_faces
-from deepmds_keras.lifting.network import UNIT, check_weights, initial_weights, lift
-from deepmds_keras.lifting.views import LEAST_VISIBLE, Views, prepare_views
+from deepmds_keras.lifting.inputs import LEAST_VISIBLE, Views, prepare_views
+from deepmds_keras.lifting.sampling import given_faces, read_faces, sampled_faces
+from deepmds_keras.lifting.unrolled_fit import UNIT, check_weights, initial_weights, lift
+from deepmds_keras.validation import check_fitted
 
 # Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view:
 # about 1 % of the distance between the outer corners of the eyes, for 51 or 72 landmarks.
@@ -137,7 +137,7 @@ class LandmarkLifter:
                 too few landmarks, an option out of range, or the checkpoint of another run.
         """
         with needs("Keras with TensorFlow, which train,", "keras"):
-            from deepmds_keras.lifting.training import Recipe, train_lifting_net
+            from deepmds_keras.lifting.trainer import Recipe, train_lifting_net
 
         self._check_parameters()
         if callable(views):

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
-from deepmds_keras.alignment import align
-from deepmds_keras.embedding import doubly_centred, pairwise_distances
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.classical_scaling import doubly_centred, pairwise_distances
 from deepmds_keras.metrics import depth_corr
 from experiments.audit.measure import Evidence
 from experiments.inputs import load_faces

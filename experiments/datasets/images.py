@@ -9,7 +9,7 @@ import numpy as np
 from data_gen.datasets.dataset import load_dataset
 from data_gen.datasets.images import Scene, make_scene, render
 from data_gen.models.registry import load_model
-from deepmds_keras.detection.photos import IMAGE_SIZE
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from experiments.inputs import CROP_MARGIN, face_model, image_files
 from experiments.progress import Bar
 from experiments.records import resumable

@@ -18,7 +18,7 @@ from data_gen.datasets.photos_standin import PhotosStandin
 from data_gen.edge_fitting import EdgeFitter
 from data_gen.photographs import crop
 from data_gen.renderer import MARGIN
-from deepmds_keras.detection.photos import IMAGE_SIZE
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from experiments.datasets.detected_faces import find_faces
 from experiments.inputs import face_model

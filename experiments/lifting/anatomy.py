@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 
 from data_gen.datasets.dataset import load_dataset
-from deepmds_keras.embedding import embed, metric_embed, pairwise_distances
+from deepmds_keras.embedding import embed, metric_embed
+from deepmds_keras.geometry.classical_scaling import pairwise_distances
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.proximities import pair_features
 from experiments.figures.errors import Panel, error_lines

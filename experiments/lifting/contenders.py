@@ -16,9 +16,10 @@ import numpy as np
 
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.views import project
-from deepmds_keras.alignment import align, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Aldrian, Linear
-from deepmds_keras.camera import affine_cameras, orthographic_cameras
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.camera import affine_cameras, orthographic_cameras
+from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
 from experiments.recipes import perceptron

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.alignment import align, centre, normalise
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import centre, normalise
 from deepmds_keras.metrics import mse
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import Contenders, limit

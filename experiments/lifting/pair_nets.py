@@ -15,6 +15,7 @@ from keras import layers, ops
 from deepmds_keras.networks import dense_blocks, distance_layers
 from deepmds_keras.proximities import VARIANTS as N_FEATURES
 from deepmds_keras.proximities import pair_features
+from deepmds_keras.streams import Stream
 from deepmds_keras.training import (
     Recipe,
     face_order,
@@ -22,7 +23,6 @@ from deepmds_keras.training import (
     steps_per_call,
     train_by_epoch,
 )
-from deepmds_keras.weights import Stream
 from experiments.lifting.variants import Variant
 
 _EMBEDDED, _CODE = 16, 32

@@ -63,7 +63,7 @@ def load_network(file: Path):
         from deepmds_keras.lifting.lifter import LandmarkLifter
 
         return LandmarkLifter.load(file)
-    from deepmds_keras.pipeline import DeepMDS
+    from deepmds_keras.deep_mds import DeepMDS
 
     return DeepMDS.load(file).set_params(solver="numba", n_jobs=1)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import keras
 import numpy as np
 
-from deepmds_keras.alignment import normalise
+from deepmds_keras.geometry.units import normalise
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe, train_autoencoder
 from experiments.inputs import Faces, load_faces

@@ -22,9 +22,10 @@ from data_gen.views import (
     sample_perspective_cameras,
     sample_photo_views,
 )
-from deepmds_keras.alignment import align, centre, normalise, rms_radius
 from deepmds_keras.baselines.closed_form import Linear, MeanShape
 from deepmds_keras.baselines.eos_fit import EosFit
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.metrics import mse
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_gen.models.registry import OPEN, load_model, open_models
-from deepmds_keras.detection import DETECTORS
-from deepmds_keras.detection.mediapipe_landmarks import landmarks51, shared_detector
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.tool.detection import DETECTORS
+from deepmds_keras.tool.detection.mediapipe_landmarks import landmarks51, shared_detector
 from experiments.progress import Bar
 from experiments.run import Run
 from experiments.streams import Stream

@@ -11,14 +11,15 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.registry import OPEN
-from deepmds_keras.alignment import align, normalise, rms_radius
-from deepmds_keras.camera import refit
-from deepmds_keras.detection import detector_sd, move, upright_axes
+from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.camera import refit
+from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.tool.detection import detector_sd, move, upright_axes
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import portraits_file, read_portraits

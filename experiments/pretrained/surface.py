@@ -24,9 +24,9 @@ from data_gen.views import (
     sample_expressive,
     sample_perspective_cameras,
 )
-from deepmds_keras.alignment import align, procrustes
+from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.predict.mesh import FILE, fit_surfaces, surface_landmarks
+from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.run import Run
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results

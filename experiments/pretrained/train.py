@@ -23,7 +23,7 @@ from data_gen.views import (
     sample_perspective_cameras,
     sample_photo_views,
 )
-from deepmds_keras.alignment import align, procrustes
+from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
 from experiments.recipes import deep_mds, fit, lifting
 from experiments.records import resumable

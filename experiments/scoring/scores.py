@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras import metrics
-from deepmds_keras.alignment import align, is_mirrored
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
+from deepmds_keras.geometry.alignment import align, is_mirrored
 from experiments.inputs import Faces
 from experiments.records import load_record
 from experiments.run import Run

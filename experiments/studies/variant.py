@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from experiments.run import Run
 
 if TYPE_CHECKING:
-    from deepmds_keras.pipeline import DeepMDS
+    from deepmds_keras.deep_mds import DeepMDS
     from experiments.inputs import Faces
 
 _METHODS = {"constant": "ours", "cosine": "ours_stable"}
@@ -113,9 +113,9 @@ def train_variant(
     """
     import keras
 
-    from deepmds_keras.camera import front_landmark
+    from deepmds_keras.deep_mds import DeepMDS
+    from deepmds_keras.geometry.orientation import front_landmark
     from deepmds_keras.networks import forward
-    from deepmds_keras.pipeline import DeepMDS
     from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
     from experiments.methods import load
 

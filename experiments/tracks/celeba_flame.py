@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.alignment import align, centre, normalise
-from deepmds_keras.detection.dlib_landmarks import shared_detector
-from deepmds_keras.detection.photos import IMAGE_SIZE, open_photo
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import map_npy
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import centre, normalise
 from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.tool.detection.dlib_landmarks import shared_detector
+from deepmds_keras.tool.detection.photos import open_photo
 from experiments.figures.qualitative import gallery
 from experiments.figures.style import save
 from experiments.inputs import CROP_MARGIN, CROP_SIZE, load_faces

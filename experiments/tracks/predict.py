@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
-from deepmds_keras.detection.photos import IMAGE_SIZE
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.files import write_arrays
 from experiments.inputs import load_faces, load_images
 from experiments.method import Method

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.alignment import procrustes
+from deepmds_keras.geometry.alignment import procrustes
 
 SCHEME = "bfm72"
 MEAN = Path(__file__).with_name("bfm72_mean.csv")

@@ -19,9 +19,9 @@ from scipy.stats import bootstrap
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import OPEN, TITLES, load_model, open_models
-from deepmds_keras.alignment import normalise
+from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
-from deepmds_keras.pipeline import DeepMDS
+from deepmds_keras.geometry.units import normalise
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen

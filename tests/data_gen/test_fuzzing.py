@@ -26,9 +26,9 @@ from data_gen.models.array_files import load_plain_pickle
 from data_gen.models.basel import load_bfm2009, load_bfm2017
 from data_gen.models.flame import read_flame
 from data_gen.models.openhead import OPENHEAD, load_openhead
-from deepmds_keras.detection.photos import open_photo
 from deepmds_keras.errors import InputError
-from deepmds_keras.predict.landmark_files import read_landmarks
+from deepmds_keras.tool.detection.photos import open_photo
+from deepmds_keras.tool.predict.landmark_files import read_landmarks
 
 N = round(40 * float(os.environ.get("FUZZ", "1")))
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)

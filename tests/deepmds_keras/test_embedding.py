@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from deepmds_keras import DeepMDS, InputError, MissingPackageError, align, embed, embedding
-from deepmds_keras.embedding import classical_scaling, leading_eigenpairs, sklearn_mds
+from deepmds_keras.embedding import sklearn_mds
+from deepmds_keras.geometry.classical_scaling import classical_scaling
 
 pytest.importorskip("numba", reason="numba is not installed")
 from deepmds_keras.compiled_mds import compiled_mds  # noqa: E402
@@ -157,47 +158,3 @@ def test_dimensions_and_limits_are_those_of_scikit_learn(n_components, limits):
     start = np.random.default_rng(3).standard_normal((3, 30, n_components))
     start[:, 5] = start[:, 6]  # landmarks that start at one place are parted alike, too
     compare(noisy(clouds()), start, *limits)
-
-
-# Largest eigenpairs: those of `eigh` for any symmetric matrix, and without it for faces.
-
-
-def gram(distances):
-    centring = np.eye(distances.shape[-1]) - 1 / distances.shape[-1]
-    return -0.5 * centring @ np.square(distances) @ centring
-
-
-@pytest.mark.parametrize("count", [2, 3])
-@pytest.mark.parametrize(
-    "matrices",
-    [
-        pytest.param(gram(noisy(clouds(8, 72))), id="faces"),
-        pytest.param(gram(noisy(clouds(8, 5))), id="5 landmarks"),
-        pytest.param(gram(noisy(clouds(1, 72) * [1, 1, 0], 0)), id="rank 2"),
-        pytest.param(gram(noisy(clouds(1, 72), 0.5)), id="no clear third"),
-        pytest.param(-gram(noisy(clouds(8, 72))), id="most negative"),
-        pytest.param(np.diag([3.0, 2, 2] + 37 * [0.01])[None], id="second twice"),
-        pytest.param(np.diag([1.0, 1, 1] + 37 * [0.0])[None], id="first three times"),
-        pytest.param(1e-9 * gram(noisy(clouds(8, 72))), id="small"),
-    ],
-)
-def test_eigenpairs_are_those_of_eigh_whatever_is_in_the_batch(matrices, count):
-    values, vectors = leading_eigenpairs(matrices, count)
-    largest = np.abs(matrices).max()
-    expected = np.linalg.eigvalsh(matrices)[:, : -count - 1 : -1]
-    assert np.abs(values - expected).max() < 1e-11 * largest
-    assert np.allclose(np.swapaxes(vectors, 1, 2) @ vectors, np.eye(count))
-    # What has no value has no direction.
-    wrong = (matrices @ vectors - values[:, None] * vectors) * np.sqrt(np.abs(values))[:, None]
-    assert np.abs(wrong).max() < 1e-6 * largest**1.5
-    for i in range(len(matrices)):
-        alone = leading_eigenpairs(matrices[i : i + 1], count)
-        assert np.array_equal(alone[0][0], values[i]) and np.array_equal(alone[1][0], vectors[i])
-
-
-@pytest.mark.parametrize("n_landmarks", [51, 72])
-def test_faces_need_no_full_decomposition(n_landmarks, monkeypatch):
-    sizes, eigh = [], np.linalg.eigh
-    monkeypatch.setattr(np.linalg, "eigh", lambda a: sizes.append(a.shape[-1]) or eigh(a))
-    leading_eigenpairs(gram(noisy(clouds(8, n_landmarks), 0.01)), 3)
-    assert sizes and max(sizes) < 20

@@ -14,9 +14,10 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, align, embed, metrics, normalise
-from deepmds_keras.alignment import centre, is_mirrored, unit
-from deepmds_keras.camera import resolve_orientation
-from deepmds_keras.landmarks.checks import check_points
+from deepmds_keras.geometry.alignment import is_mirrored
+from deepmds_keras.geometry.orientation import resolve_orientation
+from deepmds_keras.geometry.units import centre, unit
+from deepmds_keras.validation import check_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -13,7 +13,7 @@ from places import ROOT
 import deepmds_keras
 from data_gen.models.registry import load_model
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.network import initial_weights
+from deepmds_keras.lifting.unrolled_fit import initial_weights
 
 # Modules of the packages that each extra brings, none of which the small installation has.
 EXTRAS = {

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from deepmds_keras import InputError, align, normalise
-from deepmds_keras.alignment import rms_radius
+from deepmds_keras.geometry.units import rms_radius
 from experiments import recipes
 from experiments.inputs import load_faces
 from experiments.method import Method

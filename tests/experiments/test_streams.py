@@ -6,7 +6,7 @@ import re
 import numpy as np
 from places import ROOT
 
-from deepmds_keras.weights import Stream as TrainingStream
+from deepmds_keras.streams import Stream as TrainingStream
 from experiments.streams import Stream
 
 EXPERIMENTS = ROOT / "experiments"

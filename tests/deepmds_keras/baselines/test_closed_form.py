@@ -11,8 +11,8 @@ from sklearn.exceptions import NotFittedError
 
 from deepmds_keras.baselines import closed_form
 from deepmds_keras.baselines.closed_form import Aldrian, AldrianAuthors, Linear, MeanShape
-from deepmds_keras.camera import affine_cameras
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.camera import affine_cameras
 
 L, K = 20, 4
 

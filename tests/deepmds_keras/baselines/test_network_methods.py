@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
 from deepmds_keras import InputError
-from deepmds_keras.alignment import align
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.perceptron import Perceptron, _flat
 from deepmds_keras.baselines.ringnet import (
@@ -21,6 +20,7 @@ from deepmds_keras.baselines.ringnet import (
     ring_loss,
 )
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+from deepmds_keras.geometry.alignment import align
 from deepmds_keras.metrics import mse
 from deepmds_keras.networks import count_trainable
 

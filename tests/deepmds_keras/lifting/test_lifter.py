@@ -17,13 +17,14 @@ from sklearn.preprocessing import FunctionTransformer
 
 from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
-from deepmds_keras.alignment import centre, procrustes
 from deepmds_keras.baselines.closed_form import Linear
 from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.geometry.alignment import procrustes
+from deepmds_keras.geometry.units import centre
 from deepmds_keras.lifting import equations, training
-from deepmds_keras.lifting.faces import Faces, disturb, read_faces
-from deepmds_keras.lifting.network import initial_weights, lift
-from deepmds_keras.lifting.training import build_lifting_net
+from deepmds_keras.lifting.sampling import Faces, disturb, read_faces
+from deepmds_keras.lifting.trainer import build_lifting_net
+from deepmds_keras.lifting.unrolled_fit import initial_weights, lift
 
 L = 20
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from deepmds_keras.alignment import align, normalise
-from deepmds_keras.embedding import pairwise_distances
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.classical_scaling import pairwise_distances
+from deepmds_keras.geometry.units import normalise
 from experiments.audit import shapes
 from experiments.scoring.scores import Scores
 

@@ -11,8 +11,8 @@ import runs
 from places import SHARED
 from scipy.spatial.distance import pdist
 
-from deepmds_keras.alignment import normalise
 from deepmds_keras.baselines.closed_form import MeanShape
+from deepmds_keras.geometry.units import normalise
 from experiments.inputs import load_faces
 from experiments.lifting import anatomy, hard, transfer
 from experiments.lifting.train import lifting_networks

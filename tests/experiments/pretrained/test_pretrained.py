@@ -10,8 +10,9 @@ from places import MEDIAPIPE
 
 from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
-from deepmds_keras.alignment import align, normalise, rms_radius
-from deepmds_keras.detection import move, upright_axes
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import normalise, rms_radius
+from deepmds_keras.tool.detection import move, upright_axes
 from experiments.presets import TINY
 from experiments.pretrained.pretrained import errors_of
 from experiments.pretrained.real_faces import differences, reliability

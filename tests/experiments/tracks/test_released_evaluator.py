@@ -5,7 +5,8 @@ import pytest
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.alignment import align, normalise
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import normalise
 from deepmds_keras.metrics import depth_corr, mse
 from experiments.tracks.bfm import TRUE_DEPTH, as_released
 

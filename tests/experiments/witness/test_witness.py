@@ -10,7 +10,7 @@ from places import SHARED
 from writers.models import write_bfm2009
 
 from data_gen.models.registry import load_model
-from deepmds_keras.alignment import align, procrustes
+from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
 from experiments.presets import TINY
 from experiments.run import Run

@@ -1,0 +1,127 @@
+"""What compared methods with one network share: training, restoring, initial weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+import keras
+import numpy as np
+import tensorflow as tf
+from keras import layers
+from sklearn.base import BaseEstimator
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
+from deepmds_keras.validation import check_fitted
+from deepmds_keras.weights import read_keras2_weights
+
+
+class NetworkMethod(BaseEstimator):
+    """An estimator with one network, trained by epochs with a checkpoint after each.
+
+    A subclass defines `_build(seed)`, and a `fit` that begins with `_compiled` and ends with
+    `_train` or `_train_on_arrays`, which take `checkpoint` and `progress` like `train_by_epoch`.
+
+    Attributes:
+        network_: Trained `keras.Model`.
+        history_: Losses by epoch: `train` while the weights change, `inference` thereafter.
+    """
+
+    def restore(self, checkpoint: str | Path) -> Self:
+        """Load the network of a finished `fit`, and train nothing.
+
+        Raises:
+            InputError: The file is missing, unfinished, damaged or of another run.
+        """
+        network = self._build()
+        self.history_ = restore_network(network, checkpoint, self._label())
+        self.network_ = network
+        return self
+
+    def load_released(self, path: str | Path) -> Self:
+        """Load the authors' weights, a Keras 2 file; errors as in `read_keras2_weights`."""
+        network = self._build()
+        read_keras2_weights(network, path)
+        self.network_ = network
+        return self
+
+    @property
+    def n_parameters(self) -> int:
+        """Trainable parameters."""
+        return count_trainable(self._trained())
+
+    def _trained(self) -> keras.Model:
+        return check_fitted(self, "network_", "fit or restore")
+
+    def _compiled(self, optimizer, loss, **options) -> keras.Model:
+        network, calls = self._build(self.seed), steps_per_call(self.steps_per_epoch)
+        network.compile(optimizer, loss, steps_per_execution=calls, **options)
+        return network
+
+    def _train(self, network, batches, data: dict, inference, **training) -> Self:
+        """`train_by_epoch`; `data` describes the data in the label of the checkpoint."""
+        label = {"network": network.name, **data, **self._label()}
+        self.history_ = train_by_epoch(network, batches, label, inference, **training)
+        self.network_ = network
+        return self
+
+    def _train_on_arrays(self, network, inputs, targets, **training) -> Self:
+        """`_train` on `(n, …)` float32 arrays over all faces, with mean squared errors."""
+        n, steps, batch = len(inputs), self.steps_per_epoch, self.batch_size
+
+        def batches(epoch: int) -> tf.data.Dataset:
+            faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
+            return tf.data.Dataset.from_tensor_slices((inputs[faces], targets[faces]))
+
+        def inference() -> float:
+            return float(np.mean((forward(network, inputs) - targets) ** 2))
+
+        return self._train(network, batches, {"faces": n}, inference, **training)
+
+    def _label(self) -> dict:
+        """Everything that the network depends on besides arrays."""
+        return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
+
+
+def dense_network(
+    name: str,
+    n_inputs: int,
+    sizes: dict[str, tuple[int, str | None]],
+    seed: int,
+    standardised: bool = False,
+) -> keras.Model:
+    """A stack of dense layers on the `(n, n_inputs)` numbers of a view.
+
+    Args:
+        name: Name of the network.
+        n_inputs: Numbers of a view.
+        sizes: Units and activation of each layer, by its name.
+        seed: Seed of the initial weights.
+        standardised: Whether the numbers are first centred and divided by their s.d., in a layer
+            `"standardised"` with their mean and variance as untrained weights.
+    """
+    view = x = keras.Input((n_inputs,), name="view")
+    if standardised:
+        x = layers.BatchNormalization(
+            center=False, scale=False, epsilon=1e-8, trainable=False, name="standardised"
+        )(view)
+    for number, (layer, (units, activation)) in enumerate(sizes.items()):
+        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
+        x = layers.Dense(units, activation, kernel_initializer=initial, name=layer)(x)
+    return keras.Model(view, x, name=name)
+
+
+def check_shape(array: np.ndarray, name: str, shape: tuple[int, ...]) -> None:
+    """Raise InputError for an array of another shape."""
+    if np.shape(array) != shape:
+        raise InputError(f"{name} must have shape {shape}. Received {np.shape(array)}.")
+
+
+def draw_kernels(network: keras.Model, seed: int) -> None:
+    """Redraw every kernel by Keras's default, for networks that take no initialiser."""
+    kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
+    for number, kernel in enumerate(kernels):
+        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
+        kernel.assign(initial(kernel.shape))

@@ -1,0 +1,294 @@
+"""The method of the paper as one estimator: views of a face in, its 3D landmarks out."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import KW_ONLY, asdict, dataclass
+from pathlib import Path
+
+import keras
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from deepmds_keras import networks, training, weights
+from deepmds_keras.embedding import embed
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.geometry.orientation import front_landmark, resolve_orientation
+from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.landmarks import load_scheme, scheme_of
+from deepmds_keras.landmarks.y_axis import check_views
+from deepmds_keras.metrics import explained_share
+from deepmds_keras.proximities import proximities
+from deepmds_keras.validation import check_faces, check_fitted, check_views_and_shapes
+
+_NETWORKS = ("autoencoder", "dissimilarity_net")
+_FACES_PER_CHUNK = 64
+_FACES_PER_EMBEDDING = 1024  # whose matrices are in memory at once
+
+
+@dataclass(eq=False, repr=False)
+class DeepMDS(BaseEstimator):
+    """3D landmarks of a face from the 2D landmarks of one image (Kamyab and Azimifar).
+
+    view → autoencoder → frontal view → dissimilarity net on all pairs → non-metric MDS → shape.
+
+    Args:
+        n_landmarks: L.
+        variant: `"paper"` or `"released"`, see `pair_features`.
+        centre_views: Whether each view is centred before it is normalised, so that a face may lie
+            anywhere in its image. The authors' code does not: then views must come in the
+            coordinates of the face model.
+        schedule: Learning rate, `"constant"` as in the paper or `"cosine"`. With a constant rate,
+            the moving statistics of batch normalisation lag behind the weights, and the error in
+            use is far above that in training.
+        autoencoder_epochs: Passes over the faces, in mini-batches of 16.
+        dissimilarity_epochs: Epochs of `dissimilarity_steps` mini-batches, each of one face.
+        dissimilarity_steps: Mini-batches per epoch.
+        seed: Seed of the initial weights and of the order of the faces.
+        solver: Solver of the embedding, as for `embed`.
+        n_jobs: Number of processes for the embedding; -1 uses every core.
+
+    Attributes:
+        autoencoder_, dissimilarity_net_: Trained `keras.Model`s.
+        front_landmark_: 0-based number of the landmark farthest in front; it decides which of the
+            two mirror images of an embedding is the face.
+        history_: Losses by network and epoch.
+
+    Shipped weights take landmarks in the order of a scheme (docs/landmarks.md).
+
+    Examples:
+        >>> from deepmds_keras import DeepMDS, LandmarkLifter
+        >>> face = LandmarkLifter.pretrained("ibug51").weights_["mean"].T  # (51, 3): a mean face
+        >>> shapes = DeepMDS.pretrained("deepmds-ibug51").predict(face[:, :2])  # y up
+        >>> shapes.shape
+        (1, 51, 3)
+    """
+
+    n_landmarks: int = 72
+    variant: str = "paper"
+    _: KW_ONLY
+    centre_views: bool = False
+    schedule: str = "constant"
+    autoencoder_epochs: int = 30
+    dissimilarity_epochs: int = 30
+    dissimilarity_steps: int = 1000
+    seed: int = 0
+    solver: str = "auto"
+    n_jobs: int | None = None
+
+    def fit(
+        self,
+        views: np.ndarray,
+        shapes: np.ndarray,
+        *,
+        checkpoint: str | Path | None = None,
+        progress: Callable[[str, dict], object] | None = None,
+    ) -> DeepMDS:
+        """Train both networks, the second on the first one's predictions for the training views.
+
+        Args:
+            views: `(n, L, 2)` landmarks in the image, y up, any scale; for the origin see
+                `centre_views`.
+            shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
+            checkpoint: Folder to which each network is written after every epoch, see
+                `checkpoint_files`. An interrupted fit resumes from there, and a network that
+                another fit has trained in the same way is only read.
+            progress: Called after every epoch with the network's name and its losses.
+
+        Raises:
+            InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity, or a
+                checkpoint of another run.
+        """
+        views, shapes = check_views_and_shapes(views, shapes)
+        views, shapes = self._normalised(views), normalise(shapes)
+        files = {} if checkpoint is None else self._files(checkpoint)
+        self.history_ = {}
+
+        def train(name, function, *faces):
+            options = {"seed": self.seed, "checkpoint": files.get(name)}
+            if progress is not None:
+                options["progress"] = functools.partial(progress, name)
+            network, self.history_[name] = function(*faces, self._recipe(name), **options)
+            setattr(self, f"{name}_", network)
+
+        train("autoencoder", training.train_autoencoder, views, shapes[..., :2])
+        function = functools.partial(training.train_dissimilarity_net, variant=self.variant)
+        train("dissimilarity_net", function, self.frontalise(views), shapes)
+        self.front_landmark_ = front_landmark(shapes)
+        return self
+
+    def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
+        """Load the networks that a finished `fit` wrote to a folder, and train nothing.
+
+        Args:
+            checkpoint: The folder.
+            shapes: `(n, L, 3)` shapes of their training.
+
+        Raises:
+            InputError: A network is missing, unfinished, damaged or of another run.
+        """
+        self._build()
+        self.history_ = {}
+        for name, file in self._files(checkpoint).items():
+            label = {"seed": self.seed, **asdict(self._recipe(name))}
+            self.history_[name] = training.restore_network(getattr(self, f"{name}_"), file, label)
+        self.front_landmark_ = front_landmark(shapes)
+        return self
+
+    def predict(
+        self,
+        views: np.ndarray,
+        *,
+        check_orientation: bool = True,
+        progress: Callable[[int], object] | None = None,
+    ) -> np.ndarray:
+        """3D landmarks of each view.
+
+        Distances determine neither rotation nor translation nor handedness. The embedding is
+        rotated onto the frontal view of the autoencoder. Of the two mirror images that remain, the
+        one with `front_landmark_` (the tip of the nose) in front is taken.
+
+        Args:
+            views: `(n, L, 2)` or `(L, 2)`, as for `fit`.
+            check_orientation: Whether to refuse views of a known landmark scheme that are upside
+                down or mirrored.
+            progress: Called with the number of faces just embedded.
+
+        Returns:
+            `(n, L, 3)` frontal shapes: +x to the subject's left, +y up, +z out of the face, in the
+            unit of `normalise`; true size cannot be seen in one view. x and y lie over
+            `frontalise(views)`, the mean of z is 0.
+
+        Raises:
+            InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, or wrong
+                orientation.
+        """
+        if check_orientation:
+            check_views(check_faces(views, "views", 2, self.n_landmarks))
+        frontal = self.frontalise(views)
+        shapes = np.empty((*frontal.shape[:2], 3))
+        for start in range(0, len(frontal), _FACES_PER_EMBEDDING):
+            faces = slice(start, start + _FACES_PER_EMBEDDING)
+            shapes[faces] = embed(
+                np.abs(self._matrices(frontal[faces])),  # as the released code does before mdscale
+                solver=self.solver,
+                n_jobs=self.n_jobs,
+                progress=progress,
+            )
+        return resolve_orientation(shapes, frontal, self.front_landmark_)
+
+    def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
+        """`metrics.explained_share` of the predicted and the true shapes."""
+        return explained_share(self.predict(views), shapes)
+
+    def frontalise(self, views: np.ndarray) -> np.ndarray:
+        """`(n, L, 2)` x and y of the shape from the autoencoder; errors as for `predict`."""
+        views = self._normalised(views)
+        flat = np.float32(views).reshape(len(views), -1)
+        return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
+
+    def dissimilarities(self, views: np.ndarray) -> np.ndarray:
+        """3D distances of all pairs, as the net estimates them: `(n, L, L)`; errors as `predict`.
+
+        The diagonal is not exactly 0 and near neighbours may be slightly negative; `embed` ignores
+        the former and drops the sign of the latter.
+        """
+        return self._matrices(self.frontalise(views))
+
+    def save(self, path: str | Path) -> None:
+        """Write parameters and both networks to an `.npz`; errors are those of `atomic_write`."""
+        arrays = {}
+        for name in _NETWORKS:
+            held = weights.network_arrays(self._trained(f"{name}_"))
+            arrays |= {f"{name}/{key}": array for key, array in held.items()}
+        rest = {"front_landmark": int(self.front_landmark_), "history": self.history_}
+        write_arrays(path, arrays, {"parameters": self.get_params(), **rest})
+
+    @classmethod
+    def load(cls, path: str | Path) -> DeepMDS:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: Missing or damaged file, or weights of another shape.
+        """
+        arrays, described = read_arrays(path)
+        try:
+            parameters = described["parameters"]
+            if parameters.get("solver") == "batched":  # its name until version 0.2
+                parameters["solver"] = "auto"
+            model = cls(**parameters)
+            model.front_landmark_ = range(model.n_landmarks)[described["front_landmark"]]
+            model.history_ = described["history"]
+            if len(arrays["autoencoder/encode_1/kernel"]) != 2 * model.n_landmarks:
+                raise ValueError(f"its weights are not of {model.n_landmarks} landmarks")
+            model._build()
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} was not written by DeepMDS.save(): {error}.") from None
+        for name in _NETWORKS:
+            prefix = f"{name}/"
+            held = {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
+            weights.set_network_arrays(getattr(model, f"{name}_"), held, str(path))
+        return model
+
+    @classmethod
+    def pretrained(cls, name: str) -> DeepMDS:
+        """Shipped weights `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
+        return cls.load(weights.pretrained_path(name))
+
+    @classmethod
+    def from_released(
+        cls, autoencoder_h5: str | Path, dissimilarity_h5: str | Path, *, n_landmarks: int = 72
+    ) -> DeepMDS:
+        """The `"released"` variant with the authors' Keras 2 weight files.
+
+        Raises:
+            InputError: Missing or truncated file, weights of another network or not finite, or a
+                number of landmarks that no scheme has.
+        """
+        model = cls(n_landmarks, "released")
+        model.history_ = {}
+        # These weights come without the shapes of their training.
+        model.front_landmark_ = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
+        model._build()
+        weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
+        weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
+        return model
+
+    @property
+    def n_parameters(self) -> int:
+        """Trainable parameters of both networks."""
+        return networks.count_trainable(*(self._trained(f"{name}_") for name in _NETWORKS))
+
+    def _normalised(self, views: np.ndarray) -> np.ndarray:
+        views = check_faces(views, "views", 2, self.n_landmarks)
+        return normalise(centre(views) if self.centre_views else views)
+
+    def _matrices(self, frontal: np.ndarray) -> np.ndarray:
+        network = self._trained("dissimilarity_net_")
+        points = np.float32(normalise(frontal))
+        first, second = np.triu_indices(self.n_landmarks)
+        matrices = np.empty((len(points), self.n_landmarks, self.n_landmarks), np.float32)
+        for start in range(0, len(points), _FACES_PER_CHUNK):
+            faces = slice(start, start + _FACES_PER_CHUNK)
+            features = proximities(points[faces, first], points[faces, second], self.variant)
+            distances = networks.forward(network, features.reshape(-1, features.shape[-1]))
+            distances = distances.reshape(features.shape[:2])
+            matrices[faces, first, second] = matrices[faces, second, first] = distances
+        return matrices
+
+    def _recipe(self, network: str) -> training.Recipe:
+        if network == "autoencoder":
+            return training.Recipe(self.autoencoder_epochs, schedule=self.schedule)
+        return training.Recipe(self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule)
+
+    def _files(self, checkpoint: str | Path) -> dict[str, Path]:
+        return weights.checkpoint_files(checkpoint, self.variant, self.schedule)
+
+    def _build(self) -> None:
+        self.autoencoder_ = networks.build_autoencoder(self.n_landmarks)
+        self.dissimilarity_net_ = networks.build_dissimilarity_net(self.variant)
+
+    def _trained(self, name: str) -> keras.Model:
+        return check_fitted(self, name, "fit, restore, load or pretrained")

@@ -1,0 +1,1 @@
+"""Points in two and three dimensions: units, alignment, cameras, orientation, classical scaling."""

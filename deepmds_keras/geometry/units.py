@@ -1,0 +1,52 @@
+"""Position and size of landmarks: the unit of the paper, centred faces, their radius."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+
+
+def normalise(points: np.ndarray) -> np.ndarray:
+    """Each face min-max scaled to [0, 1] over all its coordinates together.
+
+    The unit of every MSE in the paper's tables. It is not invariant to a shift of one axis alone:
+    where the origin of a face model lies changes the unit, which for the BFM is about 207 mm.
+
+    Args:
+        points: `(n, L, d)` or `(L, d)`.
+
+    Raises:
+        InputError: A face whose coordinates are all equal, or NaN or infinity.
+    """
+    low, size = unit(points)
+    return (np.asarray(points, float) - low) / size
+
+
+def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
+    points = np.asarray(points, float)
+    low = points.min((-2, -1), keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity is refused
+        size = points.max((-2, -1), keepdims=True) - low
+    if not (size > 0).all() or not np.isfinite(size).all():
+        raise InputError(
+            "points must be finite and not all equal within a face. "
+            f"Received a face of range {np.min(size)}."
+        )
+    return low, size
+
+
+def centre(points: np.ndarray) -> np.ndarray:
+    """Each face moved so that the mean of its landmarks is 0: `(n, L, d)` → `(n, L, d)`.
+
+    `normalise` depends on the origin. Landmarks of photos, whose origin is a corner of the image,
+    are therefore centred first.
+    """
+    points = np.asarray(points, float)
+    return points - points.mean(-2, keepdims=True)
+
+
+def rms_radius(points: np.ndarray) -> np.ndarray:
+    """Root mean square distance of the landmarks from their mean: `(n, L, d)` → `(n,)`."""
+    return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))

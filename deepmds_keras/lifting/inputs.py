@@ -1,0 +1,141 @@
+"""Prepares views of faces for the lifting network."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.validation import as_numbers
+
+LEAST_VISIBLE = 6
+_FLAT = 1e-6  # variance across a line relative to the whole: less is rounding
+
+
+class Views(NamedTuple):
+    """Centred views of unit root mean square radius, and how they were centred and scaled."""
+
+    views: np.ndarray  # (n, 2, L) float32, 0 where not visible
+    visible: np.ndarray  # (n, L) float32, 1 or 0
+    sd: np.ndarray | None  # (n, L) float32, in the unit of the views
+    centre: np.ndarray  # (n, 2)
+    radius: np.ndarray  # (n, 1)
+
+    @property
+    def points(self) -> np.ndarray:
+        """The views, NaN where not visible: `(n, L, 2)`."""
+        return np.where(self.visible[:, None], self.views, np.nan).swapaxes(1, 2)
+
+
+def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> Views:
+    """Check views, mark what is missing, centre and scale what is visible.
+
+    Args:
+        points: `(n, L, 2)` or `(L, 2)`, NaN or masked where a landmark is missing.
+        n_landmarks: L.
+        visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
+        landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the points:
+            one number, one for each face `(n,)`, or one for each landmark `(n, L)`; None if
+            unknown.
+
+    Raises:
+        InputError: Another number of landmarks, infinity, an unusable `visible` or `landmark_sd`,
+            fewer than six visible landmarks, or all of them on one line.
+    """
+    points = _check_points(points, n_landmarks)
+    known = np.ones(points[:, 0].shape, bool)
+    if not np.isfinite(points).all():
+        _refuse(np.isinf(points).any((1, 2)), "views must be finite or NaN", lambda _: "infinity")
+        known = ~np.isnan(points).any(1)
+    if visible is not None:
+        known &= _check_visible(visible, known.shape)
+    counts = known.sum(1)
+    _refuse(
+        counts < LEAST_VISIBLE,
+        f"views must have at least {LEAST_VISIBLE} visible landmarks",
+        lambda face: f"{counts[face]}",
+    )
+    if not known.all():
+        points = np.where(known[:, None], points, 0)
+    views, middle, radius = standardise(points, known)
+    x, y = views[:, 0], views[:, 1]
+    xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts
+                  for a, b in ((x, x), (y, y), (x, y)))  # fmt: skip
+    _refuse(
+        ~(xx * yy - xy * xy > _FLAT),
+        f"views must have at least {LEAST_VISIBLE} visible landmarks that are not on one line",
+        lambda face: "a straight line or a point",
+    )
+    sd = None
+    if landmark_sd is not None:
+        sd = np.float32(_check_sd(landmark_sd, *known.shape) / radius)
+    return Views(np.float32(views), np.float32(known), sd, middle, radius)
+
+
+def standardise(points, visible):
+    """Centre and scale what is visible.
+
+    Args:
+        points: `(n, 2, L)`.
+        visible: `(n, L)`.
+
+    Returns:
+        `(n, 2, L)` views of unit root mean square radius, 0 where not visible; their centres
+        `(n, 2)` and radii `(n, 1)` in the unit of the points.
+    """
+    seen = visible[:, None]
+    counts = visible.sum(1, keepdims=True)
+    middle = (points @ np.swapaxes(seen, 1, 2))[:, :, 0] / counts
+    centred = (points - middle[:, :, None]) * seen
+    largest = np.abs(centred).max((1, 2), keepdims=True)
+    centred /= np.where(largest > 0, largest, 1)  # so that squares neither overflow nor vanish
+    flat = centred.reshape(len(centred), 1, -1)
+    relative = np.sqrt((flat @ np.swapaxes(flat, 1, 2)) / counts[:, :, None])
+    centred /= np.where(relative > 0, relative, 1)
+    return centred, middle, (largest * relative)[:, :, 0]
+
+
+def _check_points(points, n_landmarks):
+    points = as_numbers(points, "views")
+    if points.ndim == 2:
+        points = points[None]
+    if points.ndim != 3 or points.shape[1:] != (n_landmarks, 2) or not len(points):
+        raise InputError(
+            f"views must have shape (n >= 1, {n_landmarks}, 2). Received {points.shape}."
+        )
+    return np.ascontiguousarray(np.swapaxes(points, 1, 2))
+
+
+def _check_visible(visible, shape):
+    visible = np.asarray(visible)
+    if visible.shape == shape[1:]:
+        visible = visible[None]
+    if visible.dtype != bool or visible.shape not in (shape, (1, shape[1])):
+        raise InputError(
+            f"visible must be bool of shape {shape}. "
+            f"Received {visible.dtype} of shape {visible.shape}."
+        )
+    return visible
+
+
+def _check_sd(landmark_sd, n, n_landmarks):
+    sd = np.asarray(landmark_sd, float)
+    if sd.ndim == 1:
+        sd = sd[:, None]
+    if sd.shape not in ((), (n, 1), (n, n_landmarks)):
+        raise InputError(
+            f"landmark_sd must be one number, ({n},) or ({n}, {n_landmarks}). "
+            f"Received shape {np.shape(landmark_sd)}."
+        )
+    if not (np.isfinite(sd).all() and (sd >= 0).all()):
+        raise InputError(
+            "landmark_sd must be finite and not negative. "
+            f"Received numbers from {sd.min()} to {sd.max()}."
+        )
+    return np.broadcast_to(sd, (n, n_landmarks))
+
+
+def _refuse(bad, needed, received):
+    for face in np.flatnonzero(bad)[:1]:
+        raise InputError(f"{needed}. Received {received(face)} in face {face}.")

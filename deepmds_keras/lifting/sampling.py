@@ -1,0 +1,132 @@
+"""Faces that the lifting network is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.lifting.inputs import LEAST_VISIBLE, prepare_views, standardise
+from deepmds_keras.streams import Stream
+from deepmds_keras.validation import check_faces
+
+_HELD_OUT = 10  # one in so many of the faces given
+_MOST_HELD_OUT = 1000
+_FACES_OF_BASIS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Views as from `prepare_views`, and their true shapes: float32, landmarks last.
+
+    Attributes:
+        views: `(n, 2, L)` centred, of unit root mean square radius, 0 where not visible.
+        visible: `(n, L)` 1 or 0.
+        sd: `(n, L)` standard deviation of the errors of a coordinate.
+        shapes: `(n, 3, L)` centred, in the unit of `normalise`.
+    """
+
+    views: np.ndarray
+    visible: np.ndarray
+    sd: np.ndarray
+    shapes: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, faces) -> Faces:
+        return Faces(*(array[faces] for array in vars(self).values()))
+
+
+def read_faces(views, shapes, landmark_sd, n_landmarks: int) -> Faces:
+    """Faces of views `(n, L, 2)` and true shapes `(n, L, 3)`, both in any scale and place.
+
+    Raises:
+        InputError: As for `prepare_views`, or unequal numbers of faces.
+    """
+    seen = prepare_views(
+        views, n_landmarks, landmark_sd=0.0 if landmark_sd is None else landmark_sd
+    )
+    shapes = centre(normalise(check_faces(shapes, "shapes", 3, n_landmarks)))
+    if len(seen.views) != len(shapes):
+        raise InputError(
+            f"views and shapes must be of the same faces. Received {len(seen.views)} views and "
+            f"{len(shapes)} shapes."
+        )
+    return Faces(seen.views, seen.visible, seen.sd, np.float32(np.swapaxes(shapes, 1, 2)))
+
+
+def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator) -> Faces:
+    """The faces with errors added to their landmarks, and some landmarks hidden.
+
+    Args:
+        faces: Any number of faces.
+        missing: Largest share to hide; each face draws a share up to it, and keeps six landmarks.
+        noise: Largest standard deviation of the errors; each face draws one up to it.
+        rng: Random generator; it draws the same amount whatever the other arguments.
+    """
+    n, n_landmarks = faces.visible.shape
+    share = missing * rng.random((n, 1))
+    turn = rng.random((n, n_landmarks))
+    added = noise * rng.random((n, 1))
+    errors = added[:, None] * rng.standard_normal(faces.views.shape)
+    if not missing and not noise:
+        return faces
+    hidden = np.minimum(share * n_landmarks, faces.visible.sum(1, keepdims=True) - LEAST_VISIBLE)
+    places = np.where(faces.visible > 0, turn, 2).argsort(1).argsort(1)
+    visible = np.where(places < np.floor(hidden), 0, faces.visible)
+    views, _, radius = standardise(faces.views + errors, visible)
+    sd = np.sqrt(faces.sd**2 + added**2) / radius
+    return Faces(np.float32(views), np.float32(visible), np.float32(sd), faces.shapes)
+
+
+class Source(NamedTuple):
+    """Where the faces of a training come from.
+
+    Attributes:
+        shapes: `(n, 3, L)`, whose principal components initialise the network.
+        held_out: Faces to check the network on, disturbed like those in training.
+        block: Function of the number of a block and of faces that returns that many faces.
+        number: Number of faces in memory, None if they are sampled.
+    """
+
+    shapes: np.ndarray
+    held_out: Faces
+    block: Callable[[int, int], Faces]
+    number: int | None
+
+
+def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source:
+    """Faces in memory, a tenth of them held out; training sees all others equally often."""
+    order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
+    n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
+    # Of fewer than ten faces none can be spared.
+    training = faces[order[n_held_out:]]
+    checked = faces[order[:n_held_out]] if n_held_out else faces
+    check_rng = np.random.default_rng([seed, Stream.LIFTING_CHECK])
+
+    def block(index: int, n: int) -> Faces:
+        from deepmds_keras.training import face_order  # which imports TensorFlow
+
+        rng = np.random.default_rng([seed, Stream.LIFTING_TRAINING, index])
+        return disturb(training[face_order(len(training), n, seed, index)], missing, noise, rng)
+
+    return Source(training.shapes, disturb(checked, missing, noise, check_rng), block, len(faces))
+
+
+def sampled_faces(
+    sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int
+) -> Source:
+    """Faces that a function samples; none is seen twice."""
+
+    def draw(n, *stream):
+        rng = np.random.default_rng([seed, *stream])
+        return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
+
+    held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
+    shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes
+    return Source(shapes, held_out, lambda index, n: draw(n, Stream.LIFTING_TRAINING, index), None)

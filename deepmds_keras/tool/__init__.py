@@ -1,0 +1,1 @@
+"""The tool: photos, videos and landmark files to 3D faces; it uses the package, not vice versa."""

@@ -1,0 +1,184 @@
+"""The command line of `deepmds`: its arguments, and what it prints about a source."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from deepmds_keras import __version__
+from deepmds_keras.landmarks import said_sizes
+from deepmds_keras.tool.command.outputs import FORMATS
+from deepmds_keras.tool.detection import DETECTORS, default_detector
+from deepmds_keras.tool.predict.faces import Face
+from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES
+from deepmds_keras.tool.predict.videos import tell_tracks
+
+_DESCRIPTION = """\
+Finds faces in photos and videos and estimates their landmarks in 3D, or lifts 2D
+landmarks from files. Shapes face the front: +x to the subject's left, +y up, +z out of the
+face. A single view does not show the true size: --interocular sets it."""
+_LISTED_FAULTS = 10  # of one source
+_EPILOG = """\
+examples:
+  deepmds predict photo.jpg --view
+  deepmds predict photos/ --out faces --jobs 4
+  deepmds predict clip.mp4 --smooth 2
+  deepmds predict landmarks.csv --interocular 90 --format csv,ply
+
+Sources with existing results are skipped, so the same command resumes an interrupted run.
+Exit status: 0; 1 if a source could not be used (the others are done); 2 for wrong arguments;
+130 after Ctrl-C."""
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read the command line; wrong arguments end the process, with the usage and status 2.
+
+    Returns:
+        `command`, `"predict"`, `"export"` or `"evaluate"`, and the keyword arguments of `run`,
+        `export` or `evaluate`.
+    """
+    parser = argparse.ArgumentParser(
+        prog="deepmds", description="3D face landmarks from a single image."
+    )
+    parser.add_argument("--version", action="version", version=f"deepmds-keras {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    predict = commands.add_parser(
+        "predict",
+        help="3D landmarks from photos, videos or 2D landmarks",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = predict.add_argument
+    add("sources", nargs="+", metavar="SOURCE",
+        help="photo, folder of photos, video, or landmarks (csv, npy, pts, json) of "
+        f"{said_sizes()} points")  # fmt: skip
+    add("--recursive", action="store_true", help="include photos in subfolders")
+    add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
+        help="folder of the results (default: deepmds-out)")  # fmt: skip
+    add("--format", dest="formats", type=_formats, default=("csv",), metavar="LIST",
+        help=f"any of {', '.join(FORMATS)}, in addition to the picture (default: csv)")  # fmt: skip
+    add("--overwrite", action="store_true",
+        help="redo finished sources, and replace existing files")  # fmt: skip
+    add("--force", dest="overwrite", action="store_true", help=argparse.SUPPRESS)
+    add("--view", action="store_true",
+        help="also write HTML pages with faces that can be rotated")  # fmt: skip
+    add("--mesh", action="store_true",
+        help="also write a head fitted to each face: NAME.mesh.ply, NAME.mesh.obj")  # fmt: skip
+    add("--detector", choices=DETECTORS,
+        help="; or ".join(f"{name} ({row.licence})" for name, row in DETECTORS.items())
+        + " (default: the first that is installed)")  # fmt: skip
+    add("--landmarker", metavar="FILE",
+        help="file of a face landmarker (.task), for a MediaPipe of 0.10.30 or later that you "
+        "installed yourself; the extra mediapipe installs 0.10.21")  # fmt: skip
+    add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
+        help="x and y in files of landmarks are fractions of an image of this size, as from "
+        "MediaPipe")  # fmt: skip
+    add("--smooth", type=_number(-1e-300, "a number, not negative"), default=0.0, metavar="FRAMES",
+        help="smooth each face of a video over time by a Gaussian of this standard deviation, but "
+        "not over gaps; the rows of a file of landmarks are frames of one face")  # fmt: skip
+    add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
+        help="use every N-th frame of a video (default: 1)")  # fmt: skip
+    add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
+        help="distance between the outer corners of the eyes; results are then in mm")  # fmt: skip
+    add("--model", metavar="NAME|FILE",
+        help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file of "
+        f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
+    add("--jobs", type=_number(0, "1 or more, or -1", int), default=-1, metavar="N",
+        help="number of processes (default: one per core)")  # fmt: skip
+    export = commands.add_parser(
+        "export",
+        help="write a lifter as an ONNX model",
+        description="Writes a lifter as an ONNX model, with its inputs, outputs, landmarks and "
+        "axes in its metadata. It needs pip install '.[onnx]', from the repository.",
+    )
+    export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
+    export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
+        help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
+        "%(default)s)")  # fmt: skip
+    evaluate = commands.add_parser(
+        "evaluate",
+        help="errors of lifting on your true 3D landmarks",
+        description="Lifts the x and y of true 3D landmarks and scores the shapes against them, by "
+        "yaw, next to the mean shape and eos. Writes a table and a figure.",
+    )
+    add = evaluate.add_argument
+    add("truth", metavar="TRUTH",
+        help="npy (n, 51 or 68, 3), or csv with columns x, y, z and face, one landmark per row; "
+        "faces as the camera sees them")  # fmt: skip
+    add("--landmarks", metavar="FILE",
+        help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
+    add("--y-up", action="store_true", help="y grows upwards in that file")
+    add("--eos", metavar="DIR",
+        help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
+    add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
+        help="folder of the results (default: deepmds-evaluation)")  # fmt: skip
+    add("--overwrite", action="store_true", help="replace existing results")
+    options = parser.parse_args(arguments)
+    if options.command == "predict" and options.detector is None:
+        options.detector = "mediapipe" if options.landmarker else default_detector()
+    return options
+
+
+def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
+    """Lines to print about a finished source: its first faces, up to `most`."""
+    if faces[0].frame_ref is not None:
+        yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
+        yield from tell_tracks(faces, most)
+        return
+    seen = [face for face in faces if not face.is_gap]
+    gaps = len(faces) - len(seen)
+    yield f"{source}: {len(seen)} face{'s' * (len(seen) > 1)}" + (
+        f", {gaps} gap{'s' * (gaps > 1)}" if gaps else ""
+    )
+    for face in seen[:most]:
+        yield f"  {face.name}: {face.angles}"
+        yield from (f"    {note}" for note in face.notes)
+    if rest := seen[most:]:
+        yield f"  and {len(rest)} more, {sum(bool(face.notes) for face in rest)} of them with notes"
+
+
+def fault_of(source: Path, faces: list[Face]) -> str | None:
+    """Describe the faces that are gaps because they cannot be used."""
+    faults = {i: face.notes[0] for i, face in enumerate(faces, 1) if face.is_gap and face.notes}
+    if not faults:
+        return None
+    listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
+    return (
+        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
+        f"{', '.join(listed)}{', …' * (len(faults) > len(listed))}. "
+        f"The first {min(faults.items())[1]}"
+    )
+
+
+def printable(text: str) -> str:
+    """Text on one line, whatever a file's name contains."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    formats = tuple(dict.fromkeys(part.strip() for part in text.lower().split(",")))
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"must be some of {', '.join(FORMATS)}, with commas between. Received {unknown[0]!r}."
+        )
+    return formats
+
+
+def _number(least: float, wanted: str, kind: type = float) -> Callable[[str], float]:
+    """An argument type: a finite number in the wanted range."""
+
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not (least < value < math.inf or (value == -1 and wanted.endswith("-1"))):
+            raise argparse.ArgumentTypeError(f"must be {wanted}. Received {text!r}.")
+        return value
+
+    return parsed

@@ -1,0 +1,223 @@
+"""`deepmds evaluate`: errors of lifted faces on a user's true 3D landmarks."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras.errors import InputError, MissingPackageError, needs
+from deepmds_keras.files import map_npy, write_bytes
+from deepmds_keras.geometry.alignment import align, procrustes
+from deepmds_keras.geometry.camera import camera_angles
+from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.landmarks.y_axis import eyes_to_mouth
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.tool.predict.landmark_files import read_landmarks
+
+_SCHEMES = {51: "ibug51", 68: "ibug68"}
+_CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
+_YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
+_COLUMNS = ("landmarks", "method", "yaw", "n_faces", "error", "standard_error")
+_UNIT = 1e-3
+_LINES = {"mean shape": "s--", "lifting": "o-", "lifting, exact": "o:", "eos": "x-"}
+
+
+def evaluate(
+    truth: str | Path,
+    *,
+    landmarks: str | Path | None = None,
+    y_up: bool = False,
+    eos: str | Path | None = None,
+    out: str | Path = "deepmds-evaluation",
+    overwrite: bool = False,
+) -> list[dict]:
+    """Score lifting on true 3D landmarks, against the mean shape and eos; print and write a table.
+
+    A face's error is the mean squared difference of coordinates after alignment by a similarity,
+    relative to the squared distance between the outer corners of the eyes. It leaves out the jaw
+    line, whose depth schemes define differently; 68 landmarks are also scored with it. With eos, it
+    covers the landmarks that its model has.
+
+    Args:
+        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or `.csv` with one landmark per row: columns
+            `x`, `y`, `z` and, for several faces, `face`. Faces as the camera sees them, in any
+            unit; the directions of y and z are inferred from the faces.
+        landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
+        y_up: Whether y grows upwards in `landmarks`.
+        eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
+        out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
+        overwrite: Whether existing files may be replaced.
+
+    Returns:
+        Rows of the table: `landmarks, method, yaw, n_faces, error, standard_error`.
+
+    Raises:
+        InputError: A file is missing or damaged, has other landmarks or faces, or already exists.
+    """
+    out = Path(out)
+    files = [out / "errors.csv", out / "errors.png"]
+    for file in files if not overwrite else ():
+        if file.exists():
+            raise InputError(f"{file} must be a new file, or --overwrite given. It exists.")
+    shapes = read_truth(truth)
+    scheme = _SCHEMES[shapes.shape[1]]
+    lifter = LandmarkLifter.pretrained(scheme)
+    mean = lifter.weights_["mean"].T.astype(float)
+    shapes = _oriented(shapes, scheme, mean)
+    if landmarks is None:
+        views = shapes[..., :2]
+    else:
+        views = read_landmarks(landmarks, y_up=y_up) * (1, -1)
+        if views.shape != shapes[..., :2].shape:
+            raise InputError(
+                f"{landmarks} must have {shapes.shape[1]} landmarks of {len(shapes)} faces, as "
+                f"{truth}. Received {views.shape[1]} of {len(views)}."
+            )
+        for face in np.flatnonzero(np.isnan(views).all((1, 2))).tolist():
+            raise InputError(
+                f"{landmarks} must have landmarks of each face. Received none of face {face + 1}: "
+                "leave it out of both files."
+            )
+    predicted = {
+        "mean shape": np.broadcast_to(mean, shapes.shape),
+        "lifting": lifter.predict(views),
+    }
+    if landmarks is None:
+        predicted["lifting, exact"] = lifter.predict(views, landmark_sd=0)
+    if eos is not None:
+        from deepmds_keras.baselines.eos_fit import EosFit
+
+        fitted = EosFit(eos).predict(views)
+        predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")
+    rows = [*_rows(predicted, shapes, scheme, mean)]
+    write_bytes(files[0], _csv(rows).encode())
+    _print(rows, len(shapes))
+    try:
+        with needs("matplotlib", "evaluate"):
+            write_bytes(files[1], _figure(rows))
+        print(*files, sep="\n")
+    except MissingPackageError as error:
+        print(files[0], f"No figure: {error}", sep="\n")
+    return rows
+
+
+def read_truth(path: str | Path) -> np.ndarray:
+    """True landmarks, `(n, 51, 3)` or `(n, 68, 3)`, see `evaluate`.
+
+    Raises:
+        InputError: The file is missing, damaged, or holds anything else.
+    """
+    path = Path(path)
+    is_table = path.suffix.lower() == ".csv"
+    shapes = _read_csv(path) if is_table else np.asarray(map_npy(path))
+    shapes = shapes[None] if shapes.ndim == 2 else shapes
+    if shapes.dtype.kind not in "fiu" or shapes.ndim != 3 or not len(shapes):
+        raise InputError(f"{path} must hold numbers (n, 51, 3) or (n, 68, 3). It does not.")
+    if shapes.shape[1] not in _SCHEMES or shapes.shape[2] != 3:
+        raise InputError(
+            f"{path} must hold 51 or 68 landmarks of x, y and z a face. "
+            f"Received shape {shapes.shape}."
+        )
+    if not np.isfinite(shapes).all():
+        raise InputError(f"{path} must hold finite numbers. Received NaN or infinity.")
+    return shapes.astype(float)
+
+
+def _read_csv(path: Path) -> np.ndarray:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = (line for line in file if not line.startswith("#"))
+            rows = [*csv.DictReader(lines)]
+        faces = {}
+        for row in rows:
+            point = [float(row[axis]) for axis in "xyz"]
+            faces.setdefault(row.get("face", ""), []).append(point)
+        return np.array([*faces.values()])
+    except (OSError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} must be a table with columns x, y, z and, of several faces, face, and as many "
+            f"rows for each face. Received: {type(error).__name__}: {error}."
+        ) from None
+
+
+def _oriented(shapes: np.ndarray, scheme: str, mean: np.ndarray) -> np.ndarray:
+    """The shapes with y up and z towards the viewer, as inferred from most of the faces."""
+    if np.median(eyes_to_mouth(shapes, scheme)[:, 1]) > 0:
+        shapes = shapes * (1, -1, 1)
+    means, mirrored = np.broadcast_to(mean, shapes.shape), shapes * (1, 1, -1)
+    off = [((align(means, x, reflection=False) - x) ** 2).sum() for x in (shapes, mirrored)]
+    return shapes if off[0] <= off[1] else mirrored
+
+
+def _rows(
+    predicted: dict[str, np.ndarray], shapes: np.ndarray, scheme: str, mean: np.ndarray
+) -> Iterator[dict]:
+    rotation = procrustes(np.broadcast_to(mean, shapes.shape), shapes, reflection=False).rotation
+    yaw = np.abs(camera_angles(np.swapaxes(rotation, 1, 2))[0])
+    right, left = map(load_scheme(scheme).index, _CORNERS)
+    eyes = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
+    inner = np.array(load_scheme(scheme).numbers) >= load_scheme("ibug51").numbers[0]
+    for shape in predicted.values():
+        inner &= np.isfinite(shape).all((0, 2))
+    every = [inner] if scheme == "ibug51" or "eos" in predicted else [inner, inner | True]
+    for scored in every:
+        truth = shapes[:, scored]
+        for method, shape in predicted.items():
+            off = align(shape[:, scored], truth, reflection=False) - truth
+            errors = (off**2).mean((1, 2)) / eyes**2
+            bins = [("all", np.ones(len(yaw), bool))]
+            for low, high in zip(_YAWS, _YAWS[1:], strict=False):
+                bins.append((f"{low} to {high}", (yaw >= low) & (yaw < high)))
+            for name, some in bins:
+                if n := int(some.sum()):
+                    error = errors[some]
+                    yield dict(zip(_COLUMNS, (
+                        int(scored.sum()), method, name, n, error.mean(), error.std() / np.sqrt(n),
+                    ), strict=True))  # fmt: skip
+
+
+def _csv(rows: list[dict]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _print(rows: list[dict], n: int) -> None:
+    yaws = [*dict.fromkeys(row["yaw"] for row in rows)]
+    print(f"{n:,} faces; mean squared coordinate in 10⁻³ of the squared eye distance, by yaw (°)")
+    cells = {(row["landmarks"], row["method"], row["yaw"]): row["error"] for row in rows}
+    print(f"{'landmarks, method':26}", *(f"{yaw:>9}" for yaw in yaws))
+    for landmarks, method in dict.fromkeys((key[0], key[1]) for key in cells):
+        errors = (cells[landmarks, method, yaw] / _UNIT for yaw in yaws)
+        print(f"{landmarks}, {method:22}", *(f"{error:9.3f}" for error in errors))
+
+
+def _figure(rows: list[dict]) -> bytes:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5, 3.5), layout="constrained")
+    axes = figure.subplots()
+    fewest = min(row["landmarks"] for row in rows)
+    shown = [row for row in rows if row["landmarks"] == fewest and row["yaw"] != "all"]
+    for method in dict.fromkeys(row["method"] for row in shown):
+        line = [row for row in shown if row["method"] == method]
+        axes.errorbar(
+            [row["yaw"] for row in line],
+            [row["error"] / _UNIT for row in line],
+            [1.96 * row["standard_error"] / _UNIT for row in line],
+            fmt=_LINES[method],
+            capsize=2,
+            label=method,
+        )
+    axes.set(xlabel="Yaw to either side (degrees)", ylim=(0, None))
+    axes.set_ylabel("MSE (10⁻³ squared eye distances)")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=150)
+    return content.getvalue()

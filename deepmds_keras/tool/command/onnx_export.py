@@ -1,0 +1,142 @@
+"""A trained lifter as an ONNX model, which runs without this package, on phones and in browsers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras import __version__
+from deepmds_keras.errors import InputError, needs
+from deepmds_keras.files import write_bytes
+from deepmds_keras.landmarks import load_scheme, scheme_of
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
+from deepmds_keras.lifting.unrolled_fit import UNIT, lift
+from deepmds_keras.tool.command.outputs import AXES, SCALE
+from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
+from deepmds_keras.weights import PRETRAINED
+
+_OPSET, _IR_VERSION = 18, 8  # from the end of 2022; runtimes in use read them
+_DOC = """\
+3D face landmarks from the 2D landmarks of one image (deepmds-keras). The batch n may be any.
+Inputs: view (n, L, 2), x to the right and y UP, any scale and place, NaN where a landmark is
+missing; visible (n, L), false where one is missing, at least 6 true; landmark_sd (n, L), standard
+deviations of the errors of a coordinate in the unit of the view, NaN for those of good landmarks.
+Outputs: shape (n, L, 3), facing the front, and shape_sd (n, L, 3), the standard deviations of its
+errors; rotation (n, 3, 3), scale (n), translation (n, 2) and perspective (n) of the camera, which
+sees S at P = rotation S, at scale P_xy / (1 - perspective P_z) + translation of the view. Axes and
+units are in the metadata."""
+
+
+def export(path: str | Path, model: str) -> None:
+    """Write a lifter as an ONNX model, whole or not at all.
+
+    Its inputs are those of `LandmarkLifter.estimate`, its outputs the shapes, their standard
+    deviations and the camera. Its metadata give the landmarks by number and name, units, axes and
+    licence.
+
+    Args:
+        path: File to write; it must not exist.
+        model: File that `LandmarkLifter.save` wrote, or name of shipped weights.
+
+    Raises:
+        InputError: The weights cannot be read, the package onnx is not installed, or the file
+            exists or cannot be written.
+    """
+    if Path(path).exists():
+        raise InputError(f"{path} must be the name of a new file. Received one that exists.")
+    lifters = FAMILIES[DEFAULT].shipped
+    model = lifters[FALLBACK] if model == DEFAULT else model
+    if model not in lifters.values() and not Path(model).is_file():
+        raise InputError(
+            f"model must be {', '.join(lifters.values())} or a file of LandmarkLifter.save(): the "
+            f"networks of deepmds are not exported. Received {str(model)!r}."
+        )
+    weights = weights_path(model)
+    lifter = LandmarkLifter.load(weights)
+    scheme = load_scheme(scheme_of(lifter.n_landmarks))
+    shipped = weights.parent == PRETRAINED
+    source = "shipped with deepmds-keras" if shipped else "given by the user"
+    with needs("onnx", "onnx"):
+        from onnx import checker, helper
+    written = helper.make_model(
+        _traced(lifter),
+        opset_imports=[helper.make_opsetid("", _OPSET)],
+        ir_version=_IR_VERSION,
+        producer_name="deepmds-keras",
+        producer_version=__version__,
+        doc_string=_DOC,
+    )
+    helper.set_model_props(
+        written,
+        {
+            "scheme": scheme.name,
+            "landmark_numbers": json.dumps(scheme.numbers),
+            "landmark_names": json.dumps(scheme.names),
+            "unit": f"normalised: {SCALE['normalised']}",
+            "axes": AXES["shape"],
+            "view_axes": "x to the right, y up",
+            "camera_axes": "x to the right, y up, z towards the viewer",
+            "camera_unit": "that of the view; perspective: one over the unit of the shape",
+            "weights": f"{weights.stem}: {source}",
+            "licence": "MIT" if shipped else "that of the weights",
+        },
+    )
+    checker.check_model(written, full_check=True)
+    write_bytes(path, written.SerializeToString())
+
+
+@np.errstate(all="ignore")  # of the examples
+def _traced(lifter: LandmarkLifter):
+    """The graph of `predict`, including what `prepare_views` does, in float32."""
+    from onnx import helper, numpy_helper
+
+    graph, xp, n_landmarks = Graph(), Tracer(), lifter.n_landmarks
+    view = graph.input("view", (n_landmarks, 2))
+    visible = graph.input("visible", (n_landmarks,), "?")
+    landmark_sd = graph.input("landmark_sd", (n_landmarks,))
+    inputs = [view, visible, landmark_sd]
+
+    points = xp.transpose(view, (0, 2, 1))
+    known = visible & ~(xp.isnan(points[:, 0]) | xp.isnan(points[:, 1]))
+    points = xp.where(known[:, None], points, 0)
+    seen = xp.float32(known)
+    share = xp.mean(seen, 1, keepdims=True)[:, None]
+    centre = 0
+    for _ in range(2):  # the second pass removes rounding errors
+        middle = xp.mean(points, 2, keepdims=True) / share
+        points, centre = (points - middle) * seen[:, None], middle + centre
+    square = xp.mean(points * points, 2, keepdims=True) / share
+    radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
+    sd = landmark_sd / radius[:, 0]
+    sd = xp.where(xp.isnan(sd), lifter.default_sd_, sd)
+    lifted = lift(xp, lifter.weights_, points / radius, seen, sd)
+    shape, log_sd = (xp.transpose(a, (0, 2, 1)) for a in (lifted.shapes, lifted.log_sd))
+    camera, radius = lifted.camera, radius[:, 0]
+    outputs = {
+        "shape": shape,
+        "shape_sd": UNIT * xp.exp(log_sd),
+        "rotation": camera.rotation,
+        "scale": (camera.scale * radius)[:, 0],
+        "translation": camera.shift * radius + centre[:, :, 0],
+        "perspective": camera.perspective[:, 0],
+    }
+
+    def described(name, tensor):
+        kind = TYPES[tensor.example.dtype.kind]
+        return helper.make_tensor_value_info(name, kind, ["n", *tensor.shape[1:]])
+
+    return helper.make_graph(
+        [
+            *(helper.make_node(kind, inputs, [output], **attributes)
+              for kind, inputs, output, attributes in graph.nodes),
+            *(helper.make_node("Identity", [tensor.name], [name])
+              for name, tensor in outputs.items()),
+        ],
+        "lifter",
+        [described(tensor.name, tensor) for tensor in inputs],
+        [described(name, tensor) for name, tensor in outputs.items()],
+        [numpy_helper.from_array(array, name) for name, array in graph.constants.items()],
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""One self-contained HTML page of 3D faces that can be turned, each next to its photo."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import io
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deepmds_keras import __version__
+from deepmds_keras.files import write_bytes
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.tool.command.outputs import AXES, SCALE, or_null
+from deepmds_keras.tool.command.overlay import cut_out
+from deepmds_keras.tool.predict.faces import Face
+from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_triangles
+
+_FOLDER = Path(__file__).parent
+_DIGITS = {"mm": 2}  # after the point; normalised shapes get more
+_BARE_SIDE, _BARE_MARGIN = 1000, 120  # of a drawing without a photo
+_MOST = 32767  # of an int16
+_HASHED = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
+
+
+def write_page(
+    path: str | Path,
+    faces: Sequence[Face],
+    photos: Sequence[np.ndarray | None],
+    *,
+    mesh: bool = False,
+) -> None:
+    """Write the page, whole or not at all.
+
+    It contains the part of each photo around the face, and needs no network: its policy forbids it
+    to load anything, or to run any script but its own.
+
+    Args:
+        path: Path of the page.
+        faces: Faces in the order in which they are shown.
+        photos: The whole photo of each face, `(H, W, 3)` uint8 RGB, or None if it has none.
+        mesh: Whether to show the heads through the landmarks.
+
+    Raises:
+        InputError, OSError: As for `atomic_write`.
+    """
+    described = [_described(face, photo) for face, photo in zip(faces, photos, strict=True)]
+    schemes = {
+        name: {"lines": scheme.polylines, "names": scheme.names, "numbers": scheme.numbers}
+        for name, scheme in ((face.scheme, load_scheme(face.scheme)) for face in faces)
+    }
+    shown = {"faces": described, "schemes": schemes, "axes": AXES["shape"]}
+    if mesh:
+        shown["triangles"] = _base64(surface_triangles().astype("<u2").tobytes())
+        for face, shown_face in zip(faces, described, strict=True):
+            shown_face["mesh"] = _mesh(face)
+    title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
+    page = (_FOLDER / "page.html").read_text(encoding="utf-8")
+    page = page.replace("{{script}}", (_FOLDER / "page.js").read_text(encoding="utf-8"))
+    values = {
+        "policy": _policy(page),
+        "version": __version__,
+        "title": html.escape(title),
+        "faces": json_in_html(shown),
+    }
+    # In one pass, so that a name that looks like a field stays a name.
+    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], page)
+    # A file name may contain bytes that are not text.
+    write_bytes(path, page.encode("utf-8", "replace"))
+
+
+def json_in_html(value: object) -> str:
+    """JSON that is safe in a script element: its text can neither end the element nor open one."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")
+
+
+def _described(face: Face, photo: np.ndarray | None) -> dict:
+    digits = _DIGITS.get(face.unit, 4)
+    return {
+        "name": face.name,
+        "source": face.source.name,  # without its folder: pages are passed on
+        "scheme": face.scheme,
+        "unit": face.unit,
+        "scale": SCALE[face.unit],
+        "digits": digits,
+        "points": np.round(face.xyz, digits + 1).tolist(),
+        "landmarks": or_null(np.round(face.landmarks, 3)),
+        "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
+        "notes": face.notes,
+        "photo": _picture(face, photo),
+    }
+
+
+def _picture(face: Face, photo: np.ndarray | None) -> dict:
+    """Picture next to the shape; in its pixels the landmarks, and the shape in the head's pose."""
+    seen = face.landmarks_3d[:, :2]
+    if photo is None:
+        low, extent = seen.min(0), np.ptp(seen, axis=0)
+        scale, jpeg = _BARE_SIDE / extent.max(), None
+        width, height = scale * extent + 2 * _BARE_MARGIN
+
+        def place(points):
+            return scale * (points - low) + _BARE_MARGIN
+    else:
+        cutout, buffer = cut_out(photo, seen), io.BytesIO()
+        cutout.image.save(buffer, "jpeg", quality=85, optimize=True)
+        jpeg = "data:image/jpeg;base64," + _base64(buffer.getvalue())
+        place, (width, height) = cutout.place, cutout.image.size
+    return {
+        "jpeg": jpeg,
+        "width": round(float(width), 1),
+        "height": round(float(height), 1),
+        "landmarks": or_null(np.round(place(face.landmarks), 1)),
+        "shape": np.round(place(face.seen_shape), 1).tolist(),
+    }
+
+
+def _mesh(face: Face) -> dict:
+    """Vertices of the head, as integer steps from the lowest."""
+    vertices = fit_surfaces(face.xyz[None], face.scheme)[0].astype(float)
+    lowest = vertices.min(0)
+    step = np.ptp(vertices, axis=0).max() / _MOST
+    steps = np.round((vertices - lowest) / step).astype("<i2")
+    return {"lowest": lowest.tolist(), "step": step, "vertices": _base64(steps.tobytes())}
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
+def _policy(page: str) -> str:
+    """Content-Security-Policy: only the page's scripts and styles run, only its pictures load."""
+    allowed = {"script": [], "style": []}
+    for kind, content in _HASHED.findall(page):
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        allowed[kind].append(f"'sha256-{digest}'")
+    scripts, styles = (" ".join(hashes) for hashes in allowed.values())
+    return (
+        f"default-src 'none'; img-src data:; script-src {scripts}; style-src {styles}; "
+        "base-uri 'none'; form-action 'none'"
+    )

@@ -1,0 +1,156 @@
+"""Detectors of 2D landmarks in photos, a row each, the preferred one first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_table
+from deepmds_keras.geometry.units import rms_radius
+from deepmds_keras.landmarks import FOLDER, convert, load_scheme
+from deepmds_keras.landmarks.y_axis import eyes_to_mouth
+from deepmds_keras.tool.detection import dlib_landmarks, mediapipe_landmarks
+
+Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A program that finds the landmarks of all faces in a photo.
+
+    Attributes:
+        scheme: Scheme of its landmarks.
+        open: Takes the user's model file, or None, and returns a function. From an RGB photo
+            `(H, W, 3)` that gives the landmarks `(n, L, 2)` of its faces in pixels, x right and y
+            down, the largest face first; and scores `(n,)`, 0 to 1, NaN if the detector has none
+            and finds upright faces only. Threads call it in turns. If the detector is not
+            installed, an InputError says how to.
+        is_installed: Whether it is installed; loads nothing.
+        licence: Licence of its landmark model.
+        commercial: Whether that allows commercial use.
+    """
+
+    scheme: str
+    open: Callable[[str | None], Find]
+    is_installed: Callable[[], bool]
+    licence: str
+    commercial: bool = True
+
+
+def default_detector() -> str:
+    """The first detector that is installed, or the first of all if none is."""
+    return next((name for name, row in DETECTORS.items() if row.is_installed()), [*DETECTORS][0])
+
+
+def describe_detector(name: str, landmarker: str | None) -> dict[str, str]:
+    """Name and licence of a detector, for the files that are written."""
+    if landmarker is not None:
+        return {"name": name, "landmarker": landmarker, "licence": "that of the landmarker"}
+    return {"name": name, "licence": DETECTORS[name].licence}
+
+
+def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
+    """Landmarks of a detector, moved to where iBUG 300-W has them.
+
+    They move by the mean offset in `landmarks/detectors.csv`, in the axes of the upright face.
+
+    Args:
+        landmarks: `(n, L, 2)` pixels, x right and y down, or NaN.
+        detector: One of `DETECTORS`.
+        scheme: Scheme of the landmarks; without a row in the table they do not move.
+    """
+    rows = _measured(detector, scheme)
+    return landmarks if rows is None else move(landmarks, scheme, rows[:, :2])
+
+
+def move(landmarks: np.ndarray, scheme: str, offsets: np.ndarray) -> np.ndarray:
+    """Landmarks `(n, L, 2)` moved by offsets `(L, 2)` in axes and sizes of `upright_axes`."""
+    axes, radius = upright_axes(landmarks, scheme)
+    return landmarks + radius[:, None, None] * (offsets @ axes)
+
+
+def upright_axes(landmarks: np.ndarray, scheme: str) -> tuple[np.ndarray, np.ndarray]:
+    """Axes and size of each face.
+
+    Args:
+        landmarks: `(n, L, 2)` as for `to_ibug`.
+        scheme: Scheme of the landmarks.
+
+    Returns:
+        `(n, 2, 2)` unit vectors, the first from the subject's right to the left, the second from
+        the eyes to the mouth; `(n,)` root mean square radii of the landmarks `ibug51`.
+    """
+    down = eyes_to_mouth(landmarks, scheme)
+    down = down / np.linalg.norm(down, axis=1, keepdims=True)
+    right = np.stack([down[:, 1], -down[:, 0]], axis=1)
+    return np.stack([right, down], axis=1), rms_radius(convert(landmarks, scheme, "ibug51"))
+
+
+def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
+    """Standard deviation of a coordinate of each landmark that `to_ibug` returns.
+
+    Returns:
+        `(L,)` in root mean square radii of the face's landmarks `ibug51`; None where the table has
+        no such landmarks.
+    """
+    rows = _measured(detector, scheme)
+    return None if rows is None else rows[:, 2]
+
+
+@cache
+def _measured(detector: str, scheme: str) -> np.ndarray | None:
+    """`(L, 3)` of the table: offsets x and y, standard deviation."""
+    table = read_table(FOLDER / "detectors.csv")
+    rows = {
+        int(row["landmark"]): [float(row[name]) for name in ("dx", "dy", "sd")]
+        for row in table
+        if row["detector"] == detector
+    }
+    numbers = load_scheme(scheme).numbers if scheme.startswith("ibug") else ()
+    return np.array([rows[n] for n in numbers]) if rows.keys() >= {*numbers} != set() else None
+
+
+def _open_mediapipe(landmarker: str | None) -> Find:
+    if landmarker is None:
+        detector = mediapipe_landmarks.shared_detector()
+    else:
+        detector = mediapipe_landmarks.MediaPipeLandmarks(landmarker)
+
+    def find(photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        points, scores = detector.detect_scored(photo)
+        return points[..., :2].astype(float), scores
+
+    return find
+
+
+def _open_dlib(landmarker: str | None) -> Find:
+    if landmarker is not None:
+        raise InputError(
+            f"--landmarker {landmarker} goes with --detector mediapipe. Received --detector dlib."
+        )
+    detector = dlib_landmarks.shared_detector()
+
+    def find(photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        faces = detector.detect_all(photo)
+        return faces, np.full(len(faces), np.nan)
+
+    return find
+
+
+DETECTORS = {
+    "mediapipe": Detector(
+        "mediapipe", _open_mediapipe, mediapipe_landmarks.has_face_mesh, "Apache 2.0"
+    ),
+    "dlib": Detector(
+        "ibug68",
+        _open_dlib,
+        lambda: find_spec("dlib") is not None,
+        "Boost; its landmark model, trained on iBUG 300-W, for non-commercial use only",
+        commercial=False,
+    ),
+}

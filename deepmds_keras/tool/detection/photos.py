@@ -1,0 +1,129 @@
+"""Opens photos of any common kind, in colour and upright."""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Lock
+from typing import BinaryIO
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from deepmds_keras.errors import InputError, MissingPackageError, brief, needs
+
+MIN_SIDE, MAX_PIXELS = 32, 256_000_000
+_MAX_BYTES = 1 << 29
+_turn = Lock()
+
+
+def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
+    """A photo, in colour and upright.
+
+    A grey photo gets three equal channels, transparency becomes white, and the camera's
+    orientation tag is applied.
+
+    Args:
+        source: File, its content, or an open binary file. Any format that Pillow reads except
+            PostScript, and HEIC if pillow-heif is installed; the first of several frames.
+
+    Returns:
+        `(H, W, 3)` uint8, RGB.
+
+    Raises:
+        InputError: The file is missing, damaged or not a photo, has a side below 32 pixels or more
+            than 256 million pixels, or is larger than 512 MiB.
+    """
+    name = source if isinstance(source, (str, os.PathLike)) else "image"
+    try:
+        content = _content(source)
+        # By the content: telephones send HEIC files called `.jpg`.
+        if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
+            with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
+                from pillow_heif import register_heif_opener
+            register_heif_opener()
+        # From memory, where what is claimed to follow is not allotted before it is read.
+        with _limit_raised(), Image.open(io.BytesIO(content)) as photo:
+            _check_head(photo)
+            return np.array(in_colour(ImageOps.exif_transpose(photo)))
+    except MissingPackageError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{name} does not exist; it must be a photo.") from None
+    except InputError as error:
+        raise InputError(f"{name} {error}") from None
+    except Image.DecompressionBombError as error:
+        size = str(error).partition(" exceeds")[0]
+        raise InputError(
+            f"{name} must have at most {MAX_PIXELS:,} pixels. Received: {size}."
+        ) from None
+    except Exception as error:  # Pillow raises many kinds for a damaged file
+        received = f"{type(error).__name__}: {brief(error)}"
+        if isinstance(error, UnidentifiedImageError):
+            received = "no image of a kind that Pillow reads" if content else "0 bytes"
+        elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
+            received = "a folder"
+        raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
+
+
+def check_photo(photo: np.ndarray) -> np.ndarray:
+    """Check that a photo is as `open_photo` returns it.
+
+    Raises:
+        InputError: Not `(H, W, 3)` uint8, or without pixels.
+    """
+    photo = np.asarray(photo)
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
+        raise InputError(
+            "image must be RGB, uint8 (H, W, 3), with H and W at least 1. "
+            f"Received {photo.dtype} {photo.shape}."
+        )
+    return photo
+
+
+def in_colour(photo: Image.Image) -> Image.Image:
+    """The photo as RGB; transparency becomes white."""
+    if photo.mode.startswith("I"):  # 16 bits per pixel, which Pillow would clip at 255
+        photo = Image.fromarray(np.uint8(np.asarray(photo, float).clip(0, 65535) / 257))
+    if photo.has_transparency_data:
+        photo = photo.convert("RGBA")
+        photo = Image.alpha_composite(Image.new("RGBA", photo.size, "white"), photo)
+    return photo.convert("RGB")
+
+
+@contextmanager
+def _limit_raised() -> Iterator[None]:
+    """Raise Pillow's limit of pixels, and ignore its warnings; both are the whole process's."""
+    with _turn, warnings.catch_warnings(action="ignore"):
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def _content(source: str | Path | bytes | BinaryIO) -> bytes:
+    if isinstance(source, (str, os.PathLike)):
+        with open(source, "rb") as file:
+            return _content(file)
+    content = source if isinstance(source, bytes) else source.read(_MAX_BYTES + 1)
+    if len(content) > _MAX_BYTES:
+        raise InputError("must be a photo of at most 512 MiB. Received more.")
+    return content
+
+
+def _check_head(photo: Image.Image) -> None:
+    """Before anything is decoded: a small file can claim to be a huge image."""
+    width, height = photo.size
+    if photo.format == "EPS":  # which Pillow would have Ghostscript run
+        raise InputError("must be a photo. Received PostScript, a program.")
+    if min(width, height) < MIN_SIDE:
+        raise InputError(
+            f"must be at least {MIN_SIDE} pixels on each side. Received {width} x {height}."
+        )
+    if width * height > MAX_PIXELS:
+        raise InputError(f"must have at most {MAX_PIXELS:,} pixels. Received {width} x {height}.")

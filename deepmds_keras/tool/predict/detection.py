@@ -1,0 +1,290 @@
+"""Landmarks of every face in photos and videos, in the order of the model's scheme."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import convert
+from deepmds_keras.tool.detection import DETECTORS, Find, describe_detector, to_ibug
+from deepmds_keras.tool.predict.faces import Detections, FrameRef, name_faces
+from deepmds_keras.tool.predict.models import target_scheme
+from deepmds_keras.tool.predict.videos import Video
+
+_TURNS = (0, 1, 3, 2)  # quarter turns to the left, in order of preference
+# MediaPipe's score is 0.90 to 0.96 for upright photos, and at most 0.88 for the same photos turned.
+_SURE = 0.9
+# Mean distance of the landmarks beyond which it is another face, relative to the larger side of
+# their box. A fast head moves by 0.2 per frame; heads side by side are 1.2 and more apart.
+_FAR = 0.75
+_PATIENCE = 1.0  # seconds for which a face may be lost
+# At a cut to another scene the picture changes by this part of its range, and this many times as
+# much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
+_CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
+_CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
+_turn = Lock()
+
+
+def open_detector(detector: str, landmarker: str | None) -> Find:
+    """A detector of `DETECTORS`, opened once per process; InputError says what is missing.
+
+    Threads take turns: two at once would crash it.
+    """
+    with _turn:
+        return _opened(DETECTORS[detector].open, landmarker)
+
+
+def no_face(source: Path, detector: str, where: str) -> InputError:
+    """Return the error of a photo or video in which no face was found."""
+    others = " or ".join(name for name in DETECTORS if name != detector)
+    return InputError(
+        f"{source}: no face found by {detector}, {where}; try --detector {others}, or give the "
+        "landmarks instead."
+    )
+
+
+def find_upright(photo: np.ndarray, find: Find) -> tuple[np.ndarray, np.ndarray]:
+    """Faces of a photo `(H, W, 3)` uint8 RGB, which may lie on its side.
+
+    If no face is certain, quarter turns are tried: the photo may lack the camera's orientation tag.
+    On such a photo dlib finds no face, and MediaPipe often a wrong one.
+
+    Returns:
+        `(n, L, 2)` pixels of the original photo, from left to right, and scores `(n,)`.
+    """
+    tries = []
+    for n in _TURNS:
+        faces, scores = find(np.ascontiguousarray(np.rot90(photo, n)))
+        certainty = np.nan_to_num(scores, nan=1.0).max(initial=0)
+        tries.append(((certainty, len(faces)), faces, scores, n))
+        if n == 0 and certainty >= _SURE:
+            break
+    _, faces, scores, n = max(tries, key=lambda each: each[0])
+    height, width = photo.shape[:2]
+    x, y = faces[..., 0], faces[..., 1]
+    back = {0: (x, y), 1: (width - y, x), 2: (width - x, height - y), 3: (y, height - x)}[n]
+    faces = np.stack(back, axis=-1)
+    order = faces[..., 0].mean(1).argsort()
+    return faces[order], scores[order]
+
+
+def find_in_photo(
+    photo: np.ndarray,
+    source: Path | None,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None = None,
+    model: str | None = None,
+) -> Detections:
+    """Landmarks of the faces in a photo, which may lie on its side; there may be none.
+
+    Args:
+        photo: `(H, W, 3)` uint8 RGB.
+        source: Its file; None for a photo in memory.
+        name: Name of its results.
+        detector: One of `DETECTORS`.
+        landmarker: Model file for its `open`, or None.
+        model: Model that will take the landmarks, as for `target_scheme`.
+
+    Raises:
+        InputError: The detector cannot be used, or there is no such model.
+    """
+    scheme = DETECTORS[detector].scheme
+    target = target_scheme(scheme, model)
+    landmarks, scores = find_upright(photo, open_detector(detector, landmarker))
+    return Detections(
+        source=source,
+        names=name_faces(name, len(landmarks)),
+        scheme=target,
+        landmarks=to_ibug(convert(landmarks, scheme, target), detector, target),
+        is_photo=source is not None,
+        detector=describe_detector(detector, landmarker),
+        scores=scores,
+    )
+
+
+def find_in_video(
+    source: str | Path,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None = None,
+    model: str | None = None,
+    every: int = 1,
+    smooth: float = 0,
+    jobs: int = 1,
+) -> Detections:
+    """Landmarks of the faces in a video, by frame and then by track, with few frames in memory.
+
+    Args:
+        source: The video.
+        name: Name of its results.
+        detector, landmarker, model: As for `find_in_photo`.
+        every: 1 uses every frame, 2 every other.
+        smooth: Standard deviation of the smoothing over time, in used frames.
+        jobs: Number of processes.
+
+    Raises:
+        InputError: It cannot be read, or no frame has a face.
+    """
+    video, frames, times, faces = Video(source, every), [], [], []
+    changes, before = [], None
+    frames_left, scheme = iter(video), DETECTORS[detector].scheme
+    target = target_scheme(scheme, model)
+    bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
+    find = delayed(_points_in)
+    # Frames are sent to the processes through memory, not files.
+    with Parallel(jobs, max_nbytes=None) as parallel, bar:
+        while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
+            detections = parallel(find(frame.image, detector, landmarker) for frame in batch)
+            faces += [to_ibug(convert(p, scheme, target), detector, target) for p in detections]
+            frames += [frame.index for frame in batch]
+            times += [frame.time for frame in batch]
+            for picture in (_sampled(frame.image) for frame in batch):
+                changes.append(0.0 if before is None else np.abs(picture - before).mean() / 255)
+                before = picture
+            bar.update(len(batch))
+    counts = [len(here) for here in faces]
+    if not any(counts):
+        raise no_face(Path(source), detector, "in any frame")
+    tracks = np.concatenate(follow_faces(faces, times, find_cuts(changes)))
+    landmarks = np.concatenate(faces)
+    frames, times = np.repeat(frames, counts), np.repeat(times, counts)
+    order = np.lexsort((tracks, frames))
+    frames, times, tracks = frames[order], times[order], tracks[order]
+    return Detections(
+        source=Path(source),
+        names=name_faces(name, len(landmarks)),
+        scheme=target,
+        landmarks=smooth_over_time(landmarks[order], frames, smooth, tracks=tracks, step=every),
+        is_photo=False,
+        frame_refs=[*map(FrameRef, frames.tolist(), times.tolist(), tracks.tolist())],
+        detector=describe_detector(detector, landmarker),
+    )
+
+
+def find_cuts(changes: Sequence[float]) -> np.ndarray:
+    """Whether a video cuts to another scene at each of its frames, `(n,)` bool.
+
+    Changes are mean absolute differences from the frame before, as a part of the range.
+    """
+    changes = np.array(changes)
+    cuts = changes > _CUT
+    for i in np.flatnonzero(cuts):
+        near = np.r_[changes[max(i - _CUT_FRAMES, 1) : i], changes[i + 1 : i + 1 + _CUT_FRAMES]]
+        cuts[i] = not len(near) or changes[i] > _CUT_RATIO * np.median(near)
+    return cuts
+
+
+def follow_faces(
+    faces: Sequence[np.ndarray], times: Sequence[float], cuts: Sequence[bool]
+) -> list[np.ndarray]:
+    """Assign the faces of all frames to tracks, one for each person in view.
+
+    Tracks and faces of a frame are paired so that the landmarks move least (linear assignment). A
+    track ends after a second without its face, or after the next frame if that is later; a person
+    who returns then gets another. At a cut all tracks end but those whose face hardly moves.
+
+    Args:
+        faces: Landmarks `(n, L, 2)` of each frame; n may be 0.
+        times: Time of each frame in seconds, increasing.
+        cuts: Whether another scene begins, for each frame.
+
+    Returns:
+        For each frame the tracks of its faces, `(n,)` int, numbered from 1 as they appear.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to load, and not needed for photos
+
+    tracks, n_tracks, known, before = [], 0, {}, -np.inf
+    for here, time, cut in zip(faces, times, cuts, strict=True):
+        oldest, far = min(time - _PATIENCE, before), _CUT_STILL if cut else _FAR
+        known = {track: last for track, last in known.items() if last[0] >= oldest}
+        numbers = np.zeros(len(here), int)
+        if known and len(here):
+            last = np.stack([face for _, face in known.values()])
+            costs = np.minimum(_distances(last, here), far)
+            for row, column in zip(*linear_sum_assignment(costs), strict=True):
+                if costs[row, column] < far:
+                    numbers[column] = [*known][row]
+        new = numbers == 0
+        numbers[new] = n_tracks + 1 + np.arange(new.sum())
+        n_tracks += new.sum()
+        known = {} if cut else known
+        known |= {int(track): (time, face) for track, face in zip(numbers, here, strict=True)}
+        tracks.append(numbers)
+        before = time
+    return tracks
+
+
+def smooth_over_time(
+    landmarks: np.ndarray,
+    frames: np.ndarray,
+    deviation: float,
+    *,
+    tracks: np.ndarray | None = None,
+    step: int = 1,
+) -> np.ndarray:
+    """Smooth the landmarks of each face by a Gaussian over every run of frames without a gap.
+
+    A run is extended at both ends by its first and last landmarks.
+
+    Args:
+        landmarks: `(n, L, d)`, a row for each face in each frame.
+        frames: `(n,)` int, the frame of each row, in any order.
+        deviation: Standard deviation in rows; 0 changes nothing.
+        tracks: `(n,)` int, the face of each row; None if all show one face.
+        step: Distance from one frame to the next; a larger one is a gap.
+
+    Returns:
+        `(n, L, d)` float, in the order of the rows given.
+    """
+    smooth = np.array(landmarks, float)
+    if not deviation or not len(smooth):
+        return smooth
+    from scipy.ndimage import gaussian_filter1d  # slow to load, and rarely needed
+
+    tracks = np.zeros(len(smooth), int) if tracks is None else tracks
+    order = np.lexsort((frames, tracks))
+    gaps = (np.diff(frames[order]) != step) | (np.diff(tracks[order]) != 0)
+    for run in np.split(order, np.flatnonzero(gaps) + 1):
+        smooth[run] = gaussian_filter1d(smooth[run], deviation, axis=0, mode="nearest")
+    return smooth
+
+
+def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
+    """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
+    return open_detector(detector, landmarker)(image)[0]
+
+
+def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """`(n, m)` mean distances of landmarks, relative to the mean size of the two faces."""
+    apart = np.linalg.norm(first[:, None] - second, axis=-1).mean(-1)
+    sizes = [np.ptp(faces, axis=1).max(-1) for faces in (first, second)]
+    return 2 * apart / (sizes[0][:, None] + sizes[1])
+
+
+def _sampled(image: np.ndarray) -> np.ndarray:
+    """A sample of an image's pixels, `(48, 48, 3)`."""
+    rows, columns = (np.linspace(0, side - 1, _CUT_GRID).astype(int) for side in image.shape[:2])
+    return np.float32(image[np.ix_(rows, columns)])
+
+
+@cache
+def _opened(open_, landmarker: str | None) -> Find:
+    """Open a detector once per process: a landmarker takes a while to load."""
+    find = open_(landmarker)
+
+    def find_in_turn(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with _turn:
+            return find(image)
+
+    return find_in_turn

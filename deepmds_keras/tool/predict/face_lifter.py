@@ -1,0 +1,261 @@
+"""Photos, videos and landmarks to 3D faces, from Python."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.tool.detection import DETECTORS, default_detector
+from deepmds_keras.tool.detection.photos import check_photo, in_colour, open_photo
+from deepmds_keras.tool.predict.detection import find_in_photo, find_in_video
+from deepmds_keras.tool.predict.estimation import check_interocular, estimate
+from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
+from deepmds_keras.tool.predict.landmark_files import find_unusable
+from deepmds_keras.tool.predict.models import target_scheme
+from deepmds_keras.tool.predict.videos import Frame, Video
+from deepmds_keras.validation import as_numbers
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+
+class FaceLifter:
+    """Photos, videos and landmarks to 3D faces; detector and weights are loaded once.
+
+    Threads may use it, or one each; they take turns at the detector.
+
+    Args:
+        detector: `"mediapipe"` or `"dlib"`; None uses the first that is installed.
+        landmarker: File of a face landmarker (`.task`) for a MediaPipe later than 0.10.21.
+        model: `"lifting"` (the default), `"deepmds"`, the paper's method, or a file that
+            `LandmarkLifter.save` or `DeepMDS.save` wrote.
+        interocular: Millimetres between the outer corners of the eyes, which sets the scale.
+
+    Raises:
+        InputError: Unknown detector, or `interocular` is not positive and finite.
+
+    Examples:
+        >>> lifter = FaceLifter(interocular=90)
+        >>> for face in lifter.predict("family.jpg"):  # doctest: +SKIP
+        ...     print(face.xyz, face.landmarks_3d, face.pose.yaw, face.std)
+    """
+
+    def __init__(
+        self,
+        detector: str | None = None,
+        landmarker: str | Path | None = None,
+        model: str | Path | None = None,
+        interocular: float | None = None,
+    ):
+        if detector not in (None, *DETECTORS):
+            raise InputError(
+                f"detector must be one of {', '.join(DETECTORS)}. Received {detector!r}."
+            )
+        check_interocular(interocular)
+        self.landmarker = None if landmarker is None else str(landmarker)
+        self.model = None if model is None else str(model)
+        self.interocular = interocular
+        self._detector = "mediapipe" if landmarker and not detector else detector
+
+    @property
+    def detector(self) -> str:
+        """Name of the detector."""
+        return self._detector or default_detector()
+
+    def predict(
+        self, image: str | Path | bytes | BinaryIO | Image.Image | np.ndarray
+    ) -> list[Face]:
+        """3D landmarks of the faces in a photo.
+
+        Args:
+            image: A file, its content, an open binary file, a Pillow image, or an array
+                `(H, W, 3)` uint8 in RGB order (OpenCV's is BGR: `image[..., ::-1]`).
+
+        Returns:
+            The faces from left to right; an empty list if there is none.
+
+        Raises:
+            InputError: The photo cannot be read, the detector is not installed, or the model does
+                not exist.
+        """
+        image = image.read() if hasattr(image, "read") else image
+        path = Path(image) if isinstance(image, (str, os.PathLike)) else None
+        if path is not None or isinstance(image, bytes):
+            pixels = open_photo(image)
+        else:
+            pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
+        name = "face" if path is None else path.stem
+        return self._estimate(find_in_photo(pixels, path, name, **self._detection))
+
+    def predict_landmarks(
+        self,
+        points: np.ndarray,
+        scheme: str | None = None,
+        visible: np.ndarray | None = None,
+        landmark_sd: float | np.ndarray | None = None,
+    ) -> list[Face]:
+        """3D landmarks of faces whose 2D landmarks are known.
+
+        Args:
+            points: `(n, L, 2)` or `(L, 2)`, x to the right and y down, as in an image; 51 or 68 of
+                iBUG, the paper's 72, or 468 or 478 of MediaPipe. A landmark that is NaN or masked
+                is missing; a face without any landmark gives a gap.
+            scheme: Name of the landmark scheme; None infers it from L.
+            visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
+            landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
+                points: one number, `(n,)` or `(n, L)`; None assumes 2.5 % of their r.m.s. radius,
+                about 1 % of the distance between the outer corners of the eyes.
+
+        Returns:
+            A face for each row. One that seems upside down or mirrored, unlike most others, gets
+            a note.
+
+        Raises:
+            InputError: Landmarks of another shape; most faces are upside down or mirrored; a face
+                has fewer than six landmarks, or all on one line; or an unknown model.
+        """
+        points = _check_points(points)
+        n, size = points.shape[:2]
+        scheme = scheme_of(size) if scheme is None else load_scheme(scheme).name
+        target = target_scheme(scheme, self.model)
+        if visible is not None:
+            seen = _broadcast(visible, "visible", bool, (n, size))
+            points = np.where(seen[..., None], points, np.nan)
+        if landmark_sd is not None:
+            sd = np.asarray(landmark_sd)
+            sd = _broadcast(sd[:, None] if sd.ndim == 1 else sd, "landmark_sd", float, (n, size))
+            if not (np.isfinite(sd) & (sd >= 0)).all():
+                raise InputError("landmark_sd must be finite and not negative.")
+            landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
+        advice = "negate it where it grows upwards"
+        odd = check_y_axis(points, scheme, "landmarks", advice=advice)
+        landmarks = convert(points, scheme, target)
+        _check_faces(landmarks)
+        return self._estimate(
+            Detections(
+                source=None,
+                names=name_faces("face", n),
+                scheme=target,
+                landmarks=landmarks,
+                is_photo=False,
+                notes={
+                    i: f"seems to stand otherwise than the other faces: {fault}"
+                    for i, fault in odd.items()
+                },
+                landmark_sd=landmark_sd,
+            )
+        )
+
+    def predict_video(
+        self, path: str | Path, every: int = 1, smooth: float = 0
+    ) -> Iterator[tuple[Frame, list[Face]]]:
+        """3D landmarks of the faces in a video; the whole video is analysed first.
+
+        Args:
+            path: Any file that FFmpeg reads.
+            every: 1 uses every frame, 2 every other, and so on.
+            smooth: Standard deviation of the smoothing over time, in used frames; 0 is none.
+
+        Yields:
+            Each frame, with its index, time and image `(H, W, 3)` uint8 RGB; and its faces, each
+            with `frame_ref.track`, the same number for a person in all frames.
+
+        Raises:
+            InputError: PyAV is missing, the video cannot be read, no frame has a face, or
+                `every` or `smooth` is out of range.
+        """
+        if not (isinstance(every, int) and every >= 1 and 0 <= smooth < np.inf):
+            raise InputError(
+                "every must be a whole number, 1 or more, and smooth a number, 0 or more. "
+                f"Received {every} and {smooth}."
+            )
+        options = self._detection | {"every": every, "smooth": smooth}
+        detections = find_in_video(path, Path(path).stem, **options)
+        by_frame = groupby(self._estimate(detections), key=lambda face: face.frame_ref.frame)
+        faces = {frame: [*some] for frame, some in by_frame}
+        for frame in Video(path, every):
+            yield frame, faces.get(frame.index, [])
+
+    @property
+    def _detection(self) -> dict[str, str | None]:
+        return {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
+
+    def _estimate(self, detections: Detections) -> list[Face]:
+        options = {"model": self.model, "interocular": self.interocular}
+        return estimate(detections, **options) if len(detections.names) else []
+
+
+def predict_photo(
+    photo: str | Path | bytes | BinaryIO | Image.Image | np.ndarray,
+    *,
+    detector: str | None = None,
+    model: str | Path | None = None,
+    interocular: float | None = None,
+) -> list[Face]:
+    """3D landmarks of the faces in a photo: `FaceLifter.predict`, whose options are the same.
+
+    Args:
+        photo: A file, its content, a Pillow image, or an array `(H, W, 3)` uint8, RGB.
+        detector, model, interocular: As for `FaceLifter`.
+    """
+    return FaceLifter(detector, model=model, interocular=interocular).predict(photo)
+
+
+def predict_landmarks(
+    landmarks: np.ndarray,
+    *,
+    scheme: str | None = None,
+    visible: np.ndarray | None = None,
+    landmark_sd: float | np.ndarray | None = None,
+    model: str | Path | None = None,
+    interocular: float | None = None,
+) -> list[Face]:
+    """3D landmarks of faces whose 2D landmarks are known: `FaceLifter.predict_landmarks`.
+
+    Args:
+        landmarks: `(n, L, 2)` or `(L, 2)`, x right and y down.
+        scheme, visible, landmark_sd: As in the method.
+        model, interocular: As for `FaceLifter`.
+    """
+    lifter = FaceLifter(model=model, interocular=interocular)
+    return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
+
+
+def _check_points(points) -> np.ndarray:
+    """`(n, L, 2)` floats, NaN where the input is masked."""
+    points = as_numbers(points, "landmarks")
+    if points.ndim not in (2, 3) or points.shape[-1] != 2:
+        raise InputError(
+            f"landmarks must be of shape (n, L, 2) or (L, 2). Received shape {points.shape}."
+        )
+    if np.isinf(points).any():
+        raise InputError("landmarks must be finite, or NaN where they are missing.")
+    return points if points.ndim == 3 else points[None]
+
+
+def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:
+    """Broadcast a value for all landmarks, for each face, or for each landmark."""
+    value = np.asarray(value)
+    try:
+        return np.broadcast_to(value.astype(dtype, casting="safe"), shape)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name} must be {dtype.__name__} of shape {shape}. "
+            f"Received {value.dtype} of shape {value.shape}."
+        ) from None
+
+
+def _check_faces(landmarks: np.ndarray) -> None:
+    """Refuse faces from which no shape can be estimated, except gaps: no landmark at all."""
+    if len(landmarks) and np.isnan(landmarks).all():
+        raise InputError("landmarks must not all be missing. Received nothing but NaN.")
+    for face, fault in find_unusable(landmarks).items():
+        raise InputError(f"landmarks {fault} in face {face}.")

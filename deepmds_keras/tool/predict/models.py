@@ -1,0 +1,172 @@
+"""Models by name: the lifters, the paper's networks, or a user's saved model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+from typing import ClassVar
+
+import numpy as np
+
+from deepmds_keras.errors import InputError, needs
+from deepmds_keras.files import read_arrays
+from deepmds_keras.geometry.camera import HeadPose, head_poses, refit
+from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.weights import pretrained_path
+
+_MIT = "MIT licence"
+
+
+class Lifting:
+    """A lifter: facts about the shipped weights, by landmark scheme, and how it predicts."""
+
+    family = "lifting"
+    shipped: ClassVar = {s: f"lifting-{s}" for s in ("ibug51", "ibug68", "bfm72")}
+    trained_on = (
+        "landmarks of the open head (CC0 assets) and of ICT-FaceKit (MIT), no photo of a person"
+    )
+    turns: ClassVar = {"yaw": 90, "pitch": 40}  # degrees to either side, in training
+    # Residual of a pose above which landmarks hardly belong to the shape: with errors of 2 mm it is
+    # 0.01 to 0.03 for correct landmarks, 0.09 (median) with swapped brows.
+    max_residual = 0.045
+    centred = True  # accepts faces anywhere in the image
+
+    def __init__(self, path: Path):
+        self._lifter = LandmarkLifter.load(path)
+        self.n_landmarks = self._lifter.n_landmarks
+
+    def predict(
+        self,
+        views: np.ndarray,
+        landmark_sd: np.ndarray | None = None,
+        jobs: int = 1,
+        progress: Callable[[int], object] = lambda n: None,
+    ) -> tuple[np.ndarray, np.ndarray | None, HeadPose]:
+        """Faces in views `(n, L, 2)`, y up, NaN where a landmark is missing.
+
+        Returns:
+            Shapes `(n, L, 3)`, their s.d. if the model estimates it, and their cameras.
+        """
+        shapes, std, pose = self._lifter.estimate(views, landmark_sd=landmark_sd)
+        progress(len(views))
+        return shapes, std, refit(pose, views, shapes)
+
+
+class PaperNetworks:
+    """The networks of the paper, Deep-MDS; attributes and `predict` are those of `Lifting`."""
+
+    family = "deepmds"
+    shipped: ClassVar = {s: f"deepmds-{s}" for s in ("ibug51", "bfm72")}
+    trained_on = "landmarks of the open head (CC0 assets), no photo of a person"
+    turns: ClassVar = {"yaw": 50, "pitch": 25, "roll": 30}
+    max_residual = 0.12
+
+    def __init__(self, path: Path):
+        with needs("TensorFlow with Keras, which run the paper's networks,", "keras"):
+            from deepmds_keras.deep_mds import DeepMDS
+
+        self._networks, self._turn = DeepMDS.load(path), Lock()
+        self.n_landmarks = self._networks.n_landmarks
+        self.centred = self._networks.centre_views
+
+    def predict(
+        self,
+        views: np.ndarray,
+        landmark_sd: np.ndarray | None = None,
+        jobs: int = 1,
+        progress: Callable[[int], object] | None = None,
+    ) -> tuple[np.ndarray, None, HeadPose]:
+        """As for `Lifting`, but no landmark may be missing, and s.d. are neither used nor given."""
+        if np.isnan(views).any():
+            raise InputError(
+                "landmarks must all be there for the model deepmds; the model lifting takes faces "
+                f"with some missing. Received {np.isnan(views).any(2).sum()} missing landmarks."
+            )
+        with self._turn:  # threads share the networks, and their n_jobs
+            self._networks.set_params(n_jobs=jobs)
+            shapes = self._networks.predict(views, check_orientation=False, progress=progress)
+        return shapes, None, head_poses(views, shapes)
+
+
+Model = Lifting | PaperNetworks
+# The shipped ones.
+FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (Lifting, PaperNetworks)}
+DEFAULT, FALLBACK = Lifting.family, "ibug51"  # for landmarks that have no weights
+
+
+def target_scheme(scheme: str, model: str | None) -> str:
+    """The scheme to which landmarks must be converted for a model.
+
+    Returns:
+        Its name; that of the landmarks if they lack some that the model needs.
+
+    Raises:
+        InputError: There is no such model, or its landmarks are of no known scheme.
+    """
+    family = FAMILIES.get(model or DEFAULT)
+    if family is not None:
+        return scheme if scheme in family.shipped else FALLBACK
+    target = scheme_of(load_model(model).n_landmarks)
+    points = np.zeros((len(load_scheme(scheme)), 2))
+    lacking = np.isnan(convert(points, scheme, target, missing="nan")).any()
+    return scheme if lacking else target
+
+
+def name_for(scheme: str, model: str | None) -> str:
+    """Name of a model; for a family, that of its weights for a landmark scheme."""
+    family = FAMILIES.get(model or DEFAULT)
+    return model if family is None else family.shipped[scheme]
+
+
+def describe_model(scheme: str, model: str | None) -> dict[str, str]:
+    """Name, method, provenance and licence of a model, for the files that are written."""
+    name = name_for(scheme, model)
+    kind = FAMILIES.get(model or DEFAULT) or type(load_model(name))
+    described = {"name": name, "method": kind.family}
+    if name not in kind.shipped.values():
+        return described | {"weights": "given by the user"}
+    source = f"shipped with deepmds-keras; trained on {kind.trained_on}"
+    return described | {"weights": source, "licence": _MIT}
+
+
+def load_model(name: str) -> Model:
+    """Load shipped weights by name, or a file; the model is cached until the file changes.
+
+    Raises:
+        InputError: It is neither.
+    """
+    path = weights_path(name).absolute()
+    status = path.stat()
+    return _load(path, (status.st_mtime_ns, status.st_size))
+
+
+def weights_path(name: str) -> Path:
+    """File of weights: the path itself, or that of shipped weights by name.
+
+    Raises:
+        InputError: There is no such file, and no shipped weights of that name.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    if path.suffix:
+        raise InputError(
+            f"{path} must be a file that LandmarkLifter.save() or DeepMDS.save() wrote. "
+            "Received no such file."
+        )
+    try:
+        return pretrained_path(name)
+    except InputError as error:
+        raise InputError(
+            f"model must be {' or '.join(FAMILIES)}, a file of LandmarkLifter.save() or "
+            f"DeepMDS.save(), or its {error}"
+        ) from None
+
+
+@lru_cache(8)
+def _load(path: Path, version: tuple[int, int]) -> Model:
+    arrays, _ = read_arrays(path)
+    return (Lifting if "basis" in arrays else PaperNetworks)(path)

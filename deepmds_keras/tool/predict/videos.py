@@ -1,0 +1,240 @@
+"""Videos: reads them frame by frame, and writes them with the landmarks drawn in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from tqdm import tqdm
+
+from deepmds_keras.errors import InputError, needs
+from deepmds_keras.files import atomic_write
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.tool.detection.photos import MIN_SIDE
+from deepmds_keras.tool.predict.faces import Face
+
+_MAX_PIXELS = 64_000_000  # twice those of 8K
+_RATE = Fraction(25)  # frames per second if a file does not say
+_LOCAL = {"protocol_whitelist": "file"}  # no file, such as a playlist, may fetch others
+_STRETCH = 3  # largest aspect ratio of a pixel: television has up to 2.2, more is damage
+_SIDE = 1280  # largest side of a written video, pixels
+_TICK = Fraction(1, 1000)  # seconds
+_LINE, _DOT, _EDGE = "#FFFFFF", "#FFD000", "#333333"  # as in the pictures of photos
+_H264 = {"preset": "veryfast", "crf": "23"}
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a video.
+
+    Attributes:
+        index: Index among all frames that could be decoded, from 0.
+        time: Seconds since the first of them.
+        image: `(H, W, 3)` uint8 RGB, upright, of square pixels.
+    """
+
+    index: int
+    time: float
+    image: np.ndarray
+
+
+class Video:
+    """The frames of a file that can be decoded; each iteration reads it again.
+
+    Attributes:
+        n_frames: Number of frames of an iteration according to the file; None if it does not say.
+
+    Args:
+        path: Any file that FFmpeg reads.
+        every: 1 gives every frame, 2 every other, and so on, from the first.
+
+    Raises:
+        InputError: PyAV is missing; the file is missing, damaged from its beginning or not a video;
+            a frame has a side below 32 pixels or more than 64 million pixels. Iterating raises it
+            if no frame can be decoded.
+    """
+
+    def __init__(self, path: str | Path, every: int = 1):
+        self.path, self.every = Path(path), every
+        with self._opened() as (container, stream):
+            size = f"{stream.width} x {stream.height}"
+            if min(stream.width, stream.height) < MIN_SIDE:
+                raise self._unreadable(f"frames of {size} pixels")
+            if stream.width * stream.height > _MAX_PIXELS:
+                raise self._unreadable(f"{size} pixels a frame, more than {_MAX_PIXELS:,}")
+            rate = stream.average_rate or stream.guessed_rate or _RATE
+            self._step = float(1 / rate)
+            stretch = float(stream.sample_aspect_ratio or 1)
+            self._stretch = stretch if 1 / _STRETCH <= stretch <= _STRETCH else 1
+            n = stream.frames or round((container.duration or 0) / 1e6 * rate)
+        self.n_frames = -(-n // every) or None
+
+    def __iter__(self) -> Iterator[Frame]:
+        start, time, index = None, 0.0, -1
+        for index, frame in enumerate(self._decoded()):
+            if frame.time is not None:
+                start = frame.time if start is None else start
+                time = frame.time - start
+            elif index:
+                time += self._step
+            if index % self.every == 0:
+                width = round(frame.width * self._stretch)
+                image = frame.to_ndarray(width=width, format="rgb24")
+                upright = np.rot90(image, round(frame.rotation / 90))
+                yield Frame(index, time, np.ascontiguousarray(upright))
+        if index < 0:
+            raise self._unreadable("no frame that can be decoded")
+
+    def _decoded(self) -> Iterator:
+        """PyAV's frames, without damaged ones."""
+        with self._opened() as (container, stream):
+            packets = container.demux(stream)
+            while True:
+                try:
+                    packet = next(packets, None)  # none comes after its error
+                    frames = [] if packet is None else packet.decode()
+                except _import_av().error.FFmpegError:
+                    continue
+                if packet is None:
+                    return
+                yield from frames
+
+    @contextmanager
+    def _opened(self):
+        """The container and its video stream, while it is open."""
+        av = _import_av()
+        if not self.path.is_file():
+            missing = not self.path.exists()
+            raise self._unreadable(
+                "a path that does not exist" if missing else "a folder or device"
+            )
+        try:
+            with av.open(_url(self.path), options=_LOCAL, metadata_errors="replace") as opened:
+                stream = opened.streams.best("video")
+                if stream is None or stream.codec_context is None:
+                    raise self._unreadable("no pictures, or of an unknown kind")
+                yield opened, stream
+        except av.error.FFmpegError as error:
+            raise self._unreadable(error.strerror) from None
+
+    def _unreadable(self, received: str) -> InputError:
+        return InputError(f"{self.path} must be a video that can be read. Received: {received}.")
+
+
+def portraits(faces: Sequence[Face], most: int) -> list[Face]:
+    """The most frontal face of each track; of many tracks, the longest."""
+    longest = sorted(_by_track(faces), key=len, reverse=True)[:most]
+    chosen = [min(seen, key=lambda face: np.hypot(face.pose.yaw, face.pose.pitch))
+              for seen in longest]  # fmt: skip
+    return sorted(chosen, key=lambda face: face.frame_ref.track)
+
+
+def read_stills(faces: Sequence[Face], every: int) -> list[np.ndarray]:
+    """The whole frame of each face of a video, `(H, W, 3)` uint8 RGB.
+
+    Raises:
+        InputError: The video cannot be read any more.
+    """
+    wanted = {face.frame_ref.frame for face in faces}
+    frames = islice(Video(faces[0].source, every), max(wanted) // every + 1)
+    images = {frame.index: frame.image for frame in frames if frame.index in wanted}
+    return [images[face.frame_ref.frame] for face in faces]
+
+
+def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
+    """Lines about the first tracks of a video: when each is seen, and how the head turns."""
+    tracks = _by_track(faces)
+    for seen in tracks[:most]:
+        first, last = seen[0].frame_ref, seen[-1].frame_ref
+        yaws = [round(face.pose.yaw) for face in seen]
+        noted = sum(bool(face.notes) for face in seen)
+        yield (
+            f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
+            f"frames{f', {noted} with notes' * (noted > 0)}; yaw {min(yaws):+}° to "
+            f"{max(yaws):+}°"
+        )
+    if len(tracks) > most:
+        yield f"  and {len(tracks) - most} more tracks; pictures are of the {most} longest"
+
+
+def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
+    """Write the used frames with the landmarks of all tracks, whole or not at all.
+
+    The file is an MP4 (H.264) without sound, with the frames' times, at most 1280 pixels wide or
+    high; all frames have the size of the first.
+
+    Raises:
+        InputError: The video cannot be read any more, or the file cannot be written.
+    """
+    video, shown = Video(faces[0].source, every), {}
+    for face in faces:
+        shown.setdefault(face.frame_ref.frame, []).append(face)
+    av = _import_av()
+    bar = tqdm(video, total=video.n_frames, unit="frame", leave=False, disable=None)
+    options = {"movflags": "faststart"}
+    stream, last = None, -1
+    with (
+        atomic_write(path) as file,
+        av.open(_url(file.name), "w", format="mp4", options=options) as output,
+    ):
+        for frame in bar:
+            if stream is None:
+                height, width = frame.image.shape[:2]
+                scale = min(1, _SIDE / max(width, height))
+                stream = output.add_stream("libx264", rate=30, options=_H264)
+                # Colour is stored per two by two pixels.
+                stream.width, stream.height = (max(2, 2 * round(scale * side / 2))
+                                               for side in (width, height))  # fmt: skip
+                stream.pix_fmt, stream.codec_context.time_base = "yuv420p", _TICK
+            size = stream.width, stream.height
+            drawn = av.VideoFrame.from_image(_drawn(frame.image, size, shown.get(frame.index, [])))
+            drawn.pts = last = max(round(frame.time / _TICK), last + 1)
+            drawn.time_base = _TICK
+            output.mux(stream.encode(drawn))
+        output.mux(stream.encode())
+
+
+def _drawn(image: np.ndarray, size: tuple[int, int], faces: Sequence[Face]) -> Image.Image:
+    scale = np.divide(size, image.shape[1::-1])
+    image = Image.fromarray(image)
+    if image.size != size:
+        image = image.resize(size, Image.Resampling.BILINEAR)
+    draw = ImageDraw.Draw(image)
+    for face in faces:
+        points = scale * face.landmarks
+        side = np.ptp(points, axis=0).max()
+        radius, width = max(1.0, side / 100), max(1, round(side / 150))
+        for line in load_scheme(face.scheme).polylines:
+            draw.line([*map(tuple, points[list(line)])], fill=_LINE, width=width)
+        for x, y in points:
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), _DOT, _EDGE, width=0)
+        font = ImageFont.load_default(max(12, side / 8))
+        corner, label = (points[:, 0].min(), points[:, 1].min() - side / 8), face.frame_ref.track
+        draw.text(corner, str(label), _DOT, font, "lb", stroke_width=1, stroke_fill=_EDGE)
+    return image
+
+
+def _by_track(faces: Sequence[Face]) -> list[list[Face]]:
+    """Faces of each track, in the order of its number."""
+    tracks: dict[int, list[Face]] = {}
+    for face in faces:
+        tracks.setdefault(face.frame_ref.track, []).append(face)
+    return [tracks[track] for track in sorted(tracks)]
+
+
+def _import_av():
+    """PyAV, imported only when a video is read or written."""
+    with needs("PyAV, which reads videos,", "video"):
+        import av
+    return av
+
+
+def _url(path: str | Path) -> str:
+    """A path that PyAV takes for a file whatever its name: `a:b` is not a network address."""
+    return f"file:{path}"

@@ -1,0 +1,134 @@
+"""Checks of input that every method shares: input is validated once, where it enters."""
+
+from __future__ import annotations
+
+import functools
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+
+from deepmds_keras.errors import InputError
+
+
+def as_numbers(points: np.ndarray, name: str) -> np.ndarray:
+    """An array of floats, NaN where the input is masked; the input itself if it is one.
+
+    Raises:
+        InputError: Lists of unequal lengths, or anything but real numbers.
+    """
+    try:
+        points = points if np.ma.isMaskedArray(points) else np.asarray(points)
+    except ValueError:
+        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
+    if points.dtype.kind not in "fiu":
+        raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
+    return np.ma.filled(points.astype(float, copy=False), np.nan)
+
+
+def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:
+    """Landmarks as a validated finite float array `(n, L, n_dimensions)`.
+
+    Args:
+        points: `(n, L, d)`, or `(L, d)` for one face.
+        name: Name of the argument in an error message.
+        n_dimensions: `d`, 2 for views and 3 for shapes.
+
+    Raises:
+        InputError: Wrong shape, or a face with one of the faults of `find_faults`.
+    """
+    points = as_numbers(points, name)
+    points = points[None] if points.ndim == 2 else points
+    shape = points.shape
+    if len(shape) != 3 or shape[0] < 1 or shape[1] < 3 or shape[2] != n_dimensions:
+        raise InputError(
+            f"{name} must have shape (faces >= 1, landmarks >= 3, {n_dimensions}). "
+            f"Received {shape}."
+        )
+    for face, fault in find_faults(points).items():
+        raise InputError(f"{name} {fault} in face {face}.")
+    return points
+
+
+def find_faults(points: np.ndarray) -> dict[int, str]:
+    """Faces of `(n, L, d)` points from whose landmarks no shape can be estimated.
+
+    Returns:
+        Number of each such face, 0-based and ascending, → the reason: NaN or infinity, landmarks
+        that all coincide or (in two or more dimensions) lie on one line.
+    """
+    finite = np.isfinite(points).all((1, 2))
+    # In units of the largest coordinate, so that squares neither overflow nor vanish.
+    points = np.where(finite[:, None, None], points, 0)
+    size = np.abs(points).max((1, 2), keepdims=True)
+    scaled = points / np.where(size > 0, size, 1)
+    centred = scaled - scaled.mean(1, keepdims=True)
+    spread = np.linalg.svd(np.swapaxes(centred, 1, 2) @ centred, compute_uv=False)
+    one_point = spread[:, 0] <= 1e-12
+    line = spread[:, 1] < 1e-12 * spread[:, 0]
+    faults = {}
+    for face in np.flatnonzero(~finite | one_point | line).tolist():
+        if not finite[face]:
+            faults[face] = "must be finite. Received NaN or infinity"
+        elif one_point[face]:
+            faults[face] = f"must spread out. Received one point {points.shape[1]} times"
+        else:
+            faults[face] = "must not be collinear. Received a straight line"
+    return faults
+
+
+def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.ndarray:
+    """`check_points`, which also refuses another number of landmarks."""
+    check_n_landmarks(n_landmarks)
+    points = check_points(points, name, n_dimensions)
+    if points.shape[1] != n_landmarks:
+        raise InputError(
+            f"{name} must have {n_landmarks} landmarks a face. Received {points.shape[1]}."
+        )
+    return points
+
+
+def check_n_landmarks(n_landmarks: int) -> None:
+    """Raise InputError unless the number of landmarks is whole and at least 3."""
+    if not isinstance(n_landmarks, Integral) or n_landmarks < 3:
+        raise InputError(
+            f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}."
+        )
+
+
+def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:
+    """Views `(n, L, 2)` and shapes `(n, L, 3)` of the same faces.
+
+    Raises:
+        InputError: As for `check_points`, or unequal numbers of faces or landmarks.
+    """
+    views, shapes = check_points(views, "views", 2), check_points(shapes, "shapes", 3)
+    if views.shape[:2] != shapes.shape[:2]:
+        raise InputError(
+            "views and shapes must have the same faces and landmarks. "
+            f"Received {views.shape} and {shapes.shape}."
+        )
+    return views, shapes
+
+
+def check_fitted(estimator: object, attribute: str, setters: str = "fit") -> Any:
+    """The attribute that `fit`, or another of `setters`, sets.
+
+    Raises:
+        InputError: None of them was called. If scikit-learn is installed, the error is also its
+            `NotFittedError`.
+    """
+    if not hasattr(estimator, attribute):
+        raise _not_fitted_error()(
+            f"This {type(estimator).__name__} is not trained: call {setters} first."
+        )
+    return getattr(estimator, attribute)
+
+
+@functools.cache
+def _not_fitted_error() -> type[InputError]:
+    try:
+        from sklearn.exceptions import NotFittedError
+    except ImportError:
+        return InputError
+    return type("NotFittedError", (InputError, NotFittedError), {})

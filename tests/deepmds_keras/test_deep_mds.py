@@ -1,0 +1,194 @@
+"""The estimator: scikit-learn's conventions, a face that faces the front, files, and errors."""
+
+import h5py
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from writers.keras2 import write_keras2
+
+from data_gen.datasets.dataset import make_dataset
+from data_gen.models.openhead import load_openhead
+from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
+from deepmds_keras.baselines.zhao import build_zhao_net
+from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.geometry.alignment import is_mirrored
+from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
+
+
+@pytest.fixture(scope="module")
+def faces():
+    return make_dataset(load_openhead(), 200, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return DeepMDS.pretrained("deepmds-bfm72")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A model of 8 landmarks, what it was trained on, and its folder, which nobody writes to."""
+    folder = tmp_path_factory.mktemp("kept")
+    rng = np.random.default_rng(0)
+    shapes = rng.random((1, 8, 3)) + 0.05 * rng.normal(size=(48, 8, 3))
+    model = DeepMDS(8, autoencoder_epochs=2, dissimilarity_epochs=1, dissimilarity_steps=53, seed=3)
+    return model.fit(shapes[..., :2], shapes, checkpoint=folder), shapes, folder
+
+
+def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces):
+    truth = normalise(faces.landmarks)
+    shapes = shipped.predict(faces.views)
+    error, others = metrics.mse(align(shapes, truth), truth), np.roll(truth, 1, axis=0)
+    flat = truth * [1, 1, 0]
+    assert error.mean() < 0.1 * metrics.mse(align(flat, truth), truth).mean()
+    assert (error < metrics.mse(align(shapes, others), others)).mean() > 0.55
+    assert not is_mirrored(shapes, truth).any()
+    assert np.abs(shapes[..., :2] - shipped.frontalise(faces.views)).mean() < 0.02
+    assert np.allclose(shapes[..., 2].mean(1), 0)
+    assert (shapes[:, shipped.front_landmark_, 2] > 0.05).all()
+    assert np.allclose(shapes[:4], shipped.predict(17 * faces.views[:4] + [400, -90]), atol=1e-3)
+    assert np.allclose(shapes[0], shipped.predict(faces.views[0])[0], atol=1e-4)
+    matrices = shipped.dissimilarities(faces.views[:3])
+    assert np.array_equal(matrices, np.swapaxes(matrices, 1, 2))
+
+
+def test_the_score_is_the_share_of_the_variance_explained(shipped, faces):
+    expected = metrics.explained_share(shipped.predict(faces.views), faces.landmarks)
+    assert shipped.score(faces.views, faces.landmarks) == expected
+
+
+def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped, faces):
+    views = faces.views[:3] * [1, -1]
+    with pytest.raises(InputError, match="y must grow upwards.*check_orientation"):
+        shipped.predict(views)
+    assert np.isfinite(shipped.predict(views, check_orientation=False)).all()
+
+
+def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp_path):
+    model, shapes, kept = small
+    model.save(tmp_path / "model.npz")
+    loaded, copy = DeepMDS.load(tmp_path / "model.npz"), clone(model)
+    assert loaded.get_params() == model.get_params() == copy.get_params()
+    assert loaded.history_ == model.history_
+    assert np.array_equal(loaded.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
+    assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
+    arrays, described = read_arrays(tmp_path / "model.npz")
+    described["parameters"]["solver"] = "batched"  # of version 0.2
+    write_arrays(tmp_path / "older.npz", arrays, described)
+    assert DeepMDS.load(tmp_path / "older.npz").solver == "auto"
+    for error in (NotFittedError, InputError):
+        with pytest.raises(error, match="not trained: call fit, restore, load or pretrained"):
+            copy.predict(shapes[:1, :, :2])
+
+
+@pytest.mark.slow
+def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
+    model, shapes, kept = small
+    views, calls = shapes[..., :2], []
+
+    def stop(network, losses):
+        calls.append(network)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    def fresh(**parameters):
+        return clone(model).set_params(**parameters)
+
+    with pytest.raises(KeyboardInterrupt):
+        fresh().fit(views, shapes, checkpoint=tmp_path, progress=stop)
+    with pytest.raises(InputError, match="dissimilarity-paper-constant.npz does not exist"):
+        fresh().restore(tmp_path, shapes)
+    expected, resumed = model.predict(views[:4]), fresh().fit(views, shapes, checkpoint=tmp_path)
+    written = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    for again in (resumed, fresh().restore(tmp_path, shapes), fresh().fit(views, shapes)):
+        assert np.array_equal(again.predict(views[:4]), expected)
+        assert again.history_ == model.history_
+        assert again.front_landmark_ == model.front_landmark_
+    # The other variant has the same autoencoder, which is not trained again.
+    fresh(variant="released").fit(views, shapes, checkpoint=tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"autoencoder_epochs": 3}, "autoencoder-constant.npz is of another run; delete it"),
+        ({"dissimilarity_steps": 10}, "dissimilarity-paper-constant.npz is of another run"),
+        ({"schedule": "cosine"}, "autoencoder-cosine.npz does not exist"),
+        ({"n_landmarks": 7}, "is of another run"),
+    ],
+)
+def test_only_what_this_model_would_have_trained_is_restored(small, parameters, problem):
+    model, shapes, kept = small
+    with pytest.raises(InputError, match=problem):
+        clone(model).set_params(**parameters).restore(kept, shapes)
+
+
+def test_damaged_files_are_refused(small, tmp_path):
+    model, path = small[0], tmp_path / "model.npz"
+    model.save(path)
+    whole, (arrays, described) = path.read_bytes(), read_arrays(path)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="model.npz must be an npz written by save"):
+        DeepMDS.load(path)
+    for text in ("{}", '{"parameters": [1]}', '{"parameters": {"n_landmarks": 1e9}}'):
+        np.savez(path, description=np.array(text))
+        with pytest.raises(InputError, match="was not written by DeepMDS.save"):
+            DeepMDS.load(path)
+    arrays["dissimilarity_net/hidden_2/kernel"][3, 4] = np.nan
+    write_arrays(path, arrays, described)
+    with pytest.raises(InputError, match="model.npz: hidden_2/kernel of .* must be finite"):
+        DeepMDS.load(path)
+    with pytest.raises(InputError, match="must be a file to write. Received a folder"):
+        model.save(tmp_path)
+
+
+@pytest.mark.parametrize(("n_landmarks", "nose_tip"), [(72, 28), (68, 30), (51, 13)])
+def test_released_files_of_any_scheme_are_read(tmp_path, n_landmarks, nose_tip):
+    networks = build_autoencoder(n_landmarks), build_dissimilarity_net("released")
+    files = [write_keras2(tmp_path / f"{network.name}.h5", network) for network in networks]
+    model = DeepMDS.from_released(*files, n_landmarks=n_landmarks)
+    assert model.front_landmark_ == nose_tip
+    for first, second in zip(networks[0].weights, model.autoencoder_.weights, strict=True):
+        assert np.array_equal(first, second)
+    with h5py.File(files[0], "r+") as file:
+        file["decode_1/decode_1/bias:0"][3] = np.nan
+    with pytest.raises(InputError, match="autoencoder_.*.h5: decode_1/bias .* must be finite"):
+        DeepMDS.from_released(*files, n_landmarks=n_landmarks)
+
+
+def test_foreign_keras_files_are_refused(tmp_path):
+    text, foreign = tmp_path / "text.h5", tmp_path / "foreign.h5"
+    text.write_text("no HDF5")
+    with pytest.raises(InputError, match="text.h5 must be a Keras 2 weight file"):
+        DeepMDS.from_released(text, text)
+    with h5py.File(foreign, "w") as file:
+        file.attrs["layer_names"] = ["dense"]
+        group = file.create_group("dense")
+        group.attrs["weight_names"] = ["kernel"]
+        group.create_dataset("kernel", (10**9, 10**9), np.float32)  # claims more than memory holds
+    with pytest.raises(InputError, match="foreign.h5 must have the 38 weights of autoencoder_72"):
+        DeepMDS.from_released(foreign, foreign)
+
+
+@pytest.mark.parametrize("n_landmarks", [0, 2, 51.0, "51", None])
+def test_impossible_numbers_of_landmarks_are_refused(n_landmarks):
+    message = f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}"
+    predict = lambda n: DeepMDS(n).predict(np.eye(3)[:, :2])  # noqa: E731
+    for function in (build_autoencoder, build_zhao_net, predict):
+        with pytest.raises(InputError, match=message):
+            function(n_landmarks)
+
+
+def test_bad_input_is_named(shipped, faces):
+    views = faces.views[:4].copy()
+    with pytest.raises(InputError, match="views must have 72 landmarks a face. Received 71"):
+        shipped.predict(views[:, 1:])
+    views[1, 5] = np.nan
+    with pytest.raises(InputError, match="NaN or infinity in face 1"):
+        shipped.predict(views)
+    with pytest.raises(InputError, match="Received 'bfm'"):
+        DeepMDS.pretrained("bfm")
+    with pytest.raises(InputError, match="same faces .*Received .4, 72, 2. and .3, 72, 3."):
+        DeepMDS().fit(faces.views[:4], faces.landmarks[:3])

@@ -1,0 +1,101 @@
+"""`deepmds evaluate`: any file of true landmarks is scored, whichever way its axes point."""
+
+import csv
+
+import numpy as np
+import pytest
+from places import SHARED
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views import in_camera_frame, sample_expressive, sample_perspective_cameras
+from deepmds_keras import InputError
+from deepmds_keras.__main__ import main
+from deepmds_keras.tool.command.evaluation import evaluate, read_truth
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """`(60, 68, 3)` landmarks of turned faces, x right, y up, z towards the viewer."""
+    model, rng = load_openhead(), np.random.default_rng(0)
+    model = model.restrict(model.landmarks["ibug68"])
+    cameras = sample_perspective_cameras(60, rng, yaw=80, pitch=20, roll=20, field_of_view=(0, 1))
+    return in_camera_frame(model.shape(*sample_expressive(model, 60, rng)), cameras)
+
+
+def errors(rows, landmarks=51, yaw="all"):
+    return {r["method"]: r["error"] for r in rows if (r["landmarks"], r["yaw"]) == (landmarks, yaw)}
+
+
+def test_lifting_is_far_below_the_mean_shape_and_exact_landmarks_are_best_as_such(truth, tmp_path):
+    np.save(tmp_path / "truth.npy", truth)
+    rows = evaluate(tmp_path / "truth.npy", out=tmp_path)
+    for landmarks in (51, 68):
+        mse = errors(rows, landmarks)
+        assert mse["lifting, exact"] < mse["lifting"] < 0.25 * mse["mean shape"]
+    with open(tmp_path / "errors.csv", newline="") as file:
+        assert [float(row["error"]) for row in csv.DictReader(file)] == [r["error"] for r in rows]
+    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+    by_yaw = [r["n_faces"] for r in rows if (r["landmarks"], r["method"]) == (51, "lifting")]
+    assert by_yaw[0] == sum(by_yaw[1:]) == 60
+    with pytest.raises(InputError, match="errors.csv must be a new file, or --overwrite"):
+        evaluate(tmp_path / "truth.npy", out=tmp_path)
+
+
+@pytest.mark.parametrize("axes", [(1, -1, 1), (1, 1, -1), (1, -1, -1)])
+def test_which_way_axes_point_does_not_matter(truth, axes, tmp_path):
+    np.save(tmp_path / "truth.npy", truth[:, 17:])
+    np.save(tmp_path / "other.npy", 7 * truth[:, 17:] * axes - 100)
+    first, second = (evaluate(tmp_path / f"{n}.npy", out=tmp_path / n) for n in ("truth", "other"))
+    for one, other in zip(first, second, strict=True):
+        assert one["error"] == pytest.approx(other["error"], rel=1e-3)
+
+
+def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
+    lines = ["face,x,y,z"]
+    lines += [f"{i},{x},{y},{z}" for i, face in enumerate(truth[:9, 17:]) for x, y, z in face]
+    (tmp_path / "truth.csv").write_text("\n".join(lines))
+    np.testing.assert_array_equal(read_truth(tmp_path / "truth.csv"), truth[:9, 17:])
+    noise = np.random.default_rng(0).normal(0, 3, (9, 51, 2))
+    np.save(tmp_path / "seen.npy", (truth[:9, 17:, :2] + noise) * (1, -1))
+    command = ["evaluate", tmp_path / "truth.csv", "--out", tmp_path / "out"]
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, command), "--landmarks", str(tmp_path / "seen.npy")])
+    assert ended.value.code == 0
+    output = capsys.readouterr().out
+    assert "9 faces" in output and "51, lifting " in output and "exact" not in output
+    np.save(tmp_path / "seen.npy", np.where(np.arange(9)[:, None, None] == 4, np.nan, noise))
+    with pytest.raises(InputError, match="seen.npy must have .* Received none of face 5"):
+        evaluate(tmp_path / "truth.csv", landmarks=tmp_path / "seen.npy", out=tmp_path / "gap")
+
+
+@pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")
+def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
+    pytest.importorskip("eos", reason="eos-py has no wheel here")
+    np.save(tmp_path / "truth.npy", truth)
+    mse = errors(evaluate(tmp_path / "truth.npy", eos=SHARED / "sfm", out=tmp_path), 49)
+    assert mse["lifting"] < mse["eos"] < mse["mean shape"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (np.zeros((3, 50, 3)), "must hold 51 or 68 landmarks of x, y and z.*\\(3, 50, 3\\)"),
+        (np.zeros((3, 51, 2)), "\\(3, 51, 2\\)"),
+        (np.full((3, 51, 3), np.nan), "finite"),
+        (np.full((3, 51, 3), "a"), "numbers"),
+        (b"no array", "one array in NumPy's format"),
+        ("x,y\n1,2\n", "columns x, y, z"),
+        ("face,x,y,z\n1,1,2,3\n1,1,2,3\n2,1,2,3\n", "as many rows for each face"),
+    ],
+)
+def test_unusable_truths_are_named(content, message, tmp_path):
+    path = tmp_path / ("truth.csv" if isinstance(content, str) else "truth.npy")
+    if isinstance(content, str):
+        path.write_text(content)
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        np.save(path, content)
+    with pytest.raises(InputError, match=f"truth.*{message}"):
+        evaluate(path, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()

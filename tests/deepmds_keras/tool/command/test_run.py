@@ -1,0 +1,445 @@
+"""`deepmds predict` as people run it: photos and landmarks in, files out, a line for what fails."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from places import ROOT
+from writers.heads import drawn_heads
+
+from data_gen.models.openhead import load_openhead
+from data_gen.views import sample_photo_views
+from deepmds_keras.__main__ import main
+from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.tool.command import run
+from deepmds_keras.tool.detection import (
+    DETECTORS,
+    Detector,
+    default_detector,
+    dlib_landmarks,
+    mediapipe_landmarks,
+)
+from deepmds_keras.tool.predict import detection
+from deepmds_keras.tool.predict.landmark_files import read_landmarks
+
+ALL = "csv,json,npz,ply,obj"
+
+
+@pytest.fixture(scope="module")
+def heads(apart):
+    """Images of five open heads, and their 51 landmarks in pixels."""
+    return apart(drawn_heads)
+
+
+@pytest.fixture(scope="module")
+def landmarks(heads):
+    """`(51, 2)` of one face, frontal but for its errors."""
+    return heads[1][2] + np.random.default_rng(0).normal(0, 0.5, (51, 2))
+
+
+@pytest.fixture
+def predict(capsys, tmp_path):
+    """Runs the command in this process: `predict(*arguments)` → status, stdout, errors and notes.
+
+    Results lie in `tmp_path / "out"`, unless the arguments say otherwise.
+    """
+
+    def predict(*arguments, jobs=1):
+        out = [] if "--out" in arguments else ["--out", tmp_path / "out"]
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
+        code, (output, errors) = ended.value.code, capsys.readouterr()
+        # Python prints a text that it is ended with, and the status is 1.
+        lines = [*errors.splitlines(), *([code] if isinstance(code, str) else [])]
+        listed = [line for line in lines if line.startswith(("error: ", "note: no effect"))]
+        return 1 if isinstance(code, str) else code, output, listed
+
+    return predict
+
+
+@pytest.fixture
+def faces24(monkeypatch, landmarks):
+    """A detector that finds 24 faces in every photo, and counts how often it is opened."""
+    opened = []
+
+    def open_model(landmarker):
+        opened.append(landmarker)
+        points = convert(landmarks, "ibug51", "ibug68", missing="nan")
+        points[:17] = points[17:34] + (0, 60)
+        faces = points / 4 + 20 * np.arange(24)[:, None, None]
+        return lambda photo: (faces, np.ones(24))
+
+    monkeypatch.setitem(DETECTORS, "dlib", Detector("ibug68", open_model, lambda: True, "none"))
+    detection._opened.cache_clear()
+    return opened
+
+
+def written(folder):
+    """Names of the files in a folder, but for the lock."""
+    return sorted(path.name for path in folder.iterdir() if path.name != ".deepmds-lock")
+
+
+def arrays_of(path):
+    with np.load(path) as file:
+        return dict(file)
+
+
+def save(path, landmarks):
+    np.save(path, landmarks)
+    return path
+
+
+def command_line(*arguments):
+    return [sys.executable, "-m", "deepmds_keras", *map(str, arguments)]
+
+
+def test_photos_give_a_table_and_a_picture_each_and_no_noise(tmp_path, heads):
+    """As a user has it: another process, another folder, several processes."""
+    Image.fromarray(heads[0][1]).save(tmp_path / "turned.png")
+    for name, image in (("two.png", np.hstack(heads[0][[2, 4]])), ("one.jpg", heads[0][3])):
+        Image.fromarray(image).save(tmp_path / name)
+    arguments = ("turned.png", "two.png", "one.jpg", "--jobs", 2)
+    done = subprocess.run(
+        command_line("predict", *arguments), cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) == (default_detector() == "dlib"), done.stderr
+    assert "two.png: 2 faces → deepmds-out/two.csv, two.png" in done.stdout
+    out = tmp_path / "deepmds-out"
+    names = [f"{name}.{kind}" for name in ("turned", "two", "one") for kind in ("csv", "png")]
+    assert written(out) == sorted(names)
+    table = pd.read_csv(out / "turned.csv", comment="#")[-51:]  # dlib has the jaw before them
+    assert tuple(table.name) == load_scheme("ibug51").names
+    assert np.abs(table[["image_x", "image_y"]] - heads[1][1]).mean().max() < 4
+    with Image.open(out / "two.png") as picture:
+        assert picture.width > picture.height  # of both faces
+
+
+def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict, landmarks):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "text.jpg").write_text("hello")
+    (folder / "empty.jpg").touch()
+    (folder / "huge.png").write_bytes(b"P5 16000 16001 255\n")
+    Image.new("RGB", (200, 200)).save(folder / "nobody.png")
+    (folder / "broken.json").write_text("{")
+    os.mkfifo(folder / "pipe.jpg")
+    arrays = {
+        "upside_down": landmarks * (1, -1),
+        "mirrored": landmarks * (-1, 1),
+        "count": landmarks[:50],
+        "infinite": np.where(landmarks == landmarks[3], np.inf, landmarks),
+        "good": landmarks,
+    }
+    for name, array in arrays.items():
+        save(folder / f"{name}.npy", array)
+    odd = save(folder / "new\nline 'and' \"more\"\udcff.npy", landmarks)
+    bad = [folder / "missing.jpg", folder / "notes.txt", folder / "..", ""]
+    status, output, errors = predict(*sorted(folder.iterdir()), *bad)
+    assert status == 1
+    expected = {
+        "text.jpg": "no image",
+        "empty.jpg": "0 bytes",
+        "huge.png": "at most 256,000,000 pixels. Received 16000 x 16001",
+        "nobody.png": "no face found by",
+        "broken.json": "must be JSON",
+        "pipe.jpg": "Received a pipe or device",
+        "upside_down.npy": "--y-up",
+        "mirrored.npy": "a mirrored face",
+        "count.npy": "Received 50",
+        "infinite.npy": "finite",
+        "missing.jpg": "does not exist",
+        "notes.txt": "does not exist",
+        "..": "must hold photos",
+    }
+    for name, text in expected.items():
+        (line,) = [line for line in errors if f"{folder / name}" in line.split(" must ")[0]]
+        assert text in line, name
+    assert "a source must be the name" in "".join(errors)
+    assert len(errors) == len(expected) + 1
+    assert output.count("1 face →") == 2 and "new\\nline" in output
+    results = {f"{name}.{kind}" for name in ("good", odd.stem) for kind in ("csv", "png")}
+    assert {*written(tmp_path / "out")} == results
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "the following arguments are required: SOURCE"),
+        (["a.jpg", "--jobs", "0"], "must be 1 or more, or -1. Received '0'"),
+        (["a.jpg", "--interocular", "0"], "must be a number above 0"),
+        (["a.jpg", "--interocular", "nan"], "must be a number"),
+        (["a.jpg", "--smooth", "-1"], "not negative. Received '-1'"),
+        (["a.jpg", "--format", "csv,stl"], "Received 'stl'"),
+        (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
+    ],
+)
+def test_wrong_arguments_are_named(capsys, arguments, message):
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", *arguments])
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("n", [51, 68, 72, 478])
+def test_landmarks_of_every_order_are_taken(tmp_path, predict, landmarks, n):
+    scheme = {51: "ibug51", 68: "ibug68", 72: "bfm72"}.get(n, "mediapipe")
+    points = convert(landmarks, "ibug51", scheme, missing="nan")
+    if n == 72:
+        points = sample_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))[0]
+        points = points * (1, -1)
+    points = np.where(np.isnan(points), 0, points)  # what is not among the 51 is not looked at
+    points = np.concatenate([points, np.zeros((n - len(points), 2))]) if n == 478 else points
+    status, _, errors = predict(save(tmp_path / "points.npy", points), "--format", "json")
+    assert (status, errors) == (0, [])
+    content = json.loads((tmp_path / "out" / "points.json").read_bytes())
+    target = "ibug51" if n == 478 else scheme
+    assert (content["scheme"], content["model"]["name"]) == (target, f"lifting-{target}")
+
+
+def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predict, landmarks):
+    frames = landmarks + np.random.default_rng(1).normal(0, 1, (8, 51, 2))
+    alone = save(tmp_path / "alone.npy", frames[[0, 3, 4, 7]])
+    frames[1] = np.nan
+    frames[2] *= (1, -1)  # upside down, which the others are not: estimated, with a note
+    frames[5, 3:] = np.nan
+    frames[6] = 7
+    points = save(tmp_path / "f.npy", frames)
+    status, output, (line,) = predict(points, alone, "--format", "csv,json,npz,ply")
+    assert status == 1
+    assert f"{points}: 2 of 8 faces cannot be used and are gaps: 6, 7. The first must" in line
+    assert "f.npy: 5 faces, 3 gaps →" in output
+    out, seen = tmp_path / "out", [0, 3, 4, 7]
+    arrays, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
+    for key in ("shape", "landmarks", "yaw", "roll", "rotation"):
+        np.testing.assert_allclose(arrays[key][seen], expected[key], atol=1e-6)
+        assert np.isnan(arrays[key][[1, 5, 6]]).all(), key
+    records = json.loads((out / "f.json").read_bytes())["faces"]
+    assert [face["shape"] is None for face in records] == [i in (1, 5, 6) for i in range(8)]
+    assert records[1]["notes"] == []
+    assert any("stands unlike the other faces" in note for note in records[2]["notes"])
+    assert len([*out.glob("f-*.ply")]) == 5
+    for kind in ("csv", "json"):  # what was written is read with its gaps
+        again = read_landmarks(out / f"f.{kind}")
+        np.testing.assert_allclose(again, arrays["landmarks"], rtol=1e-5)
+
+
+def test_options_reach_the_results(tmp_path, predict, landmarks):
+    frames = landmarks + np.random.default_rng(1).normal(0, 2, (8, 51, 2))
+    frames[4] = np.nan  # smoothing does not cross it
+    frames[5:] += 50
+    points = save(tmp_path / "frames.npy", frames * (1, -1))
+    arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
+    for folder, options in (("rough", ()), ("smooth", ("--smooth", 2))):
+        assert predict(*arguments, *options, "--out", tmp_path / folder)[0] == 0
+    rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
+    assert np.allclose(rough["landmarks"], frames, equal_nan=True)
+    assert json.loads(str(rough["description"]))["unit"] == "mm"
+    seen = ~np.isnan(rough["yaw"])
+    apart = np.linalg.norm(rough["shape"][seen, 28] - rough["shape"][seen, 19], axis=1)
+    assert np.allclose(apart, 90)
+    jitter = [np.nanstd(np.diff(arrays["shape"], axis=0)) for arrays in (rough, smooth)]
+    assert jitter[1] < 0.5 * jitter[0]
+    steps = [np.nanmean(a["landmarks"][5] - a["landmarks"][3]) for a in (rough, smooth)]
+    assert steps[1] == pytest.approx(steps[0], abs=2)
+
+
+def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, faces24, monkeypatch):
+    for i in range(20):
+        Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")
+    read = []
+    monkeypatch.setattr(
+        run, "open_photo", lambda path, real=run.open_photo: read.append(path) or real(path)
+    )
+    options = ("--detector", "dlib", "--view", "--format", "ply")
+    assert predict(*sorted(tmp_path.glob("*.png")), *options)[0] == 0
+    assert len(read) == 20 and len(faces24) == 1
+    assert len([*(tmp_path / "out").glob("00-*.ply")]) == 24
+    assert (tmp_path / "out" / "00.png").is_file()
+
+
+def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    out = tmp_path / "out"
+
+    def redone(*options):
+        """What a run writes, by the times of the files."""
+        before = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        status, output, errors = predict(first, second, *options)
+        after = {path: path.stat().st_mtime_ns for path in out.glob("*.csv")}
+        new = sorted(path.stem for path, _ in after.items() - before.items())
+        assert ("are skipped; --overwrite" in output) == (len(new) + len(errors) < 2)
+        return status, new
+
+    assert redone() == (0, ["a", "b"])
+    assert redone() == (0, [])
+    assert redone("--overwrite") == (0, ["a", "b"])
+    assert redone("--force") == (0, ["a", "b"])  # its former name
+    (out / "a.png").unlink()
+    (out / "a.csv").unlink()
+    assert redone() == (0, ["a"])
+    save(second, landmarks + 1)
+    assert redone() == (1, []), "whose former results are in the way"
+    assert redone("--overwrite") == (0, ["a", "b"])
+
+
+def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landmarks):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.csv").write_text("mine")
+    status, output, (line,) = predict(first, second)
+    assert (status, "b.npy: 1 face" in output) == (1, True)
+    assert f"{out / 'a.csv'} must not be there yet" in line and "--overwrite" in line
+    assert (out / "a.csv").read_text() == "mine"
+    assert written(out) == ["a.csv", "b.csv", "b.png"]
+    assert predict(first, second, "--overwrite")[0] == 0
+    assert (out / "a.csv").read_text().startswith("# 3D face landmarks")
+
+
+def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):
+    Image.fromarray(heads[0][1]).save(tmp_path / "a.jpg")
+    for options in ((), ("--overwrite",)):
+        status, _, (line,) = predict(tmp_path, "--out", tmp_path, *options)
+        assert (status, "must not be a folder of sources" in line) == (1, True)
+    assert written(tmp_path) == ["a.jpg"]
+
+
+def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    code = (
+        "import sys; from pathlib import Path; from deepmds_keras.tool.command.run import _locked\n"
+    )
+    code += "with _locked(Path(sys.argv[1])): print('locked', flush=True); input()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path / "out"],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert other.stdout.readline() == "locked\n"
+    status, output, (line,) = predict(points)
+    assert (status, output, "in use by another run" in line) == (1, "", True)
+    other.kill()
+    other.communicate()
+    assert predict(points)[0] == 0
+    assert written(tmp_path / "out") == ["a.csv", "a.png"]
+
+
+@pytest.mark.parametrize("place", ["write_output", "write_overlay"])
+def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
+    tmp_path, predict, landmarks, monkeypatch, place
+):
+    points = save(tmp_path / "a.npy", landmarks)
+
+    def stop(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run, place, stop)
+        assert predict(points)[0] == 130
+    assert written(tmp_path / "out") == []
+    assert predict(points)[0] == 0
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_a_full_output_gets_one_line(tmp_path, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    with open("/dev/full", "w") as full:
+        arguments = command_line("predict", points, "--out", tmp_path / "out")
+        done = subprocess.run(arguments, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "error: the output cannot be written: No space left on device.\n"
+    assert written(tmp_path / "out") == ["a.csv", "a.png"]
+
+
+def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "within"):
+        status, output, (line,) = predict(points, "--out", out)
+        assert (status, output, str(tmp_path / "file") in line) == (1, "", True)
+    (tmp_path / "out" / "a.csv").mkdir(parents=True)
+    good = save(tmp_path / "b.npy", landmarks)
+    status, output, (line,) = predict(points, good)
+    assert (status, "a.csv must not be there yet" in line) == (1, True)
+    assert (tmp_path / "out" / "b.csv").is_file()
+
+
+def test_without_a_detector_photos_are_refused_and_landmarks_done(
+    tmp_path, predict, landmarks, monkeypatch
+):
+    for name in ("dlib", "mediapipe"):
+        monkeypatch.setitem(sys.modules, name, None)
+    detection._opened.cache_clear()
+    for module in (dlib_landmarks, mediapipe_landmarks):
+        module.shared_detector.cache_clear()
+    Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")
+    points = save(tmp_path / "a.npy", landmarks)
+    for detector in ("dlib", "mediapipe"):
+        status, output, (line,) = predict(tmp_path / "photo.png", "--detector", detector)
+        assert (status, output) == (1, "")
+        assert f"pip install '.[{detector}]'" in line
+    assert not (tmp_path / "out").exists()
+    status, _, (line,) = predict(tmp_path / "photo.png", points)
+    assert status == 1 and "1 photos or videos cannot be used. " in line
+    assert (tmp_path / "out" / "a.csv").is_file()
+
+
+def test_the_export_offers_only_what_it_takes(tmp_path):
+    for model in ("deepmds", "deepmds-ibug51", "none"):
+        with pytest.raises(SystemExit) as ended:
+            main(["export", str(tmp_path / "m.onnx"), "--model", model])
+        assert "lifting-ibug51" in ended.value.code and "or deepmds" not in ended.value.code
+    assert not any(tmp_path.iterdir())
+
+
+def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):
+    Image.fromarray(heads[0][1]).save(tmp_path / "a.png")
+    options = ("--smooth", 2, "--every", 3, "--y-up", "--image-size", 640, 480)
+    status, _, (line,) = predict(tmp_path / "a.png", *options)
+    names = "--smooth, --every, --y-up, --image-size"
+    assert (status, line) == (0, f"note: no effect on these sources: {names}.")
+    points = save(tmp_path / "b.npy", landmarks)
+    assert predict(points, "--smooth", 2)[2] == []
+    assert predict(points, "--every", 2)[2] == ["note: no effect on these sources: --every."]
+
+
+def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):
+    points = save(tmp_path / "two.npy", np.stack([landmarks, 2 * landmarks]))
+    status, _, errors = predict(points, "--view", "--mesh", "--interocular", 90, "--format", ALL)
+    assert (status, errors) == (0, [])
+    kinds = ("ply", "obj", "mesh.ply", "mesh.obj")
+    faces = {f"two-{n}.{kind}" for n in (1, 2) for kind in kinds}
+    tables = {f"two.{kind}" for kind in ("csv", "json", "npz", "png", "html")}
+    assert {*written(tmp_path / "out")} == faces | tables
+    for n in (1, 2):
+        lines = (tmp_path / "out" / f"two-{n}.mesh.obj").read_text().splitlines()
+        vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
+        assert 180 < np.ptp(vertices[:, 1]) < 400  # millimetres of a head
+
+
+def test_faces_with_missing_landmarks_are_estimated_but_by_the_networks_of_the_paper(
+    predict, landmarks, tmp_path
+):
+    faces = np.stack([landmarks, landmarks + 5])
+    faces[1, 3] = np.nan
+    np.save(tmp_path / "some.npy", faces)
+    status, _, errors = predict(tmp_path / "some.npy", "--format", ALL)
+    assert (status, errors) == (0, [])
+    table = pd.read_csv(tmp_path / "out" / "some.csv", comment="#")
+    assert np.isfinite(table[["x", "y", "z", "image_x"]]).all(axis=None)
+    assert table["residual"].isna().sum() == 1
+    written = json.loads((tmp_path / "out" / "some.json").read_text())["faces"][1]
+    assert written["landmarks"][3] == [None, None] and None not in written["shape"][3]
+    np.save(tmp_path / "jawless.npy", convert(faces[0], "ibug51", "ibug68", missing="nan"))
+    np.save(tmp_path / "alone.npy", faces[1])
+    sources = [tmp_path / f"{name}.npy" for name in ("some", "jawless", "alone")]
+    status, output, errors = predict(*sources, "--model", "deepmds", "--out", tmp_path / "paper")
+    assert status == 1 and "jawless.npy: 1 face →" in output, "whose 51 landmarks are all there"
+    assert "1 of 2 faces cannot be used and are gaps: 2" in errors[0]
+    assert "alone.npy: each face must have all landmarks for the model deepmds" in errors[1]

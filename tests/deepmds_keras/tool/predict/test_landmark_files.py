@@ -1,0 +1,259 @@
+"""Files of landmarks: every layout gives the same numbers, and a bad file gets one clear line."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from deepmds_keras import InputError
+from deepmds_keras.landmarks import face_sizes
+from deepmds_keras.tool.predict.landmark_files import read_faces, read_landmarks
+
+FACES = np.random.default_rng(0).uniform(1, 500, (3, 68, 2))
+ONE = FACES[:1]
+DEPTH = np.full((3, 68, 1), 7.0)
+
+
+def table(rows, header=None, separator=","):
+    lines = [separator.join(str(cell) for cell in row) for row in rows]
+    return "\n".join([*([header] if header else []), *lines]) + "\n"
+
+
+def long_rows(faces=FACES):
+    return [(f"face {i}", j + 18, *point) for i, f in enumerate(faces) for j, point in enumerate(f)]
+
+
+def pts(points):
+    return f"version: 1\nn_points:  {len(points)}\n{{\n{table(points, separator=' ')}}}\n"
+
+
+def written(folder, name, content):
+    path = folder / name
+    if isinstance(content, np.ndarray):
+        np.save(path, content)
+    else:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+LAYOUTS = {
+    "columns": ("f.csv", table(ONE[0], "x,y"), ONE),
+    "comments, empty lines": ("f.csv", f'# a, "b" c\n\n{table(ONE[0], "x,y")}\n\n', ONE),
+    "capitals, Windows, BOM": (
+        "F.CSV",
+        b"\xef\xbb\xbf" + table(ONE[0], "X , Y").replace("\n", "\r\n").encode(),
+        ONE,
+    ),
+    "many faces": ("f.csv", table(long_rows(), "face,number,x,y"), FACES),
+    "beside the shape": (
+        "f.csv",
+        table([(1, 2, 3, *point) for point in ONE[0]], "x,y,z,image_x,image_y"),
+        ONE,
+    ),
+    "array": ("f.npy", FACES, FACES),
+    "array of one": ("f.npy", ONE[0], ONE),
+    "array with depth": ("f.npy", np.dstack([FACES, DEPTH]), FACES),
+    "array of other bytes": ("f.npy", np.asfortranarray(FACES.astype(">f8")), FACES),
+    "points of 300-W": ("f.pts", pts(ONE[0] + 0.5), ONE),
+    "JSON": ("f.json", json.dumps(ONE[0].tolist()), ONE),
+    "JSON of faces": ("f.json", json.dumps(FACES.tolist()), FACES),
+    "JSON with a key": ("f.json", json.dumps({"landmarks": ONE[0].tolist()}), ONE),
+    "JSON of records": (
+        "f.json",
+        json.dumps({"faces": [{"landmarks": f.tolist(), "name": "a"} for f in FACES]}),
+        FACES,
+    ),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_gives_the_same_numbers(tmp_path, layout):
+    name, content, expected = LAYOUTS[layout]
+    points = read_landmarks(written(tmp_path, name, content))
+    assert points.dtype == float
+    np.testing.assert_allclose(points, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", face_sizes())
+def test_every_number_of_landmarks_is_read_and_y_turned_down_if_asked_for(tmp_path, n):
+    faces = np.random.default_rng(n).uniform(1, 500, size=(2, n, 2))
+    path = written(tmp_path, "f.npy", faces)
+    assert np.array_equal(read_landmarks(path), faces)
+    assert np.array_equal(read_landmarks(path, y_up=True), faces * [1, -1])
+    assert np.array_equal(np.load(path), faces)
+
+
+def test_faces_called_like_missing_values_stay_apart(tmp_path):
+    rows = [("null", *r[1:]) if r[0] == "face 1" else r for r in long_rows()]
+    points = read_landmarks(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
+    np.testing.assert_allclose(points, FACES, rtol=1e-12)
+
+
+MESH = np.random.default_rng(1).uniform(0.2, 0.7, (3, 468, 2))
+
+
+@pytest.mark.parametrize("n", [468, 478])
+@pytest.mark.parametrize("key", [None, "faceLandmarks"])
+def test_fractions_of_mediapipe_become_pixels(tmp_path, n, key):
+    faces = np.random.default_rng(n).uniform(0, 1.1, (2, n, 3))
+    named = [[dict(zip("xyz", point, strict=True)) for point in face] for face in faces.tolist()]
+    for content, expected in ((named, faces), (named[0], faces[:1]), ([named[0]], faces[:1])):
+        path = written(tmp_path, "f.json", json.dumps({key: content} if key else content))
+        points = read_landmarks(path, image_size=(640, 480))
+        np.testing.assert_allclose(points, expected[..., :2] * (640, 480))
+    with pytest.raises(InputError, match="seem to be fractions of the image, as MediaPipe"):
+        read_landmarks(path)
+
+
+def test_an_image_size_for_pixels_is_refused_and_small_units_of_other_schemes_are_not(tmp_path):
+    with pytest.raises(InputError, match=r"up to 4.*: leave --image-size out"):
+        read_landmarks(written(tmp_path, "f.npy", FACES), image_size=(640, 480))
+    path = written(tmp_path, "f.npy", FACES / 1000)
+    np.testing.assert_array_equal(read_landmarks(path), FACES / 1000)
+
+
+GAPS = np.concatenate([FACES[:1] * np.nan, FACES, FACES[:2] * np.nan])
+NULLS = [None, *FACES.tolist(), None, None]
+WITH_GAPS = {
+    "array": ("f.npy", GAPS),
+    "table of NaN": ("f.csv", table(long_rows(GAPS), "face,number,x,y")),
+    "empty cells": ("f.csv", table(long_rows(GAPS), "face,number,x,y").replace("nan", "") + "\n\n"),
+    "JSON of NaN": ("f.json", json.dumps(GAPS.tolist())),
+    "JSON of null": ("f.json", json.dumps(NULLS)),
+    "records": ("f.json", json.dumps({"faces": [{"landmarks": face} for face in NULLS]})),
+}
+
+
+@pytest.mark.parametrize("layout", WITH_GAPS)
+def test_faces_of_nan_are_gaps_and_stay_in_their_place(tmp_path, layout):
+    name, content = WITH_GAPS[layout]
+    points, faults = read_faces(written(tmp_path, name, content))
+    np.testing.assert_allclose(points, GAPS, rtol=1e-12)
+    assert faults == {}
+
+
+def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
+    faces = np.repeat(FACES, 3, 0)
+    faces[1, 5:, 0], faces[3], faces[4, :, 1], faces[6, 0] = np.nan, 7, 2, 1e12
+    points, faults = read_faces(written(tmp_path, "f.npy", faces))
+    expected = {
+        1: "at least 6 landmarks. Received 5",
+        3: "one point 68 times",
+        4: "straight line",
+        6: "1e+12, ",
+    }
+    assert [*faults] == [*expected]
+    assert all(text in faults[face] for face, text in expected.items())
+    good = np.isin(np.arange(9), [*expected], invert=True)
+    np.testing.assert_array_equal(points[good], faces[good])
+    assert np.isnan(points[~good]).all()
+    for cell, text in (("12 px", "text"), ("inf", "infinity"), ("1e400", "inf")):
+        rows = long_rows()
+        rows[70] = (*rows[70][:2], cell, rows[70][3])
+        points, faults = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
+        assert [*faults] == [1] and text in faults[1] and "landmark 3 of 68" in faults[1]
+        np.testing.assert_allclose(points[[0, 2]], FACES[[0, 2]], rtol=1e-12)
+
+
+def test_landmarks_may_be_missing(tmp_path):
+    rows, faces, records = long_rows(), FACES.tolist(), FACES.tolist()
+    rows[70] = (*rows[70][:2], "", rows[70][3])
+    faces[1][2], records[1][2] = None, [None, None]  # as `deepmds predict` writes it
+    for name, content in (
+        ("f.csv", table(rows, "face,number,x,y")),
+        ("f.json", json.dumps(faces)),
+        ("f.json", json.dumps({"faces": [{"landmarks": face} for face in records]})),
+    ):
+        points, faults = read_faces(written(tmp_path, name, content))
+        missing = np.isnan(points).all(2)
+        assert not faults and np.argwhere(missing).tolist() == [[1, 2]]
+        np.testing.assert_allclose(points[~missing], FACES[~missing], rtol=1e-12)
+
+
+REFUSED = {
+    "no header": ("f.csv", table(ONE[0]), "a header with columns x and y; save numbers without"),
+    "other names": ("f.csv", table(ONE[0], "a,b"), "Received the first line 'a,b'"),
+    "cells more": ("f.csv", table(np.ones((68, 3)), "x,y"), "2 cells a row.* Received 3 in row 1"),
+    "faces not named": (
+        "f.csv",
+        table([r[2:] for r in long_rows()], "x,y"),
+        "204 rows, and no column face",
+    ),
+    "one landmark less": (
+        "f.csv",
+        table(long_rows()[:-1], "face,number,x,y"),
+        "68, and 67 for the face 'face 2'",
+    ),
+    "other order": ("f.csv", table(long_rows()[::-1], "face,number,x,y"), "another order"),
+    "header only": ("f.csv", "x,y\n", "must be a table"),
+    "binary": ("f.csv", bytes(range(256)), "a header"),
+    "open quote": ("f.csv", 'x,y\n"1,2\n3,4\n', "must be a table"),
+    "endless cell": ("f.csv", "x" * 200_000 + ",y\n", "field limit"),
+    "empty table": ("f.csv", "", "empty file"),
+    "no such format": ("f.txt", table(ONE[0]), "must end in .csv"),
+    "infinity": (
+        "f.npy",
+        np.where(FACES[1, 5, 0] == FACES, np.inf, FACES),
+        "face 2 of 3, must .*landmark 6 of 68",
+    ),
+    "nothing but gaps": ("f.npy", FACES * np.nan, "nothing but gaps"),
+    "fractions of MediaPipe": ("f.npy", MESH, "or --image-size W H be given"),
+    "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
+    "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks a face. Received 5"),
+    "no faces": ("f.npy", FACES[:0], r"Received \(0, 68, 2\)"),
+    "axes swapped": ("f.npy", FACES.transpose(0, 2, 1), r"\(3, 2, 68\)"),
+    "complex": ("f.npy", FACES + 1j, "complex"),
+    "text as array": ("f.npy", np.full((68, 2), "1"), "text"),
+    "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "straight line"),
+    "no array": ("f.npy", "version", "NumPy's format"),
+    "points cut short": ("f.pts", pts(ONE[0])[:-300], "cut short"),
+    "points miscounted": ("f.pts", pts(ONE[0]).replace("  68", " 67"), "states, 67. Received 68"),
+    "points with text": ("f.pts", pts(ONE[0]).replace("{\n", "{\nabc 3\n"), "Received 'abc 3'"),
+    "points too many": ("f.pts", pts(np.ones((194, 2))), "Received 194"),
+    "JSON cut short": ("f.json", json.dumps(FACES.tolist())[:-5], "must be JSON"),
+    "JSON too deep": ("f.json", "[" * 100_000, "must be JSON"),
+    "JSON ragged": ("f.json", "[[1, 2], [3]]", "lists of other lengths"),
+    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "nothing but gaps"),
+    "JSON without landmarks": ("f.json", '{"points": []}', 'keys "faces", "landmarks"'),
+    "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "null"),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_a_bad_file_gets_one_line_that_names_it_and_the_fault(tmp_path, fault):
+    name, content, message = REFUSED[fault]
+    with pytest.raises(InputError, match=message) as caught:
+        read_landmarks(written(tmp_path, name, content))
+    message = str(caught.value)
+    assert message.startswith((f"{tmp_path / name} ", f"{tmp_path / name}, face "))
+    assert "\n" not in message
+    assert len(message) < len(str(tmp_path)) + 250
+
+
+def test_a_file_of_objects_is_refused_and_not_executed(tmp_path):
+    ran = tmp_path / "ran"
+
+    class Evil:
+        def __reduce__(self):
+            return open, (str(ran), "w")
+
+    path = tmp_path / "f.npy"
+    np.save(path, np.array([Evil()], object), allow_pickle=True)
+    for file in (path, written(tmp_path, "g.npy", pickle.dumps(Evil()))):
+        with pytest.raises(InputError, match="NumPy's format"):
+            read_landmarks(file)
+    assert not ran.exists()
+
+
+def test_files_that_are_too_large_missing_or_no_files_are_refused(tmp_path):
+    large = tmp_path / "f.npy"
+    with open(large, "wb") as file:
+        file.truncate((1 << 29) + 1)
+    with pytest.raises(InputError, match="at most 512 MiB. Received 536,870,913 bytes"):
+        read_landmarks(large)
+    with pytest.raises(InputError, match="does not exist"):
+        read_landmarks(tmp_path / "none.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(InputError, match="a folder or device"):
+        read_landmarks(tmp_path / "folder.csv")

@@ -1,0 +1,268 @@
+"""Videos: every frame upright at its time, faces followed and smoothed, landmarks drawn."""
+
+import json
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from deepmds_keras import InputError
+from deepmds_keras.__main__ import main
+from deepmds_keras.tool.detection import DETECTORS, Detector
+from deepmds_keras.tool.predict import videos
+from deepmds_keras.tool.predict.detection import (
+    find_in_video,
+    follow_faces,
+    smooth_over_time,
+)
+from deepmds_keras.tool.predict.face_lifter import FaceLifter
+from deepmds_keras.tool.predict.videos import Video, write_landmark_video
+
+av = pytest.importorskip("av")
+CODECS = {".avi": "mpeg4", ".mov": "mpeg4", ".webm": "libvpx"}  # others: libx264
+SIDE = 64
+# 68 points about as those of a face, of 20 pixels.
+FACE = np.random.default_rng(3).uniform(0, 20, (68, 2))
+LARGE = np.random.default_rng(0).uniform(0, 100, (51, 2))
+PLAYLIST = (
+    b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n"
+)
+
+
+def write_video(path, images, rotation=0, pixel=None):
+    """The images, 25 a second, in the container of the suffix.
+
+    Args:
+        path: Where; its suffix is one that `deepmds predict` takes.
+        images: Of one size, each `(H, W, 3)` uint8.
+        rotation: Degrees counterclockwise, which is noted for the player only.
+        pixel: Width by height of a pixel.
+    """
+    codec = CODECS.get(path.suffix, "libx264")
+    options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
+    with av.open(str(path), "w", options=options) as output:
+        stream = output.add_stream(codec, rate=25, options={"g": "10"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.bit_rate = "yuv420p", 2_000_000
+        if pixel is not None:
+            stream.codec_context.sample_aspect_ratio = Fraction(pixel)
+        if rotation:
+            stream.set_display_rotation(rotation)
+        for image in images:
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(image)))
+        output.mux(stream.encode())
+    return path
+
+
+@pytest.fixture
+def squares(monkeypatch):
+    """A detector of white squares: of each the 68 points of `FACE`, from its upper left corner."""
+
+    def find(image):
+        columns = np.flatnonzero((image.min(-1) > 180).any(0))
+        starts = columns[np.diff(columns, prepend=-9) > 1]
+        faces = np.array([FACE + (x, 5) for x in starts]).reshape(-1, 68, 2)
+        return faces, np.ones(len(faces))
+
+    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
+    monkeypatch.setitem(DETECTORS, "squares", row)
+
+
+def scene(*places, ground=(90, 90, 90)):
+    """A frame with white squares of 20 pixels at these columns."""
+    image = np.zeros((SIDE, 4 * SIDE, 3), np.uint8) + np.uint8(ground)
+    for x in places:
+        image[10:30, x : x + 20] = 255
+    return image
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Thirty frames: a face that moves, lost in frames 12 to 14; another from frame 20."""
+    places = [[] if 12 <= i < 15 else [20 + 2 * i] for i in range(30)]
+    places = [at + [200] * (i >= 20) for i, at in enumerate(places)]
+    return write_video(tmp_path / "clip.mp4", [scene(*at) for at in places])
+
+
+def counted(n):
+    """Grey images, each a little lighter, with a red corner at the left and a blue one above it."""
+    images = np.zeros((n, 64, 96, 3), np.uint8)
+    images += np.uint8(np.linspace(20, 200, n))[:, None, None, None]
+    images[:, 32:, :32], images[:, :32, :32] = (255, 0, 0), (0, 0, 255)
+    return images
+
+
+def at(*places):
+    """Faces of about 100 pixels, each moved to the right by so many pixels."""
+    return np.stack([LARGE + (x, 0) for x in places]) if places else np.zeros((0, 51, 2))
+
+
+def follow(frames, times=None, cuts=()):
+    times = np.arange(len(frames)) / 25 if times is None else times
+    return [[*n] for n in follow_faces(frames, times, [i in cuts for i in range(len(frames))])]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".webm", ".avi"])
+def test_every_frame_comes_once_in_order_and_again(tmp_path, suffix):
+    video = Video(write_video(tmp_path / f"a{suffix}", counted(30)))
+    for _ in range(2):
+        frames = list(video)
+        assert [frame.index for frame in frames] == list(range(30))
+        assert np.allclose([frame.time for frame in frames], np.arange(30) / 25, atol=2e-3)
+        light = [frame.image[:, 48:].mean() for frame in frames]
+        assert np.allclose(light, np.linspace(20, 200, 30), atol=6)
+    assert video.n_frames == 30
+    red, blue = frames[0].image[48, 16], frames[0].image[16, 16]
+    assert np.argmax(red) == 0 and np.argmax(blue) == 2 and frames[0].image.shape == (64, 96, 3)
+    assert [frame.index for frame in Video(video.path, 4)] == [*range(0, 30, 4)]
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_frames_are_turned_as_a_player_turns_them(tmp_path, turns):
+    upright = counted(2)
+    stored = np.ascontiguousarray(np.rot90(upright, -turns, axes=(1, 2)))
+    image = next(iter(Video(write_video(tmp_path / "a.mp4", stored, rotation=90 * turns)))).image
+    assert image.shape == upright[0].shape and image.flags.c_contiguous
+    assert np.abs(image.astype(int) - upright[0]).mean() < 10
+    wide = next(iter(Video(write_video(tmp_path / "b.mp4", upright, pixel="4/3")))).image
+    assert wide.shape == (64, 128, 3), "pixels that are no squares become squares"
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize("damage", ["cut", "hole"])
+def test_of_a_damaged_file_there_is_what_can_be_decoded(tmp_path, suffix, damage):
+    noise = np.random.default_rng(0).integers(0, 255, (25, 48, 64, 3), np.uint8)
+    path = write_video(tmp_path / f"a{suffix}", noise)
+    content = bytearray(path.read_bytes())
+    fifth = len(content) // 5
+    if damage == "cut":
+        content = content[: len(content) // 2]
+    else:
+        content[2 * fifth : 3 * fifth] = bytes(fifth)
+    path.write_bytes(content)
+    assert (5 < len(list(Video(path))) < 20) if damage == "cut" else len(list(Video(path))) > 10
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", PLAYLIST, b"\0\0\0\x18ftypmp42", None])
+def test_what_is_no_video_is_named(tmp_path, content):
+    path = tmp_path / "a:b.mp4"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="a:b.mp4 must be a video that can be read. Received: "):
+        list(Video(path))
+
+
+def test_two_faces_that_pass_each_other_in_turns_of_order_keep_their_numbers():
+    left, right = np.linspace(0, 150, 40), np.linspace(400, 250, 40)
+    frames = [
+        at(a, b) if i % 3 else at(b, a) for i, (a, b) in enumerate(zip(left, right, strict=True))
+    ]
+    assert follow(frames) == [[2, 1] if i % 3 else [1, 2] for i in range(40)]
+    # Of all pairs the second number and the first face are nearest; not of both pairs together.
+    assert follow([at(0, 60), at(35, 95)]) == [[1, 2], [1, 2]]
+
+
+@pytest.mark.parametrize(("lost", "expected"), [(20, 1), (30, 2)])
+def test_a_face_that_is_lost_for_less_than_a_second_keeps_its_number(lost, expected):
+    assert follow([at(0), *[at()] * lost, at(10)]) == [[1], *[[]] * lost, [expected]]
+
+
+def test_somebody_elsewhere_or_of_another_size_is_somebody_else():
+    assert follow([at(0), at(150)])[1] == follow([at(0), 5 * at(0)])[1] == [2]
+    assert follow([at(0), at(0, 300), at(300, 600)]) == [[1], [1, 2], [2, 3]]
+    assert follow([at(0), at(20), at(40)], [0, 3, 6]) == [[1], [1], [1]]
+    assert follow([]) == []
+
+
+def test_a_cut_ends_all_tracks_but_those_of_faces_that_stay():
+    assert follow([at(0), at(10), at(20)], cuts=[1]) == [[1], [2], [2]]
+    assert follow([at(0), at(0.5), at(20)], cuts=[1]) == [[1], [1], [1]]
+
+
+def test_a_hard_cut_between_two_people_begins_a_track_and_a_flash_or_a_pan_none(squares, tmp_path):
+    """The second is where the first was, but for a few pixels."""
+    first = [scene(20)] * 10
+    second = [scene(24, ground=(20, 120, 20))] * 10
+    flash = [scene(20, ground=(20, 120, 20))] + first
+    for frames, tracks in (
+        (first + second, [1] * 10 + [2] * 10),
+        (first + flash, [1] * 21),
+        ([scene(20 + 8 * i, ground=(8 * i,) * 3) for i in range(20)], [1] * 20),
+    ):
+        detections = find_in_video(
+            write_video(tmp_path / "a.mp4", frames), "a", detector="squares", smooth=3
+        )
+        assert [ref.track for ref in detections.frame_refs] == tracks
+        if frames[-1] is second[-1]:  # it is not smoothed over the cut
+            assert np.allclose(detections.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
+
+
+def test_smoothing_is_a_gaussian_over_runs_of_one_face():
+    noise = np.random.default_rng(0).normal(0, 1, (60, 51, 2))
+    whole = smooth_over_time(noise, np.arange(60), 2)
+    assert np.allclose(whole, gaussian_filter1d(noise, 2, axis=0, mode="nearest"))
+    frames = np.r_[0:20, 21:61]
+    other = np.concatenate([noise[:20], noise[20:] + 1000])
+    parts = (smooth_over_time(each, frames, 3)[:20] for each in (noise, other))
+    assert np.allclose(*parts), "what lies beyond a gap has no say"
+    frames, tracks = np.repeat(np.arange(30), 2), np.tile([1, 2], 30)
+    order = np.random.default_rng(1).permutation(60)
+    smooth = smooth_over_time(noise[order], frames[order], 2, tracks=tracks[order])
+    for track in (1, 2):
+        alone = smooth_over_time(noise[tracks == track], np.arange(30), 2)
+        rows = np.flatnonzero(tracks[order] == track)
+        assert np.allclose(smooth[rows[frames[order][rows].argsort()]], alone)
+    assert np.allclose(smooth_over_time(noise, 3 * np.arange(60), 2, step=3), whole)
+    assert np.array_equal(smooth_over_time(noise, np.arange(60), 0), noise)
+
+
+def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, capsys):
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, ("predict", clip, "--detector", "squares", "--jobs", 1, "--out", out,
+              "--format", "npz,json"))])  # fmt: skip
+    assert ended.value.code == 0
+    assert re.search(r"track 1: 0.0 to 1.2 s, .* 27 frames", capsys.readouterr().out)
+    with np.load(out / "clip.npz") as file:
+        arrays = dict(file)
+    frames = [i for i in range(30) if not 12 <= i < 15]
+    one, two = (arrays["track"] == track for track in (1, 2))
+    assert list(arrays["frame"][one]) == frames and [*arrays["frame"][two]] == [*range(20, 30)]
+    assert np.allclose(arrays["time"], arrays["frame"] / 25, atol=1e-3)
+    seen = arrays["landmarks"][one, 0, 0] - FACE[0, 0]
+    assert np.allclose(seen, 20 + 2 * np.array(frames), atol=1)
+    faces = json.loads((out / "clip.json").read_bytes())["faces"]
+    assert [face["frame"] for face in faces] == list(arrays["frame"])
+    # Dots are yellow: much less blue than red.
+    marked = [(f.image[..., 0] > f.image[..., 2] + 60.0).any() for f in Video(out / "clip.mp4")]
+    assert marked == [not 12 <= i < 15 for i in range(30)]
+
+
+def test_drawn_landmarks_are_at_their_times_and_places(tmp_path, squares, clip, monkeypatch):
+    monkeypatch.setattr(videos, "_SIDE", 128)
+    faces = [face for _, some in FaceLifter("squares").predict_video(clip, 2) for face in some]
+    write_landmark_video(tmp_path / "a b:c.mp4", faces, 2)
+    frames = list(Video(tmp_path / "a b:c.mp4"))
+    assert np.allclose([frame.time for frame in frames], np.arange(15) / 12.5, atol=2e-3)
+    x = [np.nonzero(f.image[..., 0] > f.image[..., 2] + 60.0)[1].mean() for f in frames[:6]]
+    assert frames[0].image.shape == (32, 128, 3)
+    assert np.allclose(np.diff(x), 2, atol=0.7), "half of four pixels a frame"
+
+
+def test_from_python_a_video_gives_its_frames_with_their_faces(squares, clip, tmp_path):
+    lifter = FaceLifter("squares")
+    seen = list(lifter.predict_video(clip, every=3))
+    assert [frame.index for frame, _ in seen] == [*range(0, 30, 3)]
+    for frame, faces in seen:
+        tracks = [1] * (frame.index != 12) + [2] * (frame.index >= 20)
+        assert [face.frame_ref.track for face in faces] == tracks
+        assert all(face.frame_ref.frame == frame.index for face in faces)
+        assert frame.image.shape == (SIDE, 4 * SIDE, 3)
+    for wrong in ({"every": 0}, {"every": 1.5}, {"smooth": -1}, {"smooth": np.inf}):
+        with pytest.raises(InputError, match="every must be"):
+            next(lifter.predict_video(clip, **wrong))
+    nobody = write_video(tmp_path / "nobody.mp4", [scene()] * 3)
+    with pytest.raises(InputError, match="no face found by squares, in any frame"):
+        next(lifter.predict_video(nobody))
