@@ -1,19 +1,12 @@
-"""The criteria of the paper's tables, and the test by which it compares methods."""
+"""The criteria of the paper's tables."""
 
 from __future__ import annotations
 
-from itertools import combinations
-from typing import TYPE_CHECKING
-
 import numpy as np
-from scipy.stats import norm, rankdata, wilcoxon
 
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _ROUNDING = 1e-12  # Relative spread below which numbers count as constant.
 
@@ -78,50 +71,6 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
     """
     prediction, truth = _pair(prediction, truth, least=2)
     return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())
-
-
-def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
-    """Wilcoxon signed-rank test of every two methods, two-sided.
-
-    Args:
-        values: Method → `(n,)`: one criterion, for the same faces or subsets in the same order.
-
-    Returns:
-        A row for every two methods: `method_a`, `method_b`, `n`, `statistic` (the smaller rank
-        sum), `p_value` (exact where SciPy computes it: up to 50 differences), `p_value_normal`
-        (normal approximation without continuity correction, as in MATLAB), `median_difference`
-        (of a - b). Faces without a difference are not ranked. A probability below about 1e-308,
-        which thousands of faces easily give, is rounded to 0.
-
-    Raises:
-        InputError: A method's values are not one row of finite numbers, or lengths differ.
-    """
-    import pandas as pd  # here, since users of the other criteria need not have it installed
-
-    arrays = {method: np.asarray(numbers, float) for method, numbers in values.items()}
-    for method, array in arrays.items():
-        if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
-            raise InputError(
-                f"values of {method} must be a row of finite numbers. Received {brief(array)}."
-            )
-    if len({len(array) for array in arrays.values()}) > 1:
-        lengths = ", ".join(f"{method} {len(array)}" for method, array in arrays.items())
-        raise InputError(f"values must be as many for every method. Received {lengths}.")
-    columns = ("method_a", "method_b", "n", "statistic", "p_value", "p_value_normal")
-    pairs = combinations(arrays, 2)
-    rows = [(a, b, len(arrays[a]), *_signed_rank(arrays[a] - arrays[b])) for a, b in pairs]
-    return pd.DataFrame(rows, columns=[*columns, "median_difference"])
-
-
-def _signed_rank(difference: np.ndarray) -> tuple[float, float, float, float]:
-    if not difference.any():
-        return 0.0, 1.0, 1.0, 0.0
-    nonzero = difference[difference != 0]
-    test = wilcoxon(nonzero)
-    ranks = rankdata(np.abs(nonzero))
-    z = (ranks * np.sign(nonzero)).sum() / np.sqrt((ranks**2).sum())
-    p_values = float(test.pvalue), float(2 * norm.sf(abs(z)))
-    return float(test.statistic), *p_values, float(np.median(difference))
 
 
 def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:

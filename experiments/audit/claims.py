@@ -15,7 +15,6 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.metrics import wilcoxon_table
 from experiments.audit.tables import Tables
 from experiments.scoring.intervals import (
     Estimate,
@@ -27,6 +26,7 @@ from experiments.scoring.intervals import (
     share_below,
     spread_of_seeds,
 )
+from experiments.scoring.wilcoxon import wilcoxon_table
 
 SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
 _CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")

@@ -23,10 +23,10 @@ from data_gen.views import (
     sample_photo_views,
 )
 from deepmds_keras.baselines.closed_form import Linear, MeanShape
-from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.metrics import mse
+from deepmds_keras.tool.command.eos_fit import EosFit
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
 from experiments.lifting.surrey import Surrey

@@ -123,8 +123,8 @@ def wilcoxon_tests(
     they and the faces come from one training.
     """
     # Here, since scipy.stats takes a while to import.
-    from deepmds_keras.metrics import wilcoxon_table
     from experiments.scoring.intervals import holm_adjusted
+    from experiments.scoring.wilcoxon import wilcoxon_table
 
     samples, tables = [], {"subsets": metrics.dropna(subset="subset"), "seeds": seeds}
     for metric in (metric.id for metric in METRICS.values() if metric.in_paper):

@@ -62,7 +62,6 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help=f"any of {', '.join(FORMATS)}, in addition to the picture (default: csv)")  # fmt: skip
     add("--overwrite", action="store_true",
         help="redo finished sources, and replace existing files")  # fmt: skip
-    add("--force", dest="overwrite", action="store_true", help=argparse.SUPPRESS)
     add("--view", action="store_true",
         help="also write HTML pages with faces that can be rotated")  # fmt: skip
     add("--mesh", action="store_true",

@@ -89,7 +89,7 @@ def evaluate(
     if landmarks is None:
         predicted["lifting, exact"] = lifter.predict(views, landmark_sd=0)
     if eos is not None:
-        from deepmds_keras.baselines.eos_fit import EosFit
+        from deepmds_keras.tool.command.eos_fit import EosFit
 
         fitted = EosFit(eos).predict(views)
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")

@@ -31,14 +31,7 @@ from deepmds_keras.tool.command.sources import (
 )
 from deepmds_keras.tool.detection import DETECTORS
 from deepmds_keras.tool.detection.photos import open_photo
-from deepmds_keras.tool.predict.detection import (
-    find_in_photo,
-    find_in_video,
-    no_face,
-    open_detector,
-    smooth_over_time,
-)
-from deepmds_keras.tool.predict.estimation import estimate
+from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
 from deepmds_keras.tool.predict.models import (
@@ -49,6 +42,8 @@ from deepmds_keras.tool.predict.models import (
     name_for,
     target_scheme,
 )
+from deepmds_keras.tool.predict.photo_faces import find_in_photo, no_face, open_detector
+from deepmds_keras.tool.predict.video_faces import find_in_video, smooth_over_time
 from deepmds_keras.tool.predict.videos import portraits, read_stills, write_landmark_video
 
 _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
@@ -238,7 +233,7 @@ def _process(
         n = len(detections.names)
         with tqdm(total=n, unit="face", leave=False, disable=n <= _DRAWN_FACES or None) as bar:
             options = {key: settings[key] for key in ("model", "interocular", "jobs")}
-            faces = estimate(detections, progress=bar.update, **options)
+            faces = estimate_faces(detections, progress=bar.update, **options)
         model = describe_model(detections.scheme, settings["model"])
         kinds = [*formats, *(MESH_FORMATS if mesh else ())]
         files: dict[Path, Callable[[Path], None]] = {

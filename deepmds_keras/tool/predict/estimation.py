@@ -24,7 +24,7 @@ _ASTRAY, _ASTRAY_SIZE = 4, 0.05
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 
 
-def estimate(
+def estimate_faces(
     detections: Detections,
     *,
     model: str | None = None,

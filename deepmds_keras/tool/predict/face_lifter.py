@@ -15,11 +15,12 @@ from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.detection.photos import check_photo, in_colour, open_photo
-from deepmds_keras.tool.predict.detection import find_in_photo, find_in_video
-from deepmds_keras.tool.predict.estimation import check_interocular, estimate
+from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
 from deepmds_keras.tool.predict.models import target_scheme
+from deepmds_keras.tool.predict.photo_faces import find_in_photo
+from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
 from deepmds_keras.validation import as_numbers
 
@@ -190,7 +191,7 @@ class FaceLifter:
 
     def _estimate(self, detections: Detections) -> list[Face]:
         options = {"model": self.model, "interocular": self.interocular}
-        return estimate(detections, **options) if len(detections.names) else []
+        return estimate_faces(detections, **options) if len(detections.names) else []
 
 
 def predict_photo(

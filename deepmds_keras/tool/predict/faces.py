@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.geometry.camera import HeadPose
-
-_OLD_NAMES = {"shape": "xyz", "image_xyz": "landmarks_3d", "residual": "residuals"}
 
 
 @dataclass(frozen=True)
@@ -106,14 +103,6 @@ class Face:
     def __repr__(self) -> str:
         pose = self.angles + f", {len(self.notes)} notes" * bool(self.notes)
         return f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {pose}>"
-
-    def __getattr__(self, name: str):
-        """Names of an earlier release."""
-        if name not in _OLD_NAMES:
-            raise AttributeError(f"Face has no attribute {name!r}.")
-        now = _OLD_NAMES[name]
-        warnings.warn(f"Face.{name} is now Face.{now}.", DeprecationWarning, stacklevel=2)
-        return getattr(self, now)
 
     @property
     def landmarks_3d(self) -> np.ndarray:

@@ -20,7 +20,7 @@ from deepmds_keras.weights import pretrained_path
 _MIT = "MIT licence"
 
 
-class Lifting:
+class LifterModel:
     """A lifter: facts about the shipped weights, by landmark scheme, and how it predicts."""
 
     family = "lifting"
@@ -56,7 +56,7 @@ class Lifting:
 
 
 class PaperNetworks:
-    """The networks of the paper, Deep-MDS; attributes and `predict` are those of `Lifting`."""
+    """The networks of the paper, Deep-MDS; attributes and `predict` are those of `LifterModel`."""
 
     family = "deepmds"
     shipped: ClassVar = {s: f"deepmds-{s}" for s in ("ibug51", "bfm72")}
@@ -79,7 +79,7 @@ class PaperNetworks:
         jobs: int = 1,
         progress: Callable[[int], object] | None = None,
     ) -> tuple[np.ndarray, None, HeadPose]:
-        """As for `Lifting`, but no landmark may be missing, and s.d. are neither used nor given."""
+        """As for `LifterModel`; no landmark may be missing, and s.d. are neither used nor given."""
         if np.isnan(views).any():
             raise InputError(
                 "landmarks must all be there for the model deepmds; the model lifting takes faces "
@@ -91,10 +91,10 @@ class PaperNetworks:
         return shapes, None, head_poses(views, shapes)
 
 
-Model = Lifting | PaperNetworks
+Model = LifterModel | PaperNetworks
 # The shipped ones.
-FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (Lifting, PaperNetworks)}
-DEFAULT, FALLBACK = Lifting.family, "ibug51"  # for landmarks that have no weights
+FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (LifterModel, PaperNetworks)}
+DEFAULT, FALLBACK = LifterModel.family, "ibug51"  # for landmarks that have no weights
 
 
 def target_scheme(scheme: str, model: str | None) -> str:
@@ -169,4 +169,4 @@ def weights_path(name: str) -> Path:
 @lru_cache(8)
 def _load(path: Path, version: tuple[int, int]) -> Model:
     arrays, _ = read_arrays(path)
-    return (Lifting if "basis" in arrays else PaperNetworks)(path)
+    return (LifterModel if "basis" in arrays else PaperNetworks)(path)

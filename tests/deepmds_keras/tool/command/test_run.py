@@ -24,7 +24,7 @@ from deepmds_keras.tool.detection import (
     dlib_landmarks,
     mediapipe_landmarks,
 )
-from deepmds_keras.tool.predict import detection
+from deepmds_keras.tool.predict import photo_faces
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 
 ALL = "csv,json,npz,ply,obj"
@@ -76,7 +76,7 @@ def faces24(monkeypatch, landmarks):
         return lambda photo: (faces, np.ones(24))
 
     monkeypatch.setitem(DETECTORS, "dlib", Detector("ibug68", open_model, lambda: True, "none"))
-    detection._opened.cache_clear()
+    photo_faces._opened.cache_clear()
     return opened
 
 
@@ -280,7 +280,6 @@ def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, lan
     assert redone() == (0, ["a", "b"])
     assert redone() == (0, [])
     assert redone("--overwrite") == (0, ["a", "b"])
-    assert redone("--force") == (0, ["a", "b"])  # its former name
     (out / "a.png").unlink()
     (out / "a.csv").unlink()
     assert redone() == (0, ["a"])
@@ -375,7 +374,7 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
 ):
     for name in ("dlib", "mediapipe"):
         monkeypatch.setitem(sys.modules, name, None)
-    detection._opened.cache_clear()
+    photo_faces._opened.cache_clear()
     for module in (dlib_landmarks, mediapipe_landmarks):
         module.shared_detector.cache_clear()
     Image.new("RGB", (200, 200)).save(tmp_path / "photo.png")

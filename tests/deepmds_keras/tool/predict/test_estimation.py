@@ -14,7 +14,7 @@ from deepmds_keras.geometry.camera import HeadPose, head_poses
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
-from deepmds_keras.tool.predict.estimation import estimate
+from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections
 from deepmds_keras.tool.predict.models import PaperNetworks, describe_model, load_model
 from deepmds_keras.weights import pretrained_path
@@ -43,7 +43,7 @@ def landmarks():
 
 
 def notes(landmarks, **options):
-    return [" ".join(face.notes) for face in estimate(detections(landmarks), **options)]
+    return [" ".join(face.notes) for face in estimate_faces(detections(landmarks), **options)]
 
 
 def test_a_landmark_that_lies_60_pixels_off_is_named_and_no_good_one(drawn):
@@ -56,7 +56,7 @@ def test_a_landmark_that_lies_60_pixels_off_is_named_and_no_good_one(drawn):
     bad[np.arange(N), moved] += 60 * np.stack([np.cos(angle), np.sin(angle)], 1)
 
     def misplaced(landmarks):
-        faces = estimate(detections(landmarks, scheme))
+        faces = estimate_faces(detections(landmarks, scheme))
         texts = [" ".join(note for note in face.notes if "misplaced" in note) for face in faces]
         return [{name for name in load_scheme(scheme).names if f"{name} (" in note}
                 for note in texts]  # fmt: skip
@@ -73,7 +73,7 @@ def test_a_landmark_that_lies_60_pixels_off_is_named_and_no_good_one(drawn):
 
 def test_shipped_weights_recover_shape_and_pose_of_faces_in_photos(drawn):
     scheme, landmarks, shapes, cameras = drawn
-    faces = estimate(detections(landmarks, scheme))
+    faces = estimate_faces(detections(landmarks, scheme))
     truth, found_shapes = normalise(shapes), np.stack([face.xyz for face in faces])
     flat = mse(align(truth * [1, 1, 0], truth), truth).mean()
     assert mse(align(found_shapes, truth), truth).mean() < 0.25 * flat
@@ -86,7 +86,7 @@ def test_shipped_weights_recover_shape_and_pose_of_faces_in_photos(drawn):
 
 
 def test_the_pose_lays_the_shape_over_the_landmarks(landmarks):
-    for face in estimate(detections(landmarks), interocular=90):
+    for face in estimate_faces(detections(landmarks), interocular=90):
         seen = face.pose.project(face.xyz) * (1, -1)
         off = np.sqrt(((seen - face.landmarks) ** 2).sum(1).mean())
         assert off == pytest.approx(face.pose.residual * np.ptp(face.landmarks, axis=0).max())
@@ -95,7 +95,7 @@ def test_the_pose_lays_the_shape_over_the_landmarks(landmarks):
 def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
     scheme = load_scheme("ibug51")
     corners = [scheme.names.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
-    plain, scaled = (estimate(detections(landmarks), interocular=mm) for mm in (None, 88.5))
+    plain, scaled = (estimate_faces(detections(landmarks), interocular=mm) for mm in (None, 88.5))
     for face, millimetres in zip(plain, scaled, strict=True):
         assert (face.unit, millimetres.unit) == ("normalised", "mm")
         right, left = millimetres.xyz[corners]
@@ -107,8 +107,8 @@ def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
 
 
 def test_where_and_how_large_a_face_is_does_not_change_its_shape(landmarks):
-    near = estimate(detections(landmarks))
-    far = estimate(detections(0.2 * landmarks + (5000, -30)))
+    near = estimate_faces(detections(landmarks))
+    far = estimate_faces(detections(0.2 * landmarks + (5000, -30)))
     for one, other in zip(near, far, strict=True):
         assert np.allclose(one.xyz, other.xyz, atol=1e-4)
 
@@ -136,7 +136,7 @@ def test_angles_of_exact_near_views_are_those_of_the_camera(scheme):
     turns = rotations(Cameras(zeros.astype(int), yaw, pitch, zeros, zeros))
     camera = HeadPose(turns, zeros + 1, np.zeros((len(grid), 2)), zeros + 1 / 350)  # mm
     views = camera.project(np.stack([mean] * len(grid)))
-    faces = estimate(replace(detections(views * (1, -1), scheme), landmark_sd=0.0))
+    faces = estimate_faces(replace(detections(views * (1, -1), scheme), landmark_sd=0.0))
     for angle, truth in (("yaw", yaw), ("pitch", pitch), ("roll", 0)):
         off = np.abs(np.subtract([getattr(face.pose, angle) for face in faces], truth))
         assert off.max() < 1.3, (angle, off)  # 1.2 of "bfm72", less of the others
@@ -146,8 +146,8 @@ def test_angles_of_exact_near_views_are_those_of_the_camera(scheme):
 
 
 def test_a_face_that_lies_on_its_side_has_the_pose_of_the_upright_one_turned(landmarks):
-    upright = estimate(detections(landmarks))
-    lying = estimate(detections(landmarks[..., ::-1] * (-1, 1)))  # a quarter to the right
+    upright = estimate_faces(detections(landmarks))
+    lying = estimate_faces(detections(landmarks[..., ::-1] * (-1, 1)))  # a quarter to the right
     for one, other in zip(upright, lying, strict=True):
         assert np.allclose(one.xyz, other.xyz, atol=1e-4)
         assert (other.pose.roll - one.pose.roll) % 360 == pytest.approx(270, abs=0.1)
@@ -180,8 +180,8 @@ def test_weights_that_know_another_origin_are_noted_and_are_read_again_when_they
     shipped = describe_model("bfm72", None)
     assert "shipped" in shipped["weights"] and shipped["licence"] == "MIT licence"
     path.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
-    again = estimate(detections(landmarks), model=str(path))
-    assert np.array_equal(again[0].xyz, estimate(detections(landmarks))[0].xyz)
+    again = estimate_faces(detections(landmarks), model=str(path))
+    assert np.array_equal(again[0].xyz, estimate_faces(detections(landmarks))[0].xyz)
     assert describe_model("ibug51", str(path))["method"] == "lifting"
 
 
@@ -189,6 +189,6 @@ def test_what_fits_no_weights_is_named(landmarks, tmp_path):
     with pytest.raises(
         InputError, match="a.npy must have 72 landmarks .* deepmds-bfm72. Received 51"
     ):
-        estimate(detections(landmarks), model="deepmds-bfm72")
+        estimate_faces(detections(landmarks), model="deepmds-bfm72")
     with pytest.raises(InputError, match="DeepMDS.save.., or its name must be one of deep"):
         load_model("openhead")

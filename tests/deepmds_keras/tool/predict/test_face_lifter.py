@@ -192,13 +192,3 @@ def test_a_batch_is_judged_by_its_majority_and_a_row_has_a_note(landmarks):
     whole = predict_landmarks(landmarks)
     assert np.allclose(shapes(faces)[others], shapes(whole)[others])
     assert not any("otherwise" in " ".join(faces[i].notes) for i in np.flatnonzero(others))
-
-
-def test_old_names_of_a_face_warn_for_a_release(landmarks):
-    (face,) = predict_landmarks(landmarks[0])
-    for old, new in (("shape", "xyz"), ("image_xyz", "landmarks_3d"), ("residual", "residuals")):
-        with pytest.warns(DeprecationWarning, match=f"Face.{old} is now Face.{new}"):
-            value = getattr(face, old)
-        assert np.array_equal(value, getattr(face, new))
-    with pytest.raises(AttributeError):
-        _ = face.nothing

@@ -12,12 +12,8 @@ from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
 from deepmds_keras.tool.detection import DETECTORS, Detector
 from deepmds_keras.tool.predict import videos
-from deepmds_keras.tool.predict.detection import (
-    find_in_video,
-    follow_faces,
-    smooth_over_time,
-)
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
+from deepmds_keras.tool.predict.video_faces import find_in_video, follow_faces, smooth_over_time
 from deepmds_keras.tool.predict.videos import Video, write_landmark_video
 
 av = pytest.importorskip("av")

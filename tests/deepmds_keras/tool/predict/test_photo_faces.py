@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmds_keras.tool.detection import detector_sd, to_ibug
-from deepmds_keras.tool.predict.detection import find_upright
+from deepmds_keras.tool.predict.photo_faces import find_upright
 
 
 @pytest.mark.parametrize("unsure", [0.0, 0.8])

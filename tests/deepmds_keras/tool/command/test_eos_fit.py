@@ -6,7 +6,7 @@ from places import SHARED
 
 from data_gen.views import project, sample_perspective_cameras
 from deepmds_keras import InputError, align
-from deepmds_keras.baselines.eos_fit import NUMBERS, EosFit, surrey_file
+from deepmds_keras.tool.command.eos_fit import NUMBERS, EosFit, surrey_file
 from experiments.lifting.surrey import Surrey
 
 SFM = SHARED / "sfm"
