@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -72,6 +73,9 @@ def _be_quiet() -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")  # its start-up notice; same sums everywhere
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
+    # Pillow's notices of odd metadata; the variable is for processes that this one starts.
+    warnings.filterwarnings("ignore", module="PIL")
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:::PIL.TiffImagePlugin")
     escape_unprintable()
 
 

@@ -9,7 +9,6 @@ import io
 import json
 import os
 import secrets
-import warnings
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -44,8 +43,10 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())  # some file systems report only here that they are full
         os.replace(partial, path)
     except OSError as error:
-        number = error.errno or errno.ENOSPC  # NumPy's error for a short write has no number
-        raise OSError(number, os.strerror(number), str(path)) from error
+        number, cause = error.errno or errno.EIO, error.strerror or brief(error)
+        if "requested and" in cause:  # NumPy's words for a short write, without a number
+            number, cause = errno.ENOSPC, os.strerror(errno.ENOSPC)
+        raise OSError(number, cause, str(path)) from error
     finally:
         with suppress(OSError):  # there is none when all went well
             partial.unlink()
@@ -136,9 +137,7 @@ def sha256_of(paths: Iterable[Path]) -> str:
 def _named(path: str | Path, kind: str) -> Iterator[None]:
     """Turn any error into one InputError that names the file."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about odd headers and those of Python 2
-            yield
+        yield
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; it must be {kind}.") from None
     except Exception as error:  # zipfile, zlib and NumPy's parser of headers raise many kinds

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,16 +24,13 @@ def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
         formats: Pillow's names of the formats that it may have.
 
     Raises:
-        InputError: It is missing, damaged, of another format, or has so many pixels, 90 million,
+        InputError: It is missing, damaged, of another format, or has so many pixels, 180 million,
             that Pillow suspects an attack.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            # From memory, so that nothing is allocated for content that a header only claims.
-            with Image.open(io.BytesIO(path.read_bytes()), formats=formats) as opened:
-                return np.array(opened.convert("RGB"))
+        # From memory, so that nothing is allocated for content that a header only claims.
+        with Image.open(io.BytesIO(path.read_bytes()), formats=formats) as opened:
+            return np.array(opened.convert("RGB"))
     except Exception as error:  # Pillow raises many kinds for a damaged file
         raise InputError(
             f"{path}: must be a whole {' or '.join(formats)} image. "

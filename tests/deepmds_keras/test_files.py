@@ -1,9 +1,12 @@
 """The lowest floor: files appear whole or not at all, and bad ones are named on one line."""
 
 import errno
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import (
@@ -15,6 +18,7 @@ from deepmds_keras.files import (
     write_arrays,
     write_bytes,
 )
+from deepmds_keras.tool.detection.photos import open_photo
 
 
 def test_what_is_not_written_to_the_end_leaves_what_was_there(tmp_path):
@@ -28,12 +32,33 @@ def test_what_is_not_written_to_the_end_leaves_what_was_there(tmp_path):
         write_bytes(tmp_path, b"")
 
 
-def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path):
-    with pytest.raises(OSError) as raised, atomic_write(tmp_path / "file"):
-        raise OSError("121 requested and 0 written")  # as NumPy says it
-    assert raised.value.errno == errno.ENOSPC
+@pytest.mark.parametrize(
+    ("error", "number", "cause"),
+    [
+        (OSError("121 requested and 0 written"), errno.ENOSPC, "No space left"),  # NumPy's words
+        (OSError(errno.EFBIG, "File too large"), errno.EFBIG, "File too large"),
+        (OSError("encoder error -2"), errno.EIO, "encoder error -2"),
+    ],
+)
+def test_what_cannot_be_written_says_why_and_leaves_nothing(tmp_path, error, number, cause):
+    with pytest.raises(OSError, match=cause) as raised, atomic_write(tmp_path / "file"):
+        raise error
+    assert raised.value.errno == number
     assert raised.value.filename == str(tmp_path / "file")
     assert not [*tmp_path.iterdir()]
+
+
+def test_threads_that_read_change_nothing_of_the_process(tmp_path):
+    """Each reader would otherwise restore what another one had set."""
+    write_arrays(tmp_path / "a.npz", {"a": np.eye(3)}, {})
+    np.save(tmp_path / "a.npy", np.eye(3))
+    Image.new("RGB", (40, 40)).save(tmp_path / "a.png")
+    readers = [(read_npz, "a.npz"), (map_npy, "a.npy"), (open_photo, "a.png")]
+    before = [*warnings.filters], Image.MAX_IMAGE_PIXELS
+    with ThreadPoolExecutor(3) as threads:
+        for read, name in readers:
+            assert len([*threads.map(read, [tmp_path / name] * 300)]) == 300
+    assert ([*warnings.filters], Image.MAX_IMAGE_PIXELS) == before
 
 
 def test_rows_of_a_table_come_without_comments_and_byte_order_mark(tmp_path):

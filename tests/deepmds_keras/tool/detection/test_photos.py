@@ -84,7 +84,7 @@ def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
     [
         ((31, 500), r"at least 32 pixels on each side. Received 31 x 500.$"),
         ((16_010, 16_000), r"at most 256,000,000 pixels. Received 16010 x 16000.$"),
-        ((23_000, 23_000), r"at most 256,000,000 pixels. Received: Image size \(529000000 pixels"),
+        ((23_000, 23_000), r"at most 256,000,000 pixels. Received 23000 x 23000.$"),
     ],
 )
 def test_tiny_and_huge_photos_are_refused(tmp_path, size, message):
