@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras import networks, training, weights
 from deepmds_keras.embedding import embed
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.orientation import front_landmark, resolve_orientation
 from deepmds_keras.geometry.units import centre, normalise
@@ -180,8 +180,8 @@ class DeepMDS(BaseEstimator):
         return resolve_orientation(shapes, frontal, self.front_landmark_)
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
-        """`metrics.explained_share` of the predicted and the true shapes."""
-        return explained_share(self.predict(views), shapes)
+        """`metrics.explained_share` of the predicted and the true shapes, orientation unchecked."""
+        return explained_share(self.predict(views, check_orientation=False), shapes)
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 2)` x and y of the shape from the autoencoder; errors as for `predict`."""
@@ -235,6 +235,7 @@ class DeepMDS(BaseEstimator):
     @classmethod
     def pretrained(cls, name: str) -> DeepMDS:
         """Shipped weights `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
+        check_choice(name, "name", weights.pretrained_names("deepmds-"))
         return cls.load(weights.pretrained_path(name))
 
     @classmethod

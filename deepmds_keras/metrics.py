@@ -7,6 +7,7 @@ import numpy as np
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.validation import as_numbers
 
 _ROUNDING = 1e-12  # Relative spread below which numbers count as constant.
 
@@ -75,7 +76,7 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
 
 def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Both as checked arrays of floats, with at least that many faces."""
-    prediction, truth = np.asarray(prediction, float), np.asarray(truth, float)
+    prediction, truth = as_numbers(prediction, "prediction"), as_numbers(truth, "truth")
     shape = prediction.shape
     if shape != truth.shape:
         raise InputError(

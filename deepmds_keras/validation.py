@@ -71,10 +71,15 @@ def find_faults(points: np.ndarray) -> dict[int, str]:
         if not finite[face]:
             faults[face] = "must be finite. Received NaN or infinity"
         elif one_point[face]:
-            faults[face] = f"must spread out. Received one point {points.shape[1]} times"
+            faults[face] = f"must not be degenerate: all {points.shape[1]} landmarks coincide"
         else:
-            faults[face] = "must not be collinear. Received a straight line"
+            faults[face] = "must not be degenerate: all landmarks lie on one line"
     return faults
+
+
+def of_one_or_many(shapes: np.ndarray, views: np.ndarray) -> np.ndarray:
+    """The only one of the shapes `(n, L, 3)` if one view `(L, 2)` was given, else all of them."""
+    return shapes[0] if np.ndim(views) == 2 else shapes
 
 
 def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.ndarray:

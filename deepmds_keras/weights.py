@@ -64,13 +64,18 @@ def checkpoint_files(folder: str | Path, variant: str, schedule: str) -> dict[st
     }
 
 
+def pretrained_names(prefix: str = "") -> list[str]:
+    """Names of the weights that ship with the package, those that begin with the prefix."""
+    return sorted(path.stem for path in PRETRAINED.glob(f"{prefix}*.npz"))
+
+
 def pretrained_path(name: str) -> Path:
     """Path of the weights that ship with the package.
 
     Raises:
         InputError: No weights have that name; the message lists those that exist.
     """
-    check_choice(name, "name", sorted(path.stem for path in PRETRAINED.glob("*.npz")))
+    check_choice(name, "name", pretrained_names())
     return PRETRAINED / f"{name}.npz"
 
 

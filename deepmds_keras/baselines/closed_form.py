@@ -16,6 +16,7 @@ from deepmds_keras.validation import (
     check_fitted,
     check_points,
     check_views_and_shapes,
+    of_one_or_many,
 )
 
 CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to about 80 MB
@@ -41,9 +42,10 @@ class MeanShape(BaseEstimator):
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """`(n, L, 3)`: the mean, once for each of the `(n, L, 2)` views."""
+        """`(n, L, 3)`: the mean, once for each of the `(n, L, 2)` views; one for `(L, 2)`."""
         mean = check_fitted(self, "mean_")
-        return np.tile(mean, (len(check_faces(views, "views", 2, len(mean))), 1, 1))
+        n = len(check_faces(views, "views", 2, len(mean)))
+        return of_one_or_many(np.tile(mean, (n, 1, 1)), views)
 
     @property
     def n_parameters(self) -> int:
@@ -82,10 +84,13 @@ class Linear(BaseEstimator):
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """`(n, L, 3)` shapes of the `(n, L, 2)` views, in the frame and unit of the training."""
+        """Shapes of the views, in the frame and unit of the training.
+
+        `(n, L, 2)` gives `(n, L, 3)`, and one view `(L, 2)` gives `(L, 3)`.
+        """
         ridge = check_fitted(self, "ridge_")
-        views = check_faces(views, "views", 2, self.n_landmarks_)
-        return ridge.predict(self._flat(views)).reshape(len(views), -1, 3)
+        faces = check_faces(views, "views", 2, self.n_landmarks_)
+        return of_one_or_many(ridge.predict(self._flat(faces)).reshape(len(faces), -1, 3), views)
 
     def _flat(self, views: np.ndarray) -> np.ndarray:
         if self.upright:
@@ -108,10 +113,10 @@ class _ModelFit(BaseEstimator):
     n_parameters = 0  # none are trained: the face model is given
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """`(n, L, 3)` shapes in the unit and frame of `mean`.
+        """`(n, L, 3)` or `(L, 3)` shapes in the unit and frame of `mean`.
 
         Args:
-            views: `(n, L, 2)`, any scale and place, y up.
+            views: `(n, L, 2)` or `(L, 2)`, any scale and place, y up.
 
         Raises:
             InputError: An unusable model, option or view.
@@ -126,10 +131,10 @@ class _ModelFit(BaseEstimator):
                 f"basis_times_sd must be finite, of shape (components, {len(mean)}, 3). "
                 f"Received shape {basis.shape}."
             )
-        views = check_faces(views, "views", 2, len(mean))
-        chunks = np.split(views, range(CHUNK, len(views), CHUNK))
+        faces = check_faces(views, "views", 2, len(mean))
+        chunks = np.split(faces, range(CHUNK, len(faces), CHUNK))
         coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])
-        return _shapes(coefficients, mean, basis)
+        return of_one_or_many(_shapes(coefficients, mean, basis), views)
 
 
 @dataclass(eq=False, repr=False)

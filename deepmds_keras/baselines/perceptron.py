@@ -11,7 +11,12 @@ from deepmds_keras.baselines.base import NetworkMethod, dense_network
 from deepmds_keras.geometry.units import centre, rms_radius
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe
-from deepmds_keras.validation import check_faces, check_n_landmarks, check_views_and_shapes
+from deepmds_keras.validation import (
+    check_faces,
+    check_n_landmarks,
+    check_views_and_shapes,
+    of_one_or_many,
+)
 
 _UNIT = 0.01  # unit of the output, in which faces differ by about 1
 
@@ -64,14 +69,17 @@ class Perceptron(NetworkMethod):
         return self._train_on_arrays(network, views, shapes, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """`(n, L, 3)` shapes of `(n, L, 2)` views, in the frame and unit of the training.
+        """Shapes of the views, in the frame and unit of the training.
+
+        `(n, L, 2)` gives `(n, L, 3)`, and one view `(L, 2)` gives `(L, 3)`.
 
         Raises:
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.
         """
         network = self._trained()
-        views = _flat(check_faces(views, "views", 2, self.n_landmarks))
-        return _UNIT * forward(network, views).reshape(-1, self.n_landmarks, 3)
+        flat = _flat(check_faces(views, "views", 2, self.n_landmarks))
+        shapes = _UNIT * forward(network, flat).reshape(-1, self.n_landmarks, 3)
+        return of_one_or_many(shapes, views)
 
     def _build(self, seed: int = 0) -> keras.Model:
         check_n_landmarks(self.n_landmarks)

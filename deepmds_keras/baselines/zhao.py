@@ -10,7 +10,7 @@ import numpy as np
 from deepmds_keras.baselines.base import NetworkMethod, dense_network
 from deepmds_keras.errors import check_choice
 from deepmds_keras.networks import forward
-from deepmds_keras.validation import check_faces, check_n_landmarks
+from deepmds_keras.validation import check_faces, check_n_landmarks, of_one_or_many
 
 
 @dataclass(eq=False, repr=False)
@@ -71,18 +71,19 @@ class Zhao(NetworkMethod):
         """Shapes in the camera's frame.
 
         Args:
-            views: `(n, L, 2)`, any scale and place.
+            views: `(n, L, 2)` or `(L, 2)`, any scale and place.
 
         Returns:
-            `(n, L, 3)` normalised x and y, and depth towards the viewer in the same unit.
+            `(n, L, 3)` or `(L, 3)`: normalised x and y, and depth towards the viewer in the same
+            unit.
 
         Raises:
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.
         """
         network = self._trained()
-        views, _ = normalise_view(check_faces(views, "views", 2, self.n_landmarks))
-        depths = forward(network, np.float32(views).reshape(len(views), -1))
-        return np.concatenate([views, depths[..., None]], axis=2)
+        faces, _ = normalise_view(check_faces(views, "views", 2, self.n_landmarks))
+        depths = forward(network, np.float32(faces).reshape(len(faces), -1))
+        return of_one_or_many(np.concatenate([faces, depths[..., None]], axis=2), views)
 
     def _build(self, seed: int = 0) -> keras.Model:
         return build_zhao_net(self.n_landmarks, seed=seed)

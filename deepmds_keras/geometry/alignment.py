@@ -8,6 +8,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.units import centre
+from deepmds_keras.validation import as_numbers
 
 
 class Similarity(NamedTuple):
@@ -41,7 +42,7 @@ def procrustes(
     Raises:
         InputError: Shapes that do not match, NaN or infinity.
     """
-    source, target = np.asarray(source, float), np.asarray(target, float)
+    source, target = as_numbers(source, "source"), as_numbers(target, "target")
     if source.ndim not in (2, 3) or target.shape not in (source.shape, source.shape[-2:]):
         raise InputError(
             "source must have shape (n, L, d) or (L, d), and target the same shape or that of one "
@@ -74,7 +75,17 @@ def align(
     a reflection too, so that a face turned inside out scores a perfect zero. That is the default
     here, for comparison with the published numbers; `is_mirrored` shows where it was needed.
 
-    Arguments and errors are those of `procrustes`; the moved source has the source's shape.
+    Args:
+        source: `(n, L, d)` or `(L, d)` points to move.
+        target: Points of the same shape; a single `(L, d)` target serves all sources.
+        scaling: Whether the source may be scaled.
+        reflection: Whether it may be mirrored.
+
+    Returns:
+        The moved source, of the source's shape.
+
+    Raises:
+        InputError: Shapes that do not match, NaN, infinity or masked numbers.
     """
     rotation, scale, _ = procrustes(source, target, scaling=scaling, reflection=reflection)
     middle = np.asarray(target, float).mean(-2, keepdims=True)

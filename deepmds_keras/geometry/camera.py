@@ -64,6 +64,10 @@ class HeadPose:
         angles = angles if np.ndim(self.rotation) == 3 else angles[:, 0].tolist()
         return dict(zip(("yaw", "pitch", "roll"), angles, strict=True)) | vars(self)
 
+    def __bool__(self) -> bool:
+        """True: without this Python would ask for the length, which the pose of one face lacks."""
+        return True
+
     def __len__(self) -> int:
         if np.ndim(self.rotation) != 3:
             raise TypeError("This HeadPose is of one face.")
@@ -144,6 +148,9 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
     Args:
         view: `(L, 2)` landmarks in the image, y up.
         shape: `(L, 3)` the same landmarks, +x to the subject's left, +y up, +z out of the face.
+
+    Returns:
+        Its pose, with `scale` and `translation` in the unit of the view, and the residual.
 
     Raises:
         InputError: Unequal numbers of landmarks, NaN, infinity or degenerate landmarks, several

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.validation import as_numbers
 
 
 def normalise(points: np.ndarray) -> np.ndarray:
@@ -16,16 +17,20 @@ def normalise(points: np.ndarray) -> np.ndarray:
     Args:
         points: `(n, L, d)` or `(L, d)`.
 
+    Returns:
+        The same shape, from 0 to 1.
+
     Raises:
-        InputError: A face whose coordinates are all equal, or NaN or infinity.
+        InputError: A face whose coordinates are all equal, or NaN, infinity or masked numbers.
     """
+    points = as_numbers(points, "points")
     low, size = unit(points)
-    return (np.asarray(points, float) - low) / size
+    return (points - low) / size
 
 
 def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
-    points = np.asarray(points, float)
+    points = as_numbers(points, "points")
     low = points.min((-2, -1), keepdims=True)
     with np.errstate(over="ignore", invalid="ignore"):  # infinity is refused
         size = points.max((-2, -1), keepdims=True) - low
@@ -43,7 +48,7 @@ def centre(points: np.ndarray) -> np.ndarray:
     `normalise` depends on the origin. Landmarks of photos, whose origin is a corner of the image,
     are therefore centred first.
     """
-    points = np.asarray(points, float)
+    points = as_numbers(points, "points")
     return points - points.mean(-2, keepdims=True)
 
 

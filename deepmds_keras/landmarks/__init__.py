@@ -10,6 +10,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
+from deepmds_keras.validation import as_numbers
 
 FOLDER = Path(__file__).parent
 
@@ -90,7 +91,7 @@ def convert(
             `"nan"`.
 
     Returns:
-        `(n, M, d)` or `(M, d)` floats, `M` as in `target`.
+        `(n, M, d)` or `(M, d)` floats, `M` as in `target`; NaN where the input is masked.
 
     Raises:
         InputError: Unknown scheme or choice, landmarks of another shape, or the source lacks some
@@ -99,7 +100,8 @@ def convert(
     if missing not in ("raise", "nan"):
         raise InputError(f"missing must be raise or nan. Received {missing!r}.")
     picks, sizes = _picks(source, target), load_scheme(source).sizes
-    landmarks = np.asarray(landmarks)
+    is_masked = np.ma.isMaskedArray(landmarks)
+    landmarks = as_numbers(landmarks, "landmarks") if is_masked else np.asarray(landmarks)
     if not (
         landmarks.ndim in (2, 3)
         and landmarks.shape[-2] in sizes

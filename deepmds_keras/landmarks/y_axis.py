@@ -22,9 +22,8 @@ _ROTATED = (
     "eyes lie below the mouth, the right eye to the right."
 )
 _EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
-_Y_UP = "y must grow downwards; {}. " + _EYES_BELOW
-_PASS_Y_UP = "pass --y-up if it grows upwards"
-_Y_DOWN = f"y must grow upwards; negate it where it grows downwards, as in images. {_EYES_BELOW}"
+_PASS_Y_UP = "y must grow downwards; pass --y-up if it grows upwards."
+_NEGATE_Y = "y must grow upwards; negate it where it grows downwards, as in images."
 _MIRRORED = (
     "x must grow to the right, and right and left be the subject's; mirror x, or swap right and "
     "left landmarks. Received a mirrored face."
@@ -32,7 +31,7 @@ _MIRRORED = (
 
 
 def check_y_axis(
-    landmarks: np.ndarray, scheme: str, name: str, *, advice: str = _PASS_Y_UP
+    landmarks: np.ndarray, scheme: str, name: str, *, needed: str = _PASS_Y_UP
 ) -> dict[int, str]:
     """Refuse landmarks if most of the faces are upside down or mirrored.
 
@@ -46,7 +45,7 @@ def check_y_axis(
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
         scheme: Name of their scheme.
         name: Name of the file or argument, for the message.
-        advice: What to do if y grows upwards, for the message.
+        needed: What the message says of a wrong y.
 
     Returns:
         Number of each face with an odd orientation, 0-based and ascending, → what is wrong.
@@ -66,7 +65,7 @@ def check_y_axis(
         if upside_down and area[face] > least:
             faults[face] = _ROTATED
         elif upside_down or area[face] < -least:
-            faults[face] = _Y_UP.format(advice) if upside_down else _MIRRORED
+            faults[face] = f"{needed} {_EYES_BELOW}" if upside_down else _MIRRORED
     if 2 * len(faults) > np.isfinite(area).sum():
         face, fault = next(iter(faults.items()))
         n = len(faces)
@@ -86,11 +85,10 @@ def check_views(views: np.ndarray) -> None:
     if views.shape[1] not in face_sizes():
         return
     try:
-        check_y_axis(views * (1, -1), scheme_of(views.shape[1]), "views")
+        check_y_axis(views * (1, -1), scheme_of(views.shape[1]), "views", needed=_NEGATE_Y)
     except InputError as error:
-        message = str(error).replace(_Y_UP.format(_PASS_Y_UP), _Y_DOWN)
         raise InputError(
-            f"{message} With check_orientation=False they are taken as they are."
+            f"{error} With check_orientation=False they are taken as they are."
         ) from None
 
 

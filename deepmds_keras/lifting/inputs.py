@@ -10,6 +10,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.validation import as_numbers
 
 LEAST_VISIBLE = 6
+_LARGEST_SD = 1e18  # relative to the radius: squares in single precision end at 1.8e19
 _FLAT = 1e-6  # variance across a line relative to the whole: less is rounding
 
 
@@ -69,7 +70,14 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
     )
     sd = None
     if landmark_sd is not None:
-        sd = np.float32(_check_sd(landmark_sd, *known.shape) / radius)
+        relative = _check_sd(landmark_sd, *known.shape) / radius
+        _refuse(
+            (relative > _LARGEST_SD).any(1),
+            f"landmark_sd must be at most {_LARGEST_SD:.0e} radii of the face; leave out landmarks "
+            "whose errors are not known, by visible or as NaN",
+            lambda face: f"{relative[face].max():.1e} radii",
+        )
+        sd = np.asarray(relative, np.float32)
     return Views(np.float32(views), np.float32(known), sd, middle, radius)
 
 
@@ -108,7 +116,7 @@ def _check_points(points, n_landmarks):
 
 
 def _check_visible(visible, shape):
-    visible = np.asarray(visible)
+    visible = np.ma.filled(visible, False)  # what is masked is not known to be visible
     if visible.shape == shape[1:]:
         visible = visible[None]
     if visible.dtype != bool or visible.shape not in (shape, (1, shape[1])):
@@ -120,7 +128,7 @@ def _check_visible(visible, shape):
 
 
 def _check_sd(landmark_sd, n, n_landmarks):
-    sd = np.asarray(landmark_sd, float)
+    sd = as_numbers(landmark_sd, "landmark_sd")
     if sd.ndim == 1:
         sd = sd[:, None]
     if sd.shape not in ((), (n, 1), (n, n_landmarks)):

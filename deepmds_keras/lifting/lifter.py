@@ -6,7 +6,6 @@ Predicting needs NumPy alone; `fit` imports Keras, and scikit-learn is imported 
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
@@ -14,7 +13,7 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 
 from deepmds_keras import weights
-from deepmds_keras.errors import InputError, needs
+from deepmds_keras.errors import InputError, check_choice, needs
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.camera import HeadPose
 from deepmds_keras.landmarks.y_axis import check_views
@@ -36,9 +35,9 @@ class Estimate(NamedTuple):
     """Faces as a lifter estimates them.
 
     Attributes:
-        shapes: `(n, L, 3)` as `LandmarkLifter.predict` returns them.
-        std: `(n, L, 3)` standard deviations of the errors of the shapes.
-        pose: The n cameras, as solved for in the last step.
+        shapes: `(n, L, 3)`, or `(L, 3)` for one view, as `LandmarkLifter.predict` returns them.
+        std: Standard deviations of the errors of the shapes, as many.
+        pose: The n cameras, or the one, as solved for in the last step.
     """
 
     shapes: np.ndarray
@@ -85,8 +84,8 @@ class LandmarkLifter:
         >>> face = lifter.weights_["mean"].T  # (51, 3): the mean face
         >>> shapes, sd = lifter.predict(face[:, :2], return_std=True)  # y up
         >>> shapes.shape, sd.shape
-        ((1, 51, 3), (1, 51, 3))
-        >>> brow, mouth = shapes[0, :10, 1].mean(), shapes[0, 31:, 1].mean()
+        ((51, 3), (51, 3))
+        >>> brow, mouth = shapes[:10, 1].mean(), shapes[31:, 1].mean()
         >>> bool(brow > mouth)
         True
     """
@@ -208,10 +207,11 @@ class LandmarkLifter:
                 is upside down or mirrored. Single faces of odd orientation are estimated.
 
         Returns:
-            `(n, L, 3)` frontal shapes, missing landmarks included: +x to the subject's left, +y
-            up, +z out of the face, in the unit of `normalise`; true size cannot be seen in one
-            view. The mean of the landmarks is about 0. With `return_std`, also `(n, L, 3)`
-            standard deviations of the errors, where the mean of the true landmarks is 0.
+            `(n, L, 3)`, or `(L, 3)` for one view `(L, 2)`: frontal shapes, missing landmarks
+            included, +x to the subject's left, +y up, +z out of the face, in the unit of
+            `normalise`; true size cannot be seen in one view. The mean of the landmarks is about
+            0. With `return_std`, also as many standard deviations of the errors, where the mean of
+            the true landmarks is 0.
 
         Raises:
             InputError: Another number of landmarks, infinity, fewer than six visible landmarks or
@@ -220,8 +220,8 @@ class LandmarkLifter:
         seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         if check_orientation:
             check_views(seen.points)
-        estimate = self._estimate(seen)
-        return (estimate.shapes, estimate.std) if return_std else estimate.shapes
+        shapes, std, _ = self._estimate(seen, of_one=np.ndim(views) == 2)
+        return (shapes, std) if return_std else shapes
 
     def estimate(
         self,
@@ -238,17 +238,22 @@ class LandmarkLifter:
         Raises:
             InputError: As for `predict`.
         """
-        return self._estimate(prepare_views(views, self.n_landmarks, visible, landmark_sd))
+        seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
+        return self._estimate(seen, of_one=np.ndim(views) == 2)
 
     @property
     def n_parameters(self) -> int:
+        """Number of trained parameters."""
         return sum(array.size for array in check_fitted(self, "weights_", _SETTERS).values())
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
-        """`metrics.explained_share` of the predicted and the true shapes."""
+        """`metrics.explained_share` of the predicted and the true shapes.
+
+        Orientation is not checked, as in `fit`.
+        """
         from deepmds_keras.metrics import explained_share  # SciPy is slow to import
 
-        return explained_share(self.predict(views), shapes)
+        return explained_share(self.predict(views, check_orientation=False), shapes)
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights to one `.npz` file, whole or not at all."""
@@ -269,9 +274,7 @@ class LandmarkLifter:
         """
         arrays, described = read_arrays(path)
         try:
-            parameters = dict(described["parameters"])
-            parameters.pop("size", None)  # in older files; that of another size fails the check
-            lifter = cls(**parameters)
+            lifter = cls(**described["parameters"])
             lifter._check_parameters()
             check_weights(arrays, lifter.n_landmarks)
             lifter.default_sd_ = float(described["default_sd"])
@@ -292,13 +295,8 @@ class LandmarkLifter:
         Raises:
             InputError: No weights for that scheme.
         """
-        if scheme.startswith(_SHIPPED):
-            scheme = scheme.removeprefix(_SHIPPED)
-            warnings.warn(
-                f'pretrained("{_SHIPPED}{scheme}") is now pretrained("{scheme}")',
-                DeprecationWarning,
-                stacklevel=2,
-            )
+        shipped = weights.pretrained_names(_SHIPPED)
+        check_choice(scheme, "scheme", [name.removeprefix(_SHIPPED) for name in shipped])
         return cls.load(weights.pretrained_path(_SHIPPED + scheme))
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
@@ -326,7 +324,7 @@ class LandmarkLifter:
 
         return Tags(estimator_type=None, target_tags=TargetTags(required=False))
 
-    def _estimate(self, seen: Views) -> Estimate:
+    def _estimate(self, seen: Views, *, of_one: bool) -> Estimate:
         arrays = check_fitted(self, "weights_", _SETTERS)
         sd = np.full_like(seen.visible, self.default_sd_) if seen.sd is None else seen.sd
         inputs = (seen.views, seen.visible, sd)
@@ -341,7 +339,8 @@ class LandmarkLifter:
             translation=camera.shift * seen.radius + seen.centre,
             perspective=camera.perspective[:, 0],
         )
-        return Estimate(shapes, UNIT * np.exp(log_sd), pose)
+        estimate = Estimate(shapes, UNIT * np.exp(log_sd), pose)
+        return Estimate(*(part[0] for part in estimate)) if of_one else estimate
 
     def _check_parameters(self):
         if self.n_landmarks < LEAST_VISIBLE:

@@ -56,6 +56,7 @@ def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces
 def test_the_score_is_the_share_of_the_variance_explained(shipped, faces):
     expected = metrics.explained_share(shipped.predict(faces.views), faces.landmarks)
     assert shipped.score(faces.views, faces.landmarks) == expected
+    assert np.isfinite(shipped.score(faces.views * [1, -1], faces.landmarks))  # as `fit` takes them
 
 
 def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped, faces):
@@ -188,7 +189,7 @@ def test_bad_input_is_named(shipped, faces):
     views[1, 5] = np.nan
     with pytest.raises(InputError, match="NaN or infinity in face 1"):
         shipped.predict(views)
-    with pytest.raises(InputError, match="Received 'bfm'"):
-        DeepMDS.pretrained("bfm")
+    with pytest.raises(InputError, match="of deepmds-bfm72, deepmds-ibug51. Received 'lifting-"):
+        DeepMDS.pretrained("lifting-ibug51")
     with pytest.raises(InputError, match="same faces .*Received .4, 72, 2. and .3, 72, 3."):
         DeepMDS().fit(faces.views[:4], faces.landmarks[:3])

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from deepmds_keras import InputError, metrics
+from deepmds_keras import InputError, align, convert, metrics, normalise
 from deepmds_keras.metrics import depth_corr, depth_corr_across_faces, mse
+
+METRICS = (mse, depth_corr, depth_corr_across_faces, metrics.explained_share)
 
 
 @pytest.fixture
@@ -47,9 +49,7 @@ def test_the_truth_explains_everything_and_the_mean_nothing(faces):
     assert metrics.explained_share(mean, faces) < 0.1
 
 
-@pytest.mark.parametrize(
-    "metric", [mse, depth_corr, depth_corr_across_faces, metrics.explained_share]
-)
+@pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize(
     ("prediction", "truth", "message"),
     [
@@ -62,3 +62,13 @@ def test_the_truth_explains_everything_and_the_mean_nothing(faces):
 def test_unusable_arrays_are_refused(metric, prediction, truth, message):
     with pytest.raises(InputError, match=message):
         metric(prediction, truth)
+
+
+@pytest.mark.parametrize("compare", [*METRICS, align])
+def test_masked_numbers_are_not_taken_for_numbers(compare, faces):
+    masked = np.ma.masked_array(faces, faces > 0.9)
+    for use in (lambda x: compare(x, faces), lambda x: compare(faces, x), normalise):
+        with pytest.raises(InputError, match="must be finite"):
+            use(masked)
+    given = np.ma.masked_array(np.ones((51, 2)), [[True, False]] * 51)
+    assert np.isnan(convert(given, "ibug51", "ibug51")[:, 0]).all()

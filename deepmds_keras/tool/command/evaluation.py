@@ -132,12 +132,16 @@ def _read_csv(path: Path) -> np.ndarray:
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = (line for line in file if not line.startswith("#"))
             rows = [*csv.DictReader(lines)]
-        faces = {}
+        faces: dict[str, list[list[float]]] = {}
         for row in rows:
             point = [float(row[axis]) for axis in "xyz"]
             faces.setdefault(row.get("face", ""), []).append(point)
         return np.array([*faces.values()])
-    except (OSError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise InputError(
+            f"{path} must be a table with x, y and z: missing column {error}."
+        ) from None
+    except (OSError, UnicodeDecodeError, TypeError, ValueError) as error:
         raise InputError(
             f"{path} must be a table with columns x, y, z and, of several faces, face, and as many "
             f"rows for each face. Received: {type(error).__name__}: {error}."

@@ -44,6 +44,9 @@ def estimate_faces(
         jobs: Number of processes for the embedding of the paper's method.
         progress: Called with the number of faces just done.
 
+    Returns:
+        A face for each name, in the same order.
+
     Raises:
         InputError: The model cannot be read or needs other landmarks, or `interocular` is not
             positive and finite.

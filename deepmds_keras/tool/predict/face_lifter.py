@@ -128,16 +128,17 @@ class FaceLifter:
         scheme = scheme_of(size) if scheme is None else load_scheme(scheme).name
         target = target_scheme(scheme, self.model)
         if visible is not None:
-            seen = _broadcast(visible, "visible", bool, (n, size))
+            # What is masked is not known to be visible.
+            seen = _broadcast(np.ma.filled(visible, False), "visible", bool, (n, size))
             points = np.where(seen[..., None], points, np.nan)
         if landmark_sd is not None:
-            sd = np.asarray(landmark_sd)
+            sd = as_numbers(landmark_sd, "landmark_sd")
             sd = _broadcast(sd[:, None] if sd.ndim == 1 else sd, "landmark_sd", float, (n, size))
             if not (np.isfinite(sd) & (sd >= 0)).all():
                 raise InputError("landmark_sd must be finite and not negative.")
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
-        advice = "negate it where it grows upwards"
-        odd = check_y_axis(points, scheme, "landmarks", advice=advice)
+        needed = "y must grow downwards; negate it where it grows upwards."
+        odd = check_y_axis(points, scheme, "landmarks", needed=needed)
         landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
         return self._estimate(
@@ -206,6 +207,12 @@ def predict_photo(
     Args:
         photo: A file, its content, a Pillow image, or an array `(H, W, 3)` uint8, RGB.
         detector, model, interocular: As for `FaceLifter`.
+
+    Returns:
+        The faces from left to right; an empty list if there is none.
+
+    Raises:
+        InputError: As for `FaceLifter` and its `predict`.
     """
     return FaceLifter(detector, model=model, interocular=interocular).predict(photo)
 
@@ -225,6 +232,12 @@ def predict_landmarks(
         landmarks: `(n, L, 2)` or `(L, 2)`, x right and y down.
         scheme, visible, landmark_sd: As in the method.
         model, interocular: As for `FaceLifter`.
+
+    Returns:
+        A face for each row.
+
+    Raises:
+        InputError: As for `FaceLifter` and its `predict_landmarks`.
     """
     lifter = FaceLifter(model=model, interocular=interocular)
     return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)

@@ -82,8 +82,8 @@ class PaperNetworks:
         """As for `LifterModel`; no landmark may be missing, and s.d. are neither used nor given."""
         if np.isnan(views).any():
             raise InputError(
-                "landmarks must all be there for the model deepmds; the model lifting takes faces "
-                f"with some missing. Received {np.isnan(views).any(2).sum()} missing landmarks."
+                "the model deepmds needs all landmarks; the model lifting takes faces with some "
+                f"missing. Received {np.isnan(views).any(2).sum()} missing landmarks."
             )
         with self._turn:  # threads share the networks, and their n_jobs
             self._networks.set_params(n_jobs=jobs)

@@ -151,6 +151,7 @@ def test_zhao_learns_depth_in_the_unit_of_x_and_y_whatever_scale_and_place():
     assert ((align(predicted, SHAPES) - SHAPES) ** 2).mean() < 0.01 * spread
     np.testing.assert_allclose(predicted[..., :2].std(1).sum(1), 1)
     np.testing.assert_allclose(zhao.predict(7.0 * VIEWS + [300, -20]), predicted, atol=1e-5)
+    np.testing.assert_allclose(zhao.predict(VIEWS[3]), predicted[3], atol=1e-5)
     zhao.set_params(optimizer="rmsprop", epochs=1).fit(SHAPES)  # another optimiser, other weights
     assert np.abs(zhao.predict(VIEWS) - predicted).max() > 1e-3
 
@@ -159,6 +160,7 @@ def test_perceptron_learns_shapes_whatever_scale_and_place_and_has_as_many_param
     model, data, _ = untrained("perceptron", epochs=5, steps_per_epoch=100)
     predicted = model.fit(*data).predict(7.0 * VIEWS + [300, -20])
     np.testing.assert_allclose(predicted, model.predict(VIEWS), atol=1e-5)
+    np.testing.assert_allclose(predicted[3], model.predict(VIEWS[3]), atol=1e-5)
     errors = [((shapes - data[1]) ** 2).mean() for shapes in (predicted, data[1].mean(0))]
     assert errors[0] < 0.2 * errors[1]
     assert count_trainable(Perceptron()._build()) == 25_536

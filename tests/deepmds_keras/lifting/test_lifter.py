@@ -18,10 +18,10 @@ from sklearn.preprocessing import FunctionTransformer
 from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.baselines.closed_form import Linear
-from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.alignment import procrustes
 from deepmds_keras.geometry.units import centre
-from deepmds_keras.lifting import equations, training
+from deepmds_keras.lifting import equations, trainer
 from deepmds_keras.lifting.sampling import Faces, disturb, read_faces
 from deepmds_keras.lifting.trainer import build_lifting_net
 from deepmds_keras.lifting.unrolled_fit import initial_weights, lift
@@ -169,7 +169,13 @@ def test_pose_sees_the_shapes_where_the_landmarks_are(lifter, faces):
 
 
 def test_one_face_and_a_batch_give_the_same(lifter, faces):
-    assert np.allclose(lifter.predict(faces[0][7]), lifter.predict(faces[0])[7:8], atol=1e-5)
+    shapes, std, pose = lifter.estimate(faces[0][7])
+    many = lifter.estimate(faces[0])
+    assert shapes.shape == std.shape == (L, 3) and np.shape(pose.scale) == ()
+    assert np.allclose(shapes, many.shapes[7], atol=1e-5)
+    assert np.allclose(pose.rotation, many.pose[7].rotation, atol=1e-5)
+    for one, first in zip(lifter.predict(faces[0][7], return_std=True), (shapes, std), strict=True):
+        assert np.array_equal(one, first)
 
 
 def test_it_has_no_more_parameters_than_deep_mds():
@@ -193,18 +199,6 @@ def test_saved_and_loaded_predict_the_same(lifter, faces, tmp_path):
     assert not hasattr(copy, "weights_")
 
 
-def test_of_older_files_which_name_a_size_those_of_the_only_one_are_read(lifter, tmp_path):
-    path = tmp_path / "lifter.npz"
-    lifter.save(path)
-    arrays, described = read_arrays(path)
-    described["parameters"]["size"] = "small"
-    write_arrays(path, arrays, described)
-    assert LandmarkLifter.load(path).get_params() == lifter.get_params()
-    write_arrays(path, arrays | {"hidden_bias": np.zeros(256, "f")}, described)
-    with pytest.raises(InputError, match=r"hidden_bias has shape \(256,\), not \(48,\)"):
-        LandmarkLifter.load(path)
-
-
 def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
     path = tmp_path / "lifter.npz"
     lifter.save(path)
@@ -214,8 +208,8 @@ def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
         LandmarkLifter.load(path)
     with pytest.raises(InputError, match="was not written by LandmarkLifter.save"):
         LandmarkLifter.load(ROOT / "deepmds_keras/pretrained/deepmds-bfm72.npz")
-    with pytest.raises(InputError, match="must be one of"):
-        LandmarkLifter.pretrained("none")
+    with pytest.raises(InputError, match="must be one of bfm72, ibug51, ibug68. Received"):
+        LandmarkLifter.pretrained("lifting-ibug51")
 
 
 @pytest.mark.slow
@@ -233,8 +227,8 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
 def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypatch):
     views, shapes, sd = sample_faces(60, np.random.default_rng(4))
     errors, now, path = iter([2.0, 1.0, 3.0]), [], tmp_path / "checkpoint.npz"
-    monkeypatch.setattr(training, "STEPS_PER_BLOCK", 10)
-    monkeypatch.setattr(training, "error_of", lambda *_: next(errors))
+    monkeypatch.setattr(trainer, "STEPS_PER_BLOCK", 10)
+    monkeypatch.setattr(trainer, "error_of", lambda *_: next(errors))
     lifter = LandmarkLifter(L, steps=25, batch_size=8)
     lifter.fit(views, shapes, landmark_sd=sd, checkpoint=path,
                progress=lambda _: now.append(read_arrays(path)[0]["lifting/basis"]))  # fmt: skip
@@ -278,6 +272,8 @@ def test_unusable_views_are_named(lifter, faces, change, message):
         ({"visible": np.ones((2, L), bool)}, r"visible must be bool of shape \(3, 20\)"),
         ({"landmark_sd": -1}, "landmark_sd must be finite and not negative"),
         ({"landmark_sd": [1, 2]}, r"landmark_sd must be one number, \(3,\) or \(3, 20\)"),
+        ({"landmark_sd": [1, 2, 1e21]}, r"sd must be at most 1e\+18 radii.*e\+2. radii in face 2"),
+        ({"landmark_sd": np.ma.masked_equal([1, 2, 3], 2)}, "landmark_sd must be finite"),
     ],
 )
 def test_unusable_options_are_named(lifter, faces, options, message):
@@ -402,8 +398,15 @@ def test_five_odd_rows_of_2000_are_estimated_with_the_others():
         lifter.predict(views * (1, -1))
 
 
+def test_what_fit_accepts_is_scored(faces):
+    """Views with y down are of no known orientation; `predict` refuses them."""
+    lifter = LandmarkLifter.pretrained("ibug51")
+    shapes = lifter.weights_["mean"].T + np.random.default_rng(0).normal(0, 0.02, (9, 51, 3))
+    assert np.isfinite(lifter.score(shapes[..., :2] * (1, -1), shapes))
+
+
 def test_scikit_learn_takes_it_as_its_estimator(monkeypatch):
-    monkeypatch.setattr(training, "train_lifting_net", lambda initial, *_, **__: (initial, {}))
+    monkeypatch.setattr(trainer, "train_lifting_net", lambda initial, *_, **__: (initial, {}))
     views, shapes, _ = sample_faces(40, np.random.default_rng(0))
     lifter = LandmarkLifter(L, steps=2)
     steps = Pipeline([("nothing", FunctionTransformer()), ("lift", lifter)])
@@ -417,16 +420,11 @@ def test_scikit_learn_takes_it_as_its_estimator(monkeypatch):
         lifter.set_params(sizes=3)
 
 
-def test_names_of_before_still_find_the_weights():
-    with pytest.warns(DeprecationWarning, match='pretrained\\("ibug51"\\)'):
-        assert LandmarkLifter.pretrained("lifting-ibug51").n_landmarks == 51
-
-
 @pytest.mark.slow
 def test_a_compiled_training_is_the_same_but_for_rounding(monkeypatch):
     plain, compiled = (LandmarkLifter(L, steps=5, batch_size=16) for _ in range(2))
     plain.fit(sample_faces)
-    monkeypatch.setattr(training, "_COMPILED_FROM", 5)
+    monkeypatch.setattr(trainer, "_COMPILED_FROM", 5)
     compiled.fit(sample_faces)
     assert any((plain.weights_[name] != compiled.weights_[name]).any() for name in plain.weights_)
     for name, weights in plain.weights_.items():

@@ -84,7 +84,7 @@ def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
         (np.full((3, 51, 3), np.nan), "finite"),
         (np.full((3, 51, 3), "a"), "numbers"),
         (b"no array", "one array in NumPy's format"),
-        ("x,y\n1,2\n", "columns x, y, z"),
+        ("x,y\n1,2\n", "missing column 'z'"),
         ("face,x,y,z\n1,1,2,3\n1,1,2,3\n2,1,2,3\n", "as many rows for each face"),
     ],
 )

@@ -139,8 +139,8 @@ def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
     points, faults = read_faces(written(tmp_path, "f.npy", faces))
     expected = {
         1: "at least 6 landmarks. Received 5",
-        3: "one point 68 times",
-        4: "straight line",
+        3: "all 68 landmarks coincide",
+        4: "on one line",
         6: "1e+12, ",
     }
     assert [*faults] == [*expected]
@@ -205,7 +205,7 @@ REFUSED = {
     "axes swapped": ("f.npy", FACES.transpose(0, 2, 1), r"\(3, 2, 68\)"),
     "complex": ("f.npy", FACES + 1j, "complex"),
     "text as array": ("f.npy", np.full((68, 2), "1"), "text"),
-    "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "straight line"),
+    "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "on one line"),
     "no array": ("f.npy", "version", "NumPy's format"),
     "points cut short": ("f.pts", pts(ONE[0])[:-300], "cut short"),
     "points miscounted": ("f.pts", pts(ONE[0]).replace("  68", " 67"), "states, 67. Received 68"),
