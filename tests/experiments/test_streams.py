@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import defaultdict
 
 import numpy as np
 from places import ROOT
@@ -10,18 +11,25 @@ from deepmds_keras.streams import Stream as TrainingStream
 from experiments.streams import Stream
 
 EXPERIMENTS = ROOT / "experiments"
+MODULES = {
+    path.relative_to(EXPERIMENTS).as_posix(): path.read_text(encoding="utf-8")
+    for path in EXPERIMENTS.rglob("*.py")
+}
+# Streams that two modules draw from, on purpose: the same faces.
+SHARED = {
+    "PHOTO_FACES": {"pretrained/pretrained.py", "pretrained/real_faces.py"},  # train both
+    "WITNESS_FACES": {"witness/train.py", "witness/witness.py"},  # test both
+}
 
 
 def seeds():
     """What generators of a run's seed are made of, as code."""
-    for path in EXPERIMENTS.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            code = ast.unparse(node)
+    for text in MODULES.values():
+        yield from re.findall(r"default_rng\([a-z.]*run\.seed\)", text)
+        for node in ast.walk(ast.parse(text)):
             sequence = isinstance(node, ast.List | ast.Tuple) and node.elts
             if sequence and ast.unparse(node.elts[0]).endswith("run.seed"):
-                yield code
-            if re.fullmatch(r".*default_rng\([a-z.]*run\.seed\)", code):
-                yield code
+                yield ast.unparse(node)
 
 
 def test_every_generator_of_a_runs_seed_names_its_stream():
@@ -35,3 +43,14 @@ def test_no_two_stages_and_no_training_share_random_numbers():
     first = {np.random.default_rng([0, stream]).integers(1 << 62) for stream in streams}
     assert len({*map(int, streams)}) == len(streams) == len(first)
     assert np.random.default_rng(0).integers(1 << 62) not in first
+
+
+def test_every_stream_is_drawn_from_in_one_module():
+    """A data set drawn from another's stream would be that data set."""
+    users = defaultdict(set)
+    for module, text in MODULES.items():
+        for name in re.findall(r"\bStream\.([A-Z_]+)", text):
+            if name in Stream.__members__ and module != "streams.py":
+                users[name].add(module)
+    assert {*users} == {*Stream.__members__}
+    assert {name: modules for name, modules in users.items() if len(modules) > 1} == SHARED

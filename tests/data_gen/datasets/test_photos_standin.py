@@ -1,5 +1,6 @@
 """Photos of synthetic faces, in CelebA's form and turned any way, with the truth about them."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,11 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views import Cameras, rotations
 from deepmds_keras.errors import InputError
 
-N = 36
+N = 12
 RIGHT_EYE, LEFT_EYE = slice(36, 42), slice(42, 48)  # of iBUG's landmarks
 
 
+@functools.cache  # in the process that draws, since a scene takes seconds
 def source(kind):
     model = load_openhead()
     return PhotosStandin(model, 100, (0, 11)) if kind == "standin" else Portraits(model, (0, 3))
