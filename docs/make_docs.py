@@ -18,6 +18,7 @@ from data_gen.models.registry import TITLES
 from deepmds_keras.files import write_bytes
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
+from experiments.old_names import read_table
 from experiments.scoring.numbers import NOTHING, power
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +33,7 @@ class Results:
 
     def csv(self, *names: str) -> pd.DataFrame:
         """Tables of results, one below the other; `model` is the first folder of each."""
-        read = [(name, pd.read_csv(self._folder / name)) for name in names]
+        read = [(name, read_table(self._folder / name)) for name in names]
         return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in read)
 
     def rows(self, folder: str) -> pd.DataFrame:
@@ -43,7 +44,7 @@ class Results:
         """The error of a method in one of the paper's tables."""
         return f"{self.rows(folder).loc[method, column] / 1e-4:{form}}"
 
-    def seeds(self, folder: str, method: str = "ours") -> str:
+    def seeds(self, folder: str, method: str = "deep_mds") -> str:
         """Median of the errors over seeds, and their range."""
         row = self.rows(folder).loc[method]
         return "{:.2f} ({:.2f} to {:.2f})".format(*row[["median", "min", "max"]] / 1e-4)

@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import median
 
 from deepmds_keras.errors import InputError, brief
+from experiments.old_names import new_name
 from experiments.progress import duration
 from experiments.records import MANIFEST, read_manifest, read_record, steps_of
 
@@ -53,7 +54,7 @@ class JobLines(logging.Handler):
                 print(f"error: {message}", file=sys.stderr)
 
     def _line(self, job: int) -> str:
-        """`Step 3 of 12: train-ours, about 8 min left`."""
+        """`Step 3 of 12: train-deep_mds, about 8 min left`."""
         text = f"Step {self._begun} of {len(self._jobs)}: {self._jobs[job][0]}"
         known = [
             self._seconds[name] * threads
@@ -71,7 +72,7 @@ def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
     durations: dict[str, list[float]] = {}
     for step in _steps(build, results):
         if step.get("preset", {}).get("name") == preset and "name" in step:
-            durations.setdefault(step["name"], []).append(step["seconds"])
+            durations.setdefault(new_name(step["name"]), []).append(step["seconds"])
     return {name: median(seconds) for name, seconds in durations.items()}
 
 

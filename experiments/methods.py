@@ -21,7 +21,7 @@ from experiments.method import Method
 from experiments.run import AUTHORS_FILES, Run
 
 _ALL = ("bfm", "flame", "celeba")
-OWN_CONSTANT = "own_constant"
+CONSTANT = "deep_mds_constant"
 # Starts from an eigenvalue problem, then sorts all pairs in each of t steps.
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
@@ -63,19 +63,19 @@ def _ringnet_note(run: Run, detected: np.ndarray) -> str:
     )
 
 
-def _errors_note(run: Run, detected: np.ndarray) -> str:
+def _noise_note(run: Run, detected: np.ndarray) -> str:
     if run.track != "flame":
         return ""
     return (
-        "trained on landmarks with errors of a s.d. of up to "
+        "trained on landmarks with noise of an s.d. of up to "
         f"{100 * recipes.LANDMARK_NOISE:g} % of a view's r.m.s. radius, since a detector finds "
         "those of the test"
     )
 
 
-def _lifting_note(run: Run, detected: np.ndarray) -> str:
+def _landmark_lifter_note(run: Run, detected: np.ndarray) -> str:
     note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
-    return "; ".join(filter(None, (note, _errors_note(run, detected))))
+    return "; ".join(filter(None, (note, _noise_note(run, detected))))
 
 
 def _mediapipe_note(run: Run, detected: np.ndarray) -> str:
@@ -100,32 +100,33 @@ _ROWS = (
         colour="#8C6D31", marker="s", mapped=_ALL, complexity="O(n)",
     ),
     Method(
-        id=OWN_CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
+        id=CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
         description="no method: what Deep-MDS makes of another face's view (the paper's trivial "
         "case, that the method only outputs one specific solution)",
         colour="#BFA6A0", marker="h", drawn=False,
     ),
     Method(
-        id="linear", title="Linear", tracks=_ALL,
+        id="ridge", title="Ridge regression", tracks=_ALL,
         description="ridge regression from the view to the shape, on the same views",
-        build=recipes.linear, data=recipes.faces_with_errors, note=_errors_note, pictured=False,
+        build=recipes.ridge, data=recipes.faces_with_noise, note=_noise_note, pictured=False,
         colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
-        id="linear_upright", title="Linear, views upright", tracks=_ALL,
-        description="ridge regression on views that are turned upright in their plane first",
-        build=partial(recipes.linear, upright=True), data=recipes.faces_with_errors,
-        note=_errors_note, colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
+        id="ridge_roll_aligned", title="Ridge regression, roll-aligned views", tracks=_ALL,
+        description="ridge regression on views that are turned in their plane first, to no roll",
+        build=partial(recipes.ridge, roll_aligned=True), data=recipes.faces_with_noise,
+        note=_noise_note, colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
     ),
     Method(
-        id="perceptron", title="Dense network", tracks=_ALL,
-        description="a plain network of two hidden layers, of as many parameters as lifting",
-        build=recipes.perceptron, data=recipes.faces_with_errors,
-        checkpoint=partial(Run.network_file, name="perceptron"),
-        note=_errors_note, colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
+        id="mlp", title="MLP", tracks=_ALL,
+        description="multilayer perceptron of two hidden layers, with about as many parameters as "
+        "LandmarkLifter",
+        build=recipes.mlp, data=recipes.faces_with_noise,
+        checkpoint=partial(Run.network_file, name="mlp"),
+        note=_noise_note, colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
     ),
     Method(
-        id="linear_detections", title="Linear, trained on detections",
+        id="ridge_detections", title="Ridge regression, trained on detections",
         description="ridge regression trained on a detector's landmarks of other photos",
         drawn=False,
     ),
@@ -248,50 +249,50 @@ _ROWS = (
     ),
     _deep_mds(
         "paper", "constant",
-        id="ours", title="Deep-MDS", paper="ours",
+        id="deep_mds", title="Deep-MDS", paper="deep_mds",
         description="the paper's method: six pair features, constant learning rate",
         colour="#D55E00", marker="o", gallery=True, mapped=_ALL,
     ),
     # The autoencoder does not see pair features: it is that of `ours`, in one file.
     _deep_mds(
         "released", "constant",
-        id="ours_released", title="Deep-MDS, released features",
+        id="deep_mds_released", title="Deep-MDS, released features",
         description="the same with the five pair features of the released code",
-        after="ours",
+        after="deep_mds",
         colour="#E69F00", marker="h", pictured=False,
     ),
     _deep_mds(
         "paper", "cosine",
-        id="ours_stable", title="Deep-MDS, cosine schedule",
+        id="deep_mds_cosine", title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
         colour="#8C1C13", marker="p", gallery=True, pictured=False, mapped=("bfm",),
     ),
     Method(
-        id="ours_with_errors", title="Deep-MDS, errors in training", tracks=("flame",),
-        description="the method with a decaying learning rate, on landmarks with errors like a "
+        id="deep_mds_noise", title="Deep-MDS, landmark noise in training", tracks=("flame",),
+        description="the method with a decaying learning rate, on landmarks with noise like a "
         "detector's",
         build=partial(recipes.deep_mds, variant="paper", schedule="cosine"),
-        data=recipes.faces_with_errors, checkpoint=recipes.networks_with_errors,
-        restore=recipes.restore_deep_mds, note=_errors_note, drawn=False,
+        data=recipes.faces_with_noise, checkpoint=recipes.networks_with_noise,
+        restore=recipes.restore_deep_mds, note=_noise_note, drawn=False,
     ),
     Method(
-        id="authors_weights", title="Deep-MDS, authors' weights", tracks=_ALL,
+        id="deep_mds_weights", title="Deep-MDS, authors' weights", tracks=_ALL,
         description="the released networks with the authors' own weights, nothing trained here",
-        build=recipes.authors_weights, deep_mds=("released", None),
+        build=recipes.deep_mds_weights, deep_mds=("released", None),
         networks=partial(recipes.deep_mds_networks, "released"), authors=AUTHORS_FILES,
         colour="#CC79A7", marker="X", complexity=_EMBEDDING,
     ),
     Method(
-        id="lifting", title="Lifting", tracks=_ALL,
+        id="landmark_lifter", title="LandmarkLifter (ours)", tracks=_ALL,
         description="our method, not the paper's: a network that solves for camera and shape",
-        build=recipes.lifting, data=recipes.faces,
+        build=recipes.landmark_lifter, data=recipes.faces,
         checkpoint=partial(Run.network_file, name="lifting-checkpoint"),
-        restore=recipes.load_lifting,
-        note=_lifting_note, colour="#E5097F", marker="d", gallery=True, mapped=_ALL,
+        restore=recipes.load_landmark_lifter,
+        note=_landmark_lifter_note, colour="#E5097F", marker="d", gallery=True, mapped=_ALL,
         complexity="O(n)",
     ),
     Method(
-        id="limit", title="Approximate lower bound",
+        id="lower_bound", title="Approximate lower bound",
         description="no method: what noise and a single view leave open to one that knows the face "
         "model and the camera",
         colour="#777777", drawn=False,
@@ -356,8 +357,10 @@ def train(run: Run, method_id: str):
     method = method_of(method_id)
     checkpoint = method.checkpoint(run)
     model = recipes.fit(method.build(run), *method.data(run), checkpoint=checkpoint)
-    if method_id == "lifting":  # the checkpoint of which holds the last weights, not the best
-        model.save(recipes.lifting_file(run))
+    if (
+        method_id == "landmark_lifter"
+    ):  # the checkpoint of which holds the last weights, not the best
+        model.save(recipes.landmark_lifter_file(run))
     return model
 
 

@@ -31,7 +31,7 @@ LANDMARK_NOISE = 0.2
 # MobileFace's learning rate by schedule. With a cosine, 0.002 and 30,000 steps come within 5 % of
 # the error of the 100,000 constant steps at 0.001 in the authors' code; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
-_PERCEPTRON_EPOCHS = 20
+_MLP_EPOCHS = 20
 # Of the authors' release, by track.
 ZHAO_FILES = dict.fromkeys(("bfm", "celeba"), ("deep_PAMI_occ_5000.h5",))
 ZHAO_FILES |= {"flame": ("deep_PAMI_depth_FLAME.h5",)}
@@ -71,7 +71,7 @@ def _epochs(model) -> dict[str, int]:
         return {type(model).__name__: model.epochs}
     from deepmds_keras.lifting.trainer import Recipe
 
-    return {"lifting": len(Recipe(model.steps).blocks)}
+    return {"LandmarkLifter": len(Recipe(model.steps).blocks)}
 
 
 # What methods are fitted to
@@ -83,7 +83,7 @@ def faces(run: Run) -> tuple[np.ndarray, np.ndarray]:
     return train.views, train.shapes
 
 
-def faces_with_errors(run: Run) -> tuple[np.ndarray, np.ndarray]:
+def faces_with_noise(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """`faces`, on the FLAME track with landmark errors, since its test views are a detector's.
 
     Each face draws an s.d. up to `LANDMARK_NOISE`, as in the training of the lifting network.
@@ -117,10 +117,10 @@ def mean_shape(run: Run):
     return MeanShape()
 
 
-def linear(run: Run, *, upright: bool = False):
-    from deepmds_keras.baselines.closed_form import Linear
+def ridge(run: Run, *, roll_aligned: bool = False):
+    from deepmds_keras.baselines.closed_form import RidgeRegression
 
-    return Linear(upright=upright)
+    return RidgeRegression(roll_aligned=roll_aligned)
 
 
 def aldrian(run: Run):
@@ -189,12 +189,12 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
     return model.restore(checkpoint, load_faces(run, "train").shapes)
 
 
-def networks_with_errors(run: Run) -> Path:
+def networks_with_noise(run: Run) -> Path:
     """Folder of the networks trained on landmarks with errors."""
-    return run.networks / "with-errors"
+    return run.networks / "with-noise"
 
 
-def authors_weights(run: Run):
+def deep_mds_weights(run: Run):
     """The authors' released networks."""
     from deepmds_keras.deep_mds import DeepMDS
 
@@ -213,10 +213,10 @@ def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -
 # Other networks that see views
 
 
-def lifting(run: Run):
+def landmark_lifter(run: Run):
     """The small lifting network.
 
-    On the FLAME track it trains with errors as in `faces_with_errors`, redrawn in each mini-batch.
+    On the FLAME track it trains with errors as in `faces_with_noise`, redrawn in each mini-batch.
     """
     from deepmds_keras.lifting.lifter import LandmarkLifter
 
@@ -228,25 +228,25 @@ def lifting(run: Run):
     )
 
 
-def lifting_file(run: Run) -> Path:
+def landmark_lifter_file(run: Run) -> Path:
     """The best weights of the lifting network; its checkpoint holds the last ones."""
-    return run.network_file("lifting")
+    return run.network_file("landmark_lifter")
 
 
-def load_lifting(run: Run, model, checkpoint: Path):
-    lifter = type(model).load(lifting_file(run))
+def load_landmark_lifter(run: Run, model, checkpoint: Path):
+    lifter = type(model).load(landmark_lifter_file(run))
     if run.track == "flame":  # a detector's errors exceed those of good landmarks
         lifter.default_sd_ = LANDMARK_NOISE / 2
     return lifter
 
 
-def perceptron(run: Run, n_landmarks: int | None = None):
-    """The plain network, for the run's landmarks by default, trained for as long as lifting."""
-    from deepmds_keras.baselines.perceptron import Perceptron
+def mlp(run: Run, n_landmarks: int | None = None):
+    """The MLP, for the run's landmarks trained for as many steps as `landmark_lifter`."""
+    from deepmds_keras.baselines.mlp import MLP
 
-    steps = -(-run.preset.lifting_steps // _PERCEPTRON_EPOCHS)
+    steps = -(-run.preset.lifting_steps // _MLP_EPOCHS)
     n_landmarks = n_landmarks or len(load_scheme(run.scheme))
-    return Perceptron(n_landmarks, epochs=_PERCEPTRON_EPOCHS, steps_per_epoch=steps, seed=run.seed)
+    return MLP(n_landmarks, epochs=_MLP_EPOCHS, steps_per_epoch=steps, seed=run.seed)
 
 
 def zhao(run: Run, *, as_authors: bool = False):

@@ -239,7 +239,7 @@ def test_the_table_of_recipes_is_that_of_the_code():
             f"{FULL.mobileface_paper_epochs} × {FULL.mobileface_steps}"),
         "RingNet": (ringnet["learning_rate"], "warm-up and cosine", rings,
                     f"{FULL.ringnet_epochs} × {FULL.ringnet_steps}"),
-        "Lifting, in the tables": (lifting["learning_rate"], "cosine",
+        "LandmarkLifter, in the tables": (lifting["learning_rate"], "cosine",
                                    f"{lifting['batch_size']} faces", f"{FULL.lifting_steps:,}"),
     }  # fmt: skip
     method = text_of("docs/method.md")

@@ -54,7 +54,7 @@ class MeanShape(BaseEstimator):
 
 
 @dataclass(eq=False, repr=False)
-class Linear(BaseEstimator):
+class RidgeRegression(BaseEstimator):
     """One linear map from all 2L coordinates of a view to all 3L of the shape, with intercept.
 
     A learnt method must beat it to justify not being linear. The penalty is the one in `alphas`
@@ -62,7 +62,7 @@ class Linear(BaseEstimator):
 
     Args:
         alphas: Penalties to choose from, for views and shapes in the unit of `normalise`.
-        upright: Whether each view is first rotated in its plane, shifted and scaled onto the
+        roll_aligned: Whether each view is first rotated in its plane, shifted and scaled onto the
             frontal view of the mean training shape.
 
     Attributes:
@@ -72,9 +72,9 @@ class Linear(BaseEstimator):
     """
 
     alphas: tuple[float, ...] = tuple(10.0**k for k in range(-9, 3))
-    upright: bool = False
+    roll_aligned: bool = False
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray) -> Linear:
+    def fit(self, views: np.ndarray, shapes: np.ndarray) -> RidgeRegression:
         """Solve for `(n, L, 2)` views and `(n, L, 3)` shapes; errors as `MeanShape.fit`."""
         views, shapes = check_views_and_shapes(views, shapes)
         n, self.n_landmarks_ = views.shape[:2]
@@ -93,7 +93,7 @@ class Linear(BaseEstimator):
         return of_one_or_many(ridge.predict(self._flat(faces)).reshape(len(faces), -1, 3), views)
 
     def _flat(self, views: np.ndarray) -> np.ndarray:
-        if self.upright:
+        if self.roll_aligned:
             views = align(views, np.broadcast_to(self.front_, views.shape), reflection=False)
         return views.reshape(len(views), -1)
 

@@ -17,12 +17,13 @@ from experiments.audit.poses import TRAINED
 from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
+from experiments.old_names import read_table
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.numbers import power, scientific
 
 CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
-_DRAWN = ("mean_shape", "zhao", "aldrian", "ours", "lifting")
+_DRAWN = ("mean_shape", "zhao", "aldrian", "deep_mds", "landmark_lifter")
 _PAGE = Path(__file__).with_name("claims.md.j2")
 
 
@@ -85,7 +86,7 @@ def combine(root: Path) -> Path:
         The folder, `results/audit`.
     """
     claims, numbers = (
-        pd.concat(pd.read_csv(f) for m in TITLES if (f := root / m / "audit" / name).exists())
+        pd.concat(read_table(f) for m in TITLES if (f := root / m / "audit" / name).exists())
         for name in ("claims.csv", "numbers.csv")
     )
     numbers["text"] = numbers.apply(text_of, axis=1)

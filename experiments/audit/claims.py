@@ -1,7 +1,7 @@
 """The claims: numbers by which each is decided, and the decision.
 
 A claim and its conditions are a row of `results/published/claims.csv`. Conditions compare numbers
-of `numbers_of` with bounds: `ours_over_mean_shape < 1; rank = 2`.
+of `numbers_of` with bounds: `deep_mds_over_mean_shape < 1; rank = 2`.
 """
 
 from __future__ import annotations
@@ -37,40 +37,49 @@ _MOST_NOISE = 5  # percent of the interocular distance
 
 def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
     """Claim → name → each number that bears on it; NaN where the tables lack it."""
-    ours, mean_shape, own_constant = map(t.seeds, ("ours", "mean_shape", "own_constant"))
+    ours, mean_shape, deep_mds_constant = map(
+        t.seeds, ("deep_mds", "mean_shape", "deep_mds_constant")
+    )
     constant = t.measured("constants", "mse", answer="frontal_view").value
     frontal = "autoencoder_mse_inference"
-    pairs = dict.fromkeys(("method_a", "method_b"), ["ours", *_COMPARED])
+    pairs = dict.fromkeys(("method_a", "method_b"), ["deep_mds", *_COMPARED])
     p_values = t.values("bfm", "wilcoxon", "p_value", over="faces", metric="mse", **pairs)
-    paper, connected = t.variant("same_face_stable"), t.variant("same_face")
+    paper, connected = t.variant("same_face_cosine"), t.variant("same_face")
     evaluator = "bfm-evaluator-released"
     posed = t.variant("same_face", "mse_posed")  # on turned and perspective views
     return {
         "bfm-rank": {
             "rank": over_seeds(1 + sum(np.heaviside(ours - t.error(m), 0) for m in _COMPARED)),
             **{
-                f"ours_over_{method}": over_seeds(ours / t.error(method))
+                f"deep_mds_over_{method}": over_seeds(ours / t.error(method))
                 for method in ("mobileface", "aldrian", "zhao", "aldrian_authors")
             },
             "seeds_below_aldrian_authors": share_below(ours, t.error("aldrian_authors")),
         },
         "trivial-case": {
-            "ours_over_own_constant": over_seeds(ours / own_constant),
-            "seeds_below_own_constant": share_below(ours, own_constant),
-            "ours_over_mean_shape": over_seeds(ours / mean_shape),
+            "deep_mds_over_deep_mds_constant": over_seeds(ours / deep_mds_constant),
+            "seeds_below_deep_mds_constant": share_below(ours, deep_mds_constant),
+            "deep_mds_over_mean_shape": over_seeds(ours / mean_shape),
             "seeds_below_mean_shape": share_below(ours, mean_shape),
-            "ours_mse": over_seeds(ours),
-            "own_constant_mse": over_seeds(own_constant),
+            "deep_mds_mse": over_seeds(ours),
+            "deep_mds_constant_mse": over_seeds(deep_mds_constant),
             "mean_shape_mse": over_seeds(mean_shape),
         },
         "unbiased": {
             f"recovered_{method}": t.over_faces("bias", "slope", "slope_se", method=method)
-            for method in ("ours", "ours_stable", "aldrian", "mobileface", "linear", "lifting")
+            for method in (
+                "deep_mds",
+                "deep_mds_cosine",
+                "aldrian",
+                "mobileface",
+                "ridge",
+                "landmark_lifter",
+            )
         },
         "training-luck": {
             "seed_sd_mse": spread_of_seeds(ours),
-            "seed_sd_stable_mse": spread_of_seeds(t.seeds("ours_stable")),
-            "sampling_sd_mse": point(np.std(t.samplings("ours"), ddof=1)),
+            "seed_sd_cosine_mse": spread_of_seeds(t.seeds("deep_mds_cosine")),
+            "sampling_sd_mse": point(np.std(t.samplings("deep_mds"), ddof=1)),
         },
         "projection-independent": {
             "posed_over_mean_shape": over_seeds(posed / t.error("mean_shape")),
@@ -78,11 +87,13 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
         },
         "autoencoder-needed": {
             "posed_without_over_with": over_seeds(t.variant("no_autoencoder", "mse_posed") / posed),
-            "frontal_over_constant": over_seeds(t.seeds("ours", frontal) / constant),
-            "frontal_over_constant_stable": over_seeds(t.seeds("ours_stable", frontal) / constant),
+            "frontal_over_constant": over_seeds(t.seeds("deep_mds", frontal) / constant),
+            "frontal_over_constant_cosine": over_seeds(
+                t.seeds("deep_mds_cosine", frontal) / constant
+            ),
         },
         "zhao-score": {
-            "zhao_over_ours": over_seeds(t.error("zhao") / ours),
+            "zhao_over_deep_mds": over_seeds(t.error("zhao") / ours),
             **{
                 f"{method}_mse": over_samplings(t.samplings(method))
                 for method in ("zhao_frontal", "zhao", "zhao_authors")
@@ -110,12 +121,12 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "largest_p_over_faces": point(p_values.max()),
         },
         "celeba": {
-            f"celeba_over_{method}{suffix}": _ours_over(t, method, experiment)
+            f"celeba_over_{method}{suffix}": _deep_mds_over(t, method, experiment)
             for suffix, experiment in {"": "celeba", "_true": "celeba-true-landmarks"}.items()
             for method in ("aldrian", "mobileface", "aldrian_authors", "mean_shape")
         },
         "casia-comparable": {
-            f"casia_over_{method}{suffix}": _ours_over(t, method, experiment)
+            f"casia_over_{method}{suffix}": _deep_mds_over(t, method, experiment)
             for suffix, experiment in {"": "flame", "_true": "flame-true-landmarks"}.items()
             for method in ("mediapipe", "mediapipe_corrected", "ringnet", "mean_shape")
         },
@@ -124,16 +135,16 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
                 f"same_face_over_shuffled_{metric}{end}": (
                     t.variant(f"same_face{end}", metric) / t.variant(f"shuffled{end}", metric)
                 )
-                for end in ("", "_stable")
+                for end in ("", "_cosine")
                 for metric in ("mse", "loss_inference", "loss_train")
             }
         ),
         "five-layers": holm(
             {
-                f"paper_over_{depth}_layers": paper / t.variant(f"{depth}_layers_stable")
+                f"paper_over_{depth}_layers": paper / t.variant(f"{depth}_layers_cosine")
                 for depth in ("two", "three", "five", "eight")
             }
-            | {"with_over_without_connection": connected / t.variant("no_short_connection")}
+            | {"with_over_without_connection": connected / t.variant("no_skip_connection")}
         ),
         "perspective-views": {
             "text_max": t.measured("perspective", "max", views="text"),
@@ -141,23 +152,23 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             "released_max": t.measured("perspective", "max", views="released"),
         },
         "distance-rank": {"rank_less_dimensions": _rank_less_dimensions(t)},
-        "parameters-ours": {
+        "parameters-deep-mds": {
             f"trainable_parameters_{method}": point(t.samplings(method, metric="n_parameters")[0])
-            for method in ("ours", "ours_released")
+            for method in ("deep_mds", "deep_mds_released")
         },
         "landmark-noise": {
             **{
                 f"noisy_{method}_over_mean_shape": _noisy_over(t, method, "mean_shape")
-                for method in ("ours", "aldrian", "zhao")
+                for method in ("deep_mds", "aldrian", "zhao")
             },
-            "noisy_ours_over_exact": _noisy_over(t, "ours", "ours", percent=0),
+            "noisy_deep_mds_over_exact": _noisy_over(t, "deep_mds", "deep_mds", percent=0),
         },
     }
 
 
-def _ours_over(t: Tables, method: str, experiment: str) -> Estimate:
+def _deep_mds_over(t: Tables, method: str, experiment: str) -> Estimate:
     """Ratio of the MSEs of ours and another method on the same samplings."""
-    return over_samplings(t.samplings("ours", experiment) / t.samplings(method, experiment))
+    return over_samplings(t.samplings("deep_mds", experiment) / t.samplings(method, experiment))
 
 
 def _noisy_over(t: Tables, method: str, other: str, percent: float = _MOST_NOISE) -> Estimate:

@@ -33,8 +33,8 @@ TRAINED = {"yaw": (-45, 45), "pitch": (-30, 0), "roll": (0, 0), "field_of_view":
 # eyes, in which the errors of landmark detectors are given.
 NOISE_PERCENTS = (0, 0.5, 1, 2, 3, 4, 5)
 CURVES = ["sweep", "value", "method", "mse", "sem"]
-_NOISY = ("mean_shape", "linear", "zhao", "aldrian", "ours", "ours_stable")
-_POSED = (*_NOISY, "lifting")
+_NOISY = ("mean_shape", "ridge", "zhao", "aldrian", "deep_mds", "deep_mds_cosine")
+_POSED = (*_NOISY, "landmark_lifter")
 _FACES_SWEPT = 50  # of the audited ones: each is embedded for 42 views and two or three methods
 _NOISE_DRAWS = 3  # per face; its MSE is averaged over them
 _FIELD_OF_VIEW = 5.0  # degrees, the largest that the paper draws
@@ -119,5 +119,5 @@ def errors(model, views: np.ndarray, truth: Faces) -> np.ndarray:
 
 def _models(evidence: Evidence, methods: tuple[str, ...]) -> dict:
     """Trained methods by id, with the authors' weights where they were given."""
-    given = ["authors_weights"] if evidence.run.authors else []
+    given = ["deep_mds_weights"] if evidence.run.authors else []
     return {method: evidence.method(method) for method in (*methods, *given)}

@@ -17,8 +17,8 @@ from experiments.streams import Stream
 
 SAMPLINGS = (20, 50)  # more than the paper's
 _BIASED = (
-    "mean_shape", "linear", "zhao", "aldrian", "mobileface", "ours", "ours_released", "ours_stable",
-    "authors_weights", "lifting",
+    "mean_shape", "ridge", "zhao", "aldrian", "mobileface", "deep_mds", "deep_mds_released",
+    "deep_mds_cosine", "deep_mds_weights", "landmark_lifter",
 )  # fmt: skip
 _DIMENSIONS = (1, 2, 3, 4, 5, 6)
 _CLOUDS = 50  # random ones of each dimension
@@ -107,7 +107,7 @@ def samplings(evidence: Evidence) -> pd.DataFrame:
     """
     preset = evidence.run.preset
     rates = false_positives(
-        evidence.scores("ours").mse - evidence.scores("ours_stable").mse,
+        evidence.scores("deep_mds").mse - evidence.scores("deep_mds_cosine").mse,
         sorted({preset.n_subsets, *SAMPLINGS}),
         preset.subset_size,
         evidence.rng(Stream.AUDIT_SIGNIFICANCE),

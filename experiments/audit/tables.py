@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
+from experiments.old_names import read_table
 from experiments.run import SCHEMES, Run
 from experiments.scoring.intervals import Estimate, point
 
@@ -28,7 +28,7 @@ class Tables:
         path = run.experiment_results(experiment) / f"{name}.csv"
         if not path.exists():
             return np.array([np.nan])
-        table = pd.read_csv(path)
+        table = read_table(path)
         for column, wanted in where.items():
             table = table[table[column].isin(np.atleast_1d(wanted))]
         return table[of].to_numpy() if len(table) else np.array([np.nan])

@@ -1,8 +1,8 @@
-"""Step: time each part of the method on one core, ours and the authors' implementation.
+"""Step: time each part of the method on one core, here and in the authors' implementation.
 
-The column `way` has `released` for the authors' implementation, and `ours`, which for embeddings is
-scikit-learn's solver (`sklearn`) or the one compiled by numba (`numba`). `lifting` is our other
-method, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
+The column `way` has `released` for the authors' implementation, and `deep_mds` for this one, whose
+embeddings are scikit-learn's (`sklearn`) or compiled by numba (`numba`). `landmark_lifter` is the
+other method of this package, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
 _AHEAD = 50  # faces, as in `train_dissimilarity_net`
 _LOOKS = {
     "released": Look("authors' implementation", "#777777", "s"),
-    "ours": Look("ours", "#D55E00", "o"),
-    "sklearn": Look("ours, scikit-learn's solver", "#0072B2", "^"),
-    "numba": Look("ours, numba's solver", "#D55E00", "o"),
+    "deep_mds": Look("this package", "#D55E00", "o"),
+    "sklearn": Look("this package, scikit-learn's solver", "#0072B2", "^"),
+    "numba": Look("this package, numba's solver", "#D55E00", "o"),
 }
 
 
@@ -98,20 +98,22 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
     matrices = np.abs(networks.dissimilarities(faces.views))
     # After one step of training: no weight changes its time.
     lifter = LandmarkLifter(N_LANDMARKS, steps=1).fit(faces.views, shapes)
-    predictors = {way: method.predict for way, method in (*methods.items(), ("lifting", lifter))}
+    predictors = {
+        way: method.predict for way, method in (*methods.items(), ("landmark_lifter", lifter))
+    }
 
     calls = {
         "data generation": {
             "released": lambda views: released.make_faces(model, faces, len(views), SCHEME),
-            "ours": lambda views: draw_faces(len(views)),
+            "deep_mds": lambda views: draw_faces(len(views)),
         },
         "pair features": {
             "released": lambda views: [released.pair_features(view, pairs) for view in views],
-            "ours": pair_features,
+            "deep_mds": pair_features,
         },
         "prediction": {
             "released": lambda views: released.predict(networks, views),
-            "ours": networks.dissimilarities,
+            "deep_mds": networks.dissimilarities,
         },
         "embedding": {
             "released": lambda views: released.embed(matrices[: len(views)]),
@@ -132,14 +134,14 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
     inner = load_model(run.model, run.data, "ibug51")
     rng = np.random.default_rng([run.seed, Stream.BENCH])
     views = sample_photo_views(inner, "ibug51", fewer, rng, detector_sd=0)[0]
-    fits = {"lifting": LandmarkLifter.pretrained("ibug51")} | (
+    fits = {"landmark_lifter": LandmarkLifter.pretrained("ibug51")} | (
         {"eos": EosFit(run.sfm)} if run.sfm else {}
     )
     for way, fit in fits.items():
         one_by_one = partial(lambda call: [call(view[None]) for view in views], fit.predict)
         yield "one face", "one face of 51 landmarks at a time", way, fewer, one_by_one
     n = run.preset.bench_steps
-    for way in ("released", "ours"):
+    for way in ("released", "deep_mds"):
         _, epoch = training(way, shapes[..., :2], shapes, n)
         yield "training", "training step, dissimilarity net", way, n, epoch
 
@@ -150,7 +152,7 @@ def training(
     """A dissimilarity net, and a function that trains it for an epoch.
 
     Args:
-        way: `"ours"`, as in `train_dissimilarity_net`, or `"released"`.
+        way: `"deep_mds"`, as in `train_dissimilarity_net`, or `"released"`.
         frontal, shapes: `(n, L, 2)` frontal views and `(n, L, 3)` normalised shapes.
         steps: Mini-batches in an epoch, each of one face.
     """
@@ -159,7 +161,7 @@ def training(
     ends = np.triu_indices(shapes.shape[1], 1)
     options = {"steps_per_execution": steps_per_call(steps), "jit_compile": True}
     network = build_dissimilarity_net(VARIANT)
-    network.compile(Recipe(1).optimizer(steps), "mse", **options if way == "ours" else {})
+    network.compile(Recipe(1).optimizer(steps), "mse", **options if way == "deep_mds" else {})
 
     def batches():
         if way == "released":

@@ -24,7 +24,7 @@ INK = "#333333"
 DETECTED_COLOUR = "#FFD000"  # landmarks detected in a photo
 _DPI = 160
 _LARGEST = 300_000  # bytes of a picture that is committed
-_BOUND = "limit"  # not a method: a dashed line without markers
+_BOUND = "lower_bound"  # not a method: a dashed line without markers
 
 
 class Look(NamedTuple):

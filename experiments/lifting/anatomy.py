@@ -22,7 +22,7 @@ from deepmds_keras.proximities import pair_features
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, load_faces
-from experiments.lifting.contenders import limit
+from experiments.lifting.contenders import lower_bound
 from experiments.lifting.pair_nets import dissimilarities
 from experiments.lifting.train import LIFTING
 from experiments.lifting.train_pairs import autoencoder, views_of_pairs
@@ -41,12 +41,12 @@ _DRAWN = {
     "mean_shape": "mean shape", "constant": "constant rate", "cosine": "A: cosine schedule",
     "true_frontal": "A on true frontal views", "wide": "B: A with 64 units",
     "shuffled": "C: B with shuffled batches", "landmarks_known": "D: C that knows landmarks",
-    "whole_view": "D with the whole view", "lifting": "lifting", "true_distances": "true distances",
-    "limit": "lower bound",
+    "whole_view": "D with the whole view", "landmark_lifter": "LandmarkLifter",
+    "true_distances": "true distances", "lower_bound": "lower bound",
 }  # fmt: skip
 EMBEDDINGS = {
-    "non_metric": Look("Non-metric MDS", colour("ours"), marker("ours"), ""),
-    "metric": Look("Metric MDS", colour("linear"), marker("linear"), ""),
+    "non_metric": Look("Non-metric MDS", colour("deep_mds"), marker("deep_mds"), ""),
+    "metric": Look("Metric MDS", colour("ridge"), marker("ridge"), ""),
     "none": Look("Without MDS", INK, "s", ""),
 }
 _UNIT = 1e-6
@@ -64,7 +64,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
             true = views_of_pairs(VARIANTS["true_frontal"], test, encoder)
             yield "true_frontal_tested", dissimilarities(net, true, test.views)
         if name == "constant":
-            recalibrated = load(run, "ours")
+            recalibrated = load(run, "deep_mds")
             flat = train.views.reshape(len(train.views), -1)
             recalibrated.autoencoder_ = recalibrate_batchnorm(recalibrated.autoencoder_, flat)
             pairs = views_of_pairs(variant, train[:_RECALIBRATED_ON], recalibrated.frontalise)
@@ -72,7 +72,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
             seen = views_of_pairs(variant, test, recalibrated.frontalise)
             yield "recalibrated", dissimilarities(net, seen, test.views)
     lifter = LandmarkLifter.load(anatomy_file(run, LIFTING, seed))
-    yield "lifting", pairwise_distances(predict(lifter, test.views))
+    yield "landmark_lifter", pairwise_distances(predict(lifter, test.views))
 
 
 def measure(run: Run) -> pd.DataFrame:
@@ -106,7 +106,7 @@ def measure(run: Run) -> pd.DataFrame:
         cameras=dataset.cameras,
     )
     rng = np.random.default_rng([run.seed, Stream.ANATOMY_LIMIT])
-    add("limit", "none", run.seed, limit(run, exact, rng))
+    add("lower_bound", "none", run.seed, lower_bound(run, exact, rng))
     return pd.DataFrame(rows)
 
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.views import project
-from deepmds_keras.baselines.closed_form import Aldrian, Linear
+from deepmds_keras.baselines.closed_form import Aldrian, RidgeRegression
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras, orthographic_cameras
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
-from experiments.recipes import perceptron
+from experiments.recipes import mlp
 from experiments.run import Run
 
 _CHUNK = 500  # faces whose views are filled together
@@ -56,17 +56,17 @@ class Contenders:
         mean = normalise(self._train.shapes).mean(0)
         return np.broadcast_to(mean, faces.shapes.shape)
 
-    def linear(self, faces: Views) -> np.ndarray:
+    def ridge(self, faces: Views) -> np.ndarray:
         """Ridge regression; in training and test, missing coordinates are filled in first."""
-        return self._regress(Linear(), faces)
+        return self._regress(RidgeRegression(), faces)
 
-    def linear_upright(self, faces: Views) -> np.ndarray:
-        """The same on views rotated upright."""
-        return self._regress(Linear(upright=True), faces)
+    def ridge_roll_aligned(self, faces: Views) -> np.ndarray:
+        """The same on roll-aligned views."""
+        return self._regress(RidgeRegression(roll_aligned=True), faces)
 
-    def perceptron(self, faces: Views) -> np.ndarray:
-        """The same with a dense network."""
-        return self._regress(perceptron(self._run), faces)
+    def mlp(self, faces: Views) -> np.ndarray:
+        """The same with an MLP."""
+        return self._regress(mlp(self._run), faces)
 
     @cached_property
     def _filled(self) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +162,7 @@ def fit_aldrian_in_hindsight(
     return fit_aldrian(mean, basis, views, min(_HINDSIGHT_SD, key=error) * radius)
 
 
-def limit(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
+def lower_bound(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
     """Mean squared error of draws from the posterior, aligned to the ground truth: `(n,)`.
 
     A missing landmark contributes nothing. The unit is that of `normalise`, squared.

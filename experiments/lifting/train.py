@@ -10,13 +10,13 @@ import numpy as np
 from data_gen.models.registry import OPEN, load_model, model_files, open_models
 from data_gen.views import sample_photo_views
 from experiments.lifting.views import CONDITIONS, Condition, training_views
-from experiments.recipes import deep_mds, fit, lifting
+from experiments.recipes import deep_mds, fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
 SEEDED = "hard_1"  # the condition for which lifting is trained from several seeds
-DEEP_MDS, LIFTING = "ours_stable", "lifting"
+DEEP_MDS, LIFTING = "deep_mds_cosine", "landmark_lifter"
 TRANSFERRED = (DEEP_MDS, LIFTING)
 TRANSFER_SCHEME, BOTH = "ibug51", "both"
 _HARD_RATE = 3e-3
@@ -84,14 +84,14 @@ def _untrained(run: Run, study: str, method: str, training: str = "", seed: str 
         if method == DEEP_MDS:
             net = deep_mds(run.on("flame"), "paper", "cosine").set_params(centre_views=True)
             return net, (views, shapes), {}
-        lifter = lifting(run).set_params(n_landmarks=views.shape[1])
+        lifter = landmark_lifter(run).set_params(n_landmarks=views.shape[1])
         return lifter, (views, shapes), {"landmark_sd": sd}
     condition = next(c.training for c in CONDITIONS if c.training.id == training)
     faces = training_views(run, replace(condition, missing=0.0))
     if method == DEEP_MDS:
         return deep_mds(run, "paper", "cosine"), (faces.views, faces.shapes), {}
     # In each mini-batch other landmarks are missing, as many as other methods learn to fill in.
-    lifter = lifting(run).set_params(
+    lifter = landmark_lifter(run).set_params(
         missing=condition.missing, learning_rate=_HARD_RATE, seed=int(seed.removeprefix("seed"))
     )
     return lifter, (faces.views, faces.shapes), {"landmark_sd": faces.sd_mm}

@@ -19,7 +19,7 @@ from experiments.lifting.pair_nets import PairNet
 from experiments.lifting.train import DEEP_MDS, LIFTING
 from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, anatomy_file
 from experiments.methods import load
-from experiments.recipes import fit, lifting
+from experiments.recipes import fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
 
@@ -39,7 +39,7 @@ def main(run: Run, name: str) -> None:
             train.views, target, recipe, seed=seed, checkpoint=checkpoint
         )
     elif method == LIFTING:
-        lifter = lifting(run).set_params(seed=seed)
+        lifter = landmark_lifter(run).set_params(seed=seed)
         network = fit(lifter, train.views, train.shapes, checkpoint=checkpoint)
     else:
         variant = VARIANTS[method]
@@ -53,7 +53,7 @@ def main(run: Run, name: str) -> None:
 def autoencoder(run: Run, frontal: str, schedule: str) -> Callable[[np.ndarray], np.ndarray]:
     """Function from views to the views `(n, L, 2)` whose pairs a `Variant` uses."""
     if frontal != "side":
-        return load(run, "ours" if schedule == "constant" else DEEP_MDS).frontalise
+        return load(run, "deep_mds" if schedule == "constant" else DEEP_MDS).frontalise
     file = anatomy_file(run, SIDE_AUTOENCODER, run.seed)
     network = keras.saving.load_model(file, compile=False)
     return lambda views: forward(network, views.reshape(len(views), -1)).reshape(views.shape)

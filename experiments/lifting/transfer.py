@@ -22,7 +22,7 @@ from data_gen.views import (
     sample_perspective_cameras,
     sample_photo_views,
 )
-from deepmds_keras.baselines.closed_form import Linear, MeanShape
+from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.metrics import mse
@@ -41,7 +41,7 @@ from experiments.lifting.train import (
 )
 from experiments.methods import title
 from experiments.progress import Bar
-from experiments.recipes import perceptron
+from experiments.recipes import mlp
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -62,18 +62,18 @@ class Trained:
     Args:
         views, shapes: `(n, L, 2)` and `(n, L, 3)` of the training faces.
         lifter, deep_mds: Trained networks; None leaves Deep-MDS out.
-        perceptron: An untrained one.
+        mlp: An untrained one.
     """
 
-    def __init__(self, views, shapes, lifter, deep_mds, perceptron):
+    def __init__(self, views, shapes, lifter, deep_mds, mlp):
         faces = normalise(centre(views)), normalise(shapes)
         self._views, self._components = views, principal_components(shapes)
         self.lifter, self._deep_mds = lifter, deep_mds
         self._regressions = {
             "mean_shape": MeanShape(),
-            "linear": Linear(),
-            "linear_upright": Linear(upright=True),
-            "perceptron": perceptron,
+            "ridge": RidgeRegression(),
+            "ridge_roll_aligned": RidgeRegression(roll_aligned=True),
+            "mlp": mlp,
         }
         with single_threaded():  # the last bits depend on the threads
             for model in self._regressions.values():
@@ -98,9 +98,9 @@ class Trained:
             fitted = fit_aldrian_in_hindsight(*self._components, views, truth)
             shapes["aldrian_hindsight"] = fitted
         if self._deep_mds is not None:
-            shapes["ours_stable"] = self._deep_mds.predict(views, check_orientation=False)
+            shapes["deep_mds_cosine"] = self._deep_mds.predict(views, check_orientation=False)
         lifted = self.lifter.predict(given, landmark_sd=sd, check_orientation=False)
-        return shapes | {"lifting": lifted}
+        return shapes | {"landmark_lifter": lifted}
 
     def _filled(self, views: np.ndarray) -> np.ndarray:
         known = np.isfinite(views).all((0, 2))
@@ -127,9 +127,9 @@ def _relative(faces: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndar
 def trained(run: Run, faces: str) -> Trained:
     """Every method, trained on the same faces, see `transfer_faces`."""
     views, shapes, _ = transfer_faces(run, faces)
-    names = (transfer_name(method, faces) for method in ("lifting", "ours_stable"))
+    names = (transfer_name(method, faces) for method in ("landmark_lifter", "deep_mds_cosine"))
     networks = (load_network(network_file(run, name)) for name in names)
-    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
+    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
 
 
 def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

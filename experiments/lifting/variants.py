@@ -68,9 +68,9 @@ STEPS = {
     "shuffled": "B with shuffled mini-batches (C)",
     "landmarks_known": "C that knows which landmarks it sees (D)",
     "whole_view": "D that also sees the whole view",
-    "lifting": "The distances of the lifting network",
+    "landmark_lifter": "The distances of LandmarkLifter",
     "true_distances": "The true distances",
-    "limit": "Approximate lower bound: with the face model and the camera known",
+    "lower_bound": "Approximate lower bound: with the face model and the camera known",
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from data_gen.models.registry import TITLES, open_models
-from deepmds_keras.baselines.closed_form import Linear
+from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.landmarks import convert
@@ -24,7 +24,7 @@ from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
-from experiments.recipes import perceptron
+from experiments.recipes import mlp
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -47,7 +47,7 @@ def trained(run: Run, scheme: str) -> Trained:
     names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
     networks = [load_network(weights_file(run, name)) for name in names]
     networks += [None] * (2 - len(networks))
-    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
+    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
 
 
 def measure(run: Run) -> Iterator[dict]:
@@ -62,7 +62,7 @@ def measure(run: Run) -> Iterator[dict]:
             for model, (views, sd, truth, detected) in faces.items():
                 shapes = trained(run, scheme).predict(views[detected], sd[detected])
                 if kind != "exact":
-                    shapes["linear_detections"] = regression[model]
+                    shapes["ridge_detections"] = regression[model]
                 if kind == "mediapipe":
                     shapes["mediapipe_corrected"] = photos[model]["mediapipe_shape"][detected]
                 scored = np.ones(truth.shape[1], bool)
@@ -117,7 +117,7 @@ def _on_detections(faces: dict[str, Views]) -> dict[str, np.ndarray]:
     shapes = {m: np.empty_like(truth) for m, truth in truths.items()}
     for half in (0, 1):
         parts = [(inputs[m][1 - half :: 2], truths[m][1 - half :: 2]) for m in faces]
-        regression = Linear().fit(*map(np.concatenate, zip(*parts, strict=True)))
+        regression = RidgeRegression().fit(*map(np.concatenate, zip(*parts, strict=True)))
         for m in faces:
             shapes[m][half::2] = regression.predict(inputs[m][half::2])
     return shapes

@@ -25,7 +25,7 @@ from experiments.methods import title
 from experiments.pretrained.portraits import portraits_file, read_portraits
 from experiments.pretrained.pretrained import SCHEMES, errors_of
 from experiments.pretrained.train import LIFTERS, photo_faces
-from experiments.recipes import perceptron
+from experiments.recipes import mlp
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.streams import Stream
@@ -63,7 +63,7 @@ def _methods(run: Run) -> Trained:
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
     views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
     networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
-    return Trained(views, shapes, *networks, perceptron(run, views.shape[1]))
+    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:

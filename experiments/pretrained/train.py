@@ -2,7 +2,7 @@
 
 The lifters see faces of both open models, with white errors whose size they get as an approximate
 input. Every face is changed beyond its model, since real people are of no model at all. The
-networks of Deep-MDS are those of `ours_stable`, on faces of the open head alone.
+networks of Deep-MDS are those of `deep_mds_cosine`, on faces of the open head alone.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from data_gen.views import (
 )
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
-from experiments.recipes import deep_mds, fit, lifting
+from experiments.recipes import deep_mds, fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
@@ -74,7 +74,7 @@ def main(run: Run, name: str) -> None:
     checkpoint = resumable(weights_file(run, name).with_suffix(""), inputs)
     if method == "lifting":
         checkpoint, data = checkpoint / "network.npz", (photo_faces(run, scheme),)
-        network = lifting(run).set_params(
+        network = landmark_lifter(run).set_params(
             steps=run.preset.shipped_steps,
             batch_size=_BATCH,
             learning_rate=_RATE,

@@ -15,6 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, title
+from experiments.old_names import read_table
 from experiments.progress import duration
 from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, write_text
 from experiments.run import SCHEMES, Run
@@ -142,35 +143,35 @@ def report(run: Run, results: list[Result]) -> str:
 def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
     """Title, cells and remarks of the tables of a result; the first needs no title."""
     if result.track:
-        table = pd.read_csv(result.folder / "table.csv")
+        table = read_table(result.folder / "table.csv")
         of = table, result.track, "terminal"
         yield "", cells(*of), remarks(*of)
-        tests = pd.read_csv(result.folder / "wilcoxon.csv").query("metric == 'mse'")
-        tests = tests[(tests[["method_a", "method_b"]] == "ours").any(axis=1)]
+        tests = read_table(result.folder / "wilcoxon.csv").query("metric == 'mse'")
+        tests = tests[(tests[["method_a", "method_b"]] == "deep_mds").any(axis=1)]
         columns = ["over", "method_a", "method_b", "n", "median_difference", "p_value"]
         yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
     elif result.base == "audit":
         of_all_models = result.folder.parents[1] / "audit"
         paths = (folder / "claims.csv" for folder in (result.folder, of_all_models))
         if path := next(filter(Path.is_file, paths), None):
-            claims = pd.read_csv(path)
+            claims = read_table(path)
             if "model" in claims:
                 claims = claims[claims["model"] == result.folder.parent.name]
             counts = claims["verdict"].value_counts() if "verdict" in claims else {}
             texts = readable(claims.drop(columns=["id", "model"], errors="ignore"))
             yield "", texts, [f"{verdict}: {n} claims" for verdict, n in counts.items()]
     elif "table.csv" in result.manifest["files"]:
-        yield "", readable(pd.read_csv(result.folder / "table.csv")), []
+        yield "", readable(read_table(result.folder / "table.csv")), []
 
 
 def _glance(result: Result) -> dict[str, str]:
     """Error of the paper's method, and of two simpler ones, in an experiment."""
     head = head_of(METRICS["mse"], result.track)
-    table = pd.read_csv(result.folder / "table.csv")
+    table = read_table(result.folder / "table.csv")
     errors = cells(table, result.track, "terminal")[head].T.to_dict()
     row = {"Experiment": f"[{result.title}](#{result.name})", "Error": head}
-    for method, column in (("ours", "paper"), ("ours", "here"), ("ours", "seeds"),
-                           ("mean_shape", "here"), ("linear", "here")):  # fmt: skip
+    for method, column in (("deep_mds", "paper"), ("deep_mds", "here"), ("deep_mds", "seeds"),
+                           ("mean_shape", "here"), ("ridge", "here")):  # fmt: skip
         row[f"{title(method)}: {column}"] = errors.get(title(method), {}).get(column, NOTHING)
     return row
 

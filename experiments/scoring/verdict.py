@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.errors import InputError
-from experiments.methods import OWN_CONSTANT
+from experiments.methods import CONSTANT
+from experiments.old_names import read_table
 from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
@@ -25,9 +26,9 @@ def verdict(run: Run) -> list[str]:
     """Lines on the paper's method: its error, the paper's, and those of constant answers."""
     rows, unit = _errors(_fresh(run)), unit_of(run.track, "mse")
     ours, constant, mean = (
-        _cell(rows, method, unit) for method in ("ours", OWN_CONSTANT, "mean_shape")
+        _cell(rows, method, unit) for method in ("deep_mds", CONSTANT, "mean_shape")
     )
-    paper = as_quoted(*rows.loc["ours", ["paper_mean", "paper_std"]], unit)
+    paper = as_quoted(*rows.loc["deep_mds", ["paper_mean", "paper_std"]], unit)
     lines = [
         f"MSE in {power(unit)}: Deep-MDS {ours} (paper {paper}); one output of its own for all "
         f"views {constant}; the mean shape {mean}."
@@ -119,5 +120,5 @@ def _committed(run: Run) -> str | None:
 
 def _errors(text: str) -> pd.DataFrame:
     """Rows of a table with the MSE, by method."""
-    table = pd.read_csv(io.StringIO(text))
+    table = read_table(io.StringIO(text))
     return table[table["metric"] == "mse"].set_index("method")

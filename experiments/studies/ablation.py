@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import sem
 
-from deepmds_keras.baselines.closed_form import Linear, MeanShape
+from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look
 from experiments.inputs import load_faces
@@ -28,7 +28,7 @@ _HEADS = {
     "loss_inference": "Inference-mode loss (1e-4)",
     "mse": "MSE (1e-4)",
 }
-_SCHEDULES = {"": "Constant rate", "_stable": "Decayed rate"}
+_SCHEDULES = {"": "Constant rate", "_cosine": "Decayed rate"}
 _MODES = {"train": "training mode", "inference": "inference mode"}
 _FIRST_EPOCH = 3  # drawn; earlier losses all fall alike, and would hide any difference
 
@@ -68,14 +68,14 @@ def training_curve(run: Run, metrics: pd.DataFrame) -> pd.DataFrame:
     errors = first.set_index(["variant", "faces", "metric"])["value"].unstack()
     rows = []
     for n in (*run.preset.training_sizes, run.preset.train_faces):
-        for method, model in (("mean_shape", MeanShape()), ("linear", Linear())):
+        for method, model in (("mean_shape", MeanShape()), ("ridge", RidgeRegression())):
             model.fit(train.views[:n], train.shapes[:n])
             mse = score(model.predict(test.views), test).mse
             rows.append((n, method, mse.mean(), sem(mse)))
         for schedule in _SCHEDULES:
             name = "same_face" if n == run.preset.train_faces else "fewer_faces"
             mse = errors.loc[(f"{name}{schedule}", n), ["mse", "mse_sem"]]
-            rows.append((n, f"ours{schedule}", *mse))
+            rows.append((n, f"deep_mds{schedule}", *mse))
     curve = pd.DataFrame(rows, columns=["value", "method", "mse", "sem"])
     curve.insert(0, "sweep", "training_faces")
     return curve.sort_values(["method", "value"], ignore_index=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmds_keras.networks import forward
 from experiments.inputs import Faces, load_faces
-from experiments.methods import DEEP_MDS, OWN_CONSTANT, constant_answers, load
+from experiments.methods import CONSTANT, DEEP_MDS, constant_answers, load
 from experiments.run import Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.scores import load_prediction, score
@@ -23,7 +23,7 @@ def main(run: Run) -> dict:
     train, test = load_faces(run, "train"), load_faces(run, "test")
     rows = []
     shapes = {m: load_prediction(run, m)[0]["shapes"] for m in ("mean_shape", *DEEP_MDS)}
-    shapes[OWN_CONSTANT] = constant_answers(shapes["ours"])
+    shapes[CONSTANT] = constant_answers(shapes["deep_mds"])
     for method, predicted in shapes.items():
         scores = score(predicted, test)
         values = {metric: METRICS[metric].per_face(scores).mean() for metric in _SCORES}

@@ -27,7 +27,7 @@ from experiments.streams import Stream
 from experiments.studies.study_results import statistics_cells, write_results
 from experiments.tasks import unordered
 
-_METHODS = ("mean_shape", "linear", "ours")
+_METHODS = ("mean_shape", "ridge", "deep_mds")
 _METRICS = ("mse", "depth_corr", "mirrored")
 # Statistic, or level of a quantile → its column.
 _COLUMNS = {
@@ -49,7 +49,7 @@ def main(run: Run) -> dict:
 def stream(run: Run) -> pd.DataFrame:
     """Errors of all faces, with a column for each method and metric."""
     n, step = run.streamed_faces, run.preset.faces_per_file
-    networks = checkpoint_files(run.networks, *DEEP_MDS["ours"]).values()
+    networks = checkpoint_files(run.networks, *DEEP_MDS["deep_mds"]).values()
     folder = resumable(run.work / "stream", [run.work / "train.npz", *networks], faces=step)
     sizes = [min(step, n - start) for start in range(0, n, step)]
     tasks = [(run, folder / f"{k:05}-{size}.npz", k, size) for k, size in enumerate(sizes)]
@@ -81,5 +81,5 @@ def write_shard(run: Run, path: Path, shard: int, size: int) -> int:
 def _loaded(run: Run) -> tuple:
     """The face model and the methods by id, loaded once per process."""
     methods = {method: load(run, method) for method in _METHODS}
-    methods["ours"].set_params(solver="numba", n_jobs=1)
+    methods["deep_mds"].set_params(solver="numba", n_jobs=1)
     return load_model(run.model, run.data), methods

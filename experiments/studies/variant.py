@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deepmds_keras.deep_mds import DeepMDS
     from experiments.inputs import Faces
 
-_METHODS = {"constant": "ours", "cosine": "ours_stable"}
+_METHODS = {"constant": "deep_mds", "cosine": "deep_mds_cosine"}
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ class Variant:
 VARIANTS = {
     "same_face": Variant("The paper's method: mini-batches of one face"),
     "shuffled": Variant("Shuffled mini-batches", shuffled=True),
-    "same_face_stable": Variant("Mini-batches of one face, cosine schedule", "cosine"),
-    "shuffled_stable": Variant("Shuffled mini-batches, cosine schedule", "cosine", shuffled=True),
-    "no_short_connection": Variant("Without the short connection", chain=(5, 20)),
+    "same_face_cosine": Variant("Mini-batches of one face, cosine schedule", "cosine"),
+    "shuffled_cosine": Variant("Shuffled mini-batches, cosine schedule", "cosine", shuffled=True),
+    "no_skip_connection": Variant("Without the short connection", chain=(5, 20)),
     "no_autoencoder": Variant("Without the autoencoder", with_autoencoder=False),
     # Nets of other depths, each as wide as fewer than 3,000 trainable parameters allow.
-    "two_layers_stable": Variant("Two layers of 48, cosine schedule", "cosine", chain=(2, 48)),
-    "three_layers_stable": Variant("Three layers of 34, cosine schedule", "cosine", chain=(3, 34)),
-    "five_layers_stable": Variant("Five layers of 24, cosine schedule", "cosine", chain=(5, 24)),
-    "eight_layers_stable": Variant("Eight layers of 18, cosine schedule", "cosine", chain=(8, 18)),
+    "two_layers_cosine": Variant("Two layers of 48, cosine schedule", "cosine", chain=(2, 48)),
+    "three_layers_cosine": Variant("Three layers of 34, cosine schedule", "cosine", chain=(3, 34)),
+    "five_layers_cosine": Variant("Five layers of 24, cosine schedule", "cosine", chain=(5, 24)),
+    "eight_layers_cosine": Variant("Eight layers of 18, cosine schedule", "cosine", chain=(8, 18)),
     "fewer_faces": Variant("Fewer training faces"),
-    "fewer_faces_stable": Variant("Fewer training faces, cosine schedule", "cosine"),
+    "fewer_faces_cosine": Variant("Fewer training faces, cosine schedule", "cosine"),
 }
 
 

@@ -78,7 +78,7 @@ def draw(evaluation: Evaluation) -> None:
         evaluation.draw_renders("renders")
         of_images["mobileface"] = read_arrays(mobileface_file(run))[1]["history"]
     evaluation.save(learning_curves(load_histories(run), of_images), "learning_curves")
-    titles, faces = typical_faces(test, evaluation.scores["ours"].mse)
+    titles, faces = typical_faces(test, evaluation.scores["deep_mds"].mse)
     evaluation.draw_faces("qualitative", faces, titles)
 
     poses = pd.DataFrame({"yaw": test.cameras.yaw, "pitch": test.cameras.pitch})

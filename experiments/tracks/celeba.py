@@ -39,7 +39,7 @@ def shown_faces(test: Faces, mse: np.ndarray) -> np.ndarray:
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:
     """Write the figures; if the true landmarks are known, that of the fit shows its errors."""
     run, test, table = evaluation.run, evaluation.test, load_photos(evaluation.run)
-    faces = shown_faces(test, evaluation.scores["ours"].mse)
+    faces = shown_faces(test, evaluation.scores["deep_mds"].mse)
     titles = [f"yaw {turned(yaw)}" for yaw in test.cameras.yaw[faces]]
     evaluation.draw_faces("celeba", faces, titles, photos=True)
     evaluation.draw_renders("photos")

@@ -68,12 +68,12 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
 
 
 def shown_faces(conditions: np.ndarray, scores: dict[str, Scores]) -> np.ndarray:
-    """A face of median error of `ours` for each of some conditions, and one that is N/A.
+    """A face of median error of `deep_mds` for each of some conditions, and one that is N/A.
 
     The latter is the one with the least error: elsewhere dlib may have detected only an eye.
-    Without known conditions, the faces range from a small error of `ours` to a large one.
+    Without known conditions, the faces range from a small error of `deep_mds` to a large one.
     """
-    mse = scores["ours"].mse
+    mse = scores["deep_mds"].mse
     names = [*dict.fromkeys(conditions)]
     groups = [np.flatnonzero(conditions == name) for name in names]
     if len(names) == 1:

@@ -21,7 +21,7 @@ from experiments.figures.errors import error_per_landmark
 from experiments.figures.qualitative import qualitative, renders
 from experiments.figures.summary import summary
 from experiments.inputs import Faces, image_files, load_faces
-from experiments.methods import DEEP_MDS, METHODS, OWN_CONSTANT, constant_answers, notes
+from experiments.methods import CONSTANT, DEEP_MDS, METHODS, constant_answers, notes
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.scores import (
@@ -121,11 +121,11 @@ class Evaluation:
 
         Args:
             name: Name of the first figure.
-            faces: Numbers of test faces; `ours` is among the methods.
+            faces: Numbers of test faces; `deep_mds` is among the methods.
             titles: Their names.
             photos: Whether the views were detected in photos, to be drawn in their place.
         """
-        frontal = load_prediction(self.run, "ours")[0]["frontal"]
+        frontal = load_prediction(self.run, "deep_mds")[0]["frontal"]
         seen = self.photos(faces) if photos else None
         views, scheme = self.test.views, load_scheme(self.run.scheme)
         for pictured, suffix in ((True, ""), (False, "_others")):
@@ -173,8 +173,8 @@ def predicted_shapes(
     order = sorted(methods, key=lambda method: METHODS[method].switch or "")
     loaded = load_predictions(run, order)
     shapes = {method: arrays["shapes"] for method, (arrays, _) in loaded.items()}
-    if "ours" in shapes:
-        shapes[OWN_CONSTANT] = constant_answers(shapes["ours"])
+    if "deep_mds" in shapes:
+        shapes[CONSTANT] = constant_answers(shapes["deep_mds"])
     return shapes, {method: described for method, (_, described) in loaded.items()}
 
 

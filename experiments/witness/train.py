@@ -1,4 +1,4 @@
-"""Step: methods trained on faces around the Basel mean, at one scale of the spread and one seed."""
+"""Step: methods trained on faces around the Basel mean, at one scale of the s.d. and one seed."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def main(run: Run, name: str) -> None:
     folder = resumable(run.work / "witness" / name, [MEAN])
     data = train.views, train.shapes
     ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="auto", n_jobs=1)
-    lifting = recipes.lifting(seeded)
+    lifting = recipes.landmark_lifter(seeded)
     methods = {
         "mean_shape": recipes.mean_shape(seeded).fit(*data),
-        "linear": recipes.linear(seeded).fit(*data),
-        "ours": recipes.fit(ours, *data, checkpoint=folder),
-        "lifting": recipes.fit(lifting, *data, checkpoint=folder / "lifting.npz"),
+        "ridge": recipes.ridge(seeded).fit(*data),
+        "deep_mds": recipes.fit(ours, *data, checkpoint=folder),
+        "landmark_lifter": recipes.fit(lifting, *data, checkpoint=folder / "lifting.npz"),
     }
     rows = []
     for method, fitted in methods.items():

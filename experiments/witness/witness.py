@@ -40,9 +40,9 @@ NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": "deep_dissim_ours2.h5
 PRINTED = {"printed": 1.4e-4, "printed_trivial": 2.9e-4}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {
-    "released": Look("authors' networks", colour("ours"), marker("ours")),
-    "released_2": Look("the same, second dissimilarity net", colour("ours_released"), "h"),
-    "own_constant": Look(_CONSTANT, colour("zhao"), "^"),
+    "released": Look("authors' networks", colour("deep_mds"), marker("deep_mds")),
+    "released_2": Look("the same, second dissimilarity net", colour("deep_mds_released"), "h"),
+    "deep_mds_constant": Look(_CONSTANT, colour("zhao"), "^"),
     "random_face": Look("a random face, for all views", "#777777", "v"),
     "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
     "printed": Look("printed: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
@@ -88,7 +88,7 @@ def released_networks(run: Run) -> dict[str, DeepMDS]:
 
 
 def faces_by_scale(run: Run) -> Iterator[tuple[str, float, MorphableModel]]:
-    """Source of the spread, its scale, and a model of such faces."""
+    """Source of the s.d., its scale, and a model of such faces."""
     if run.model not in OPEN:
         yield run.model, 1.0, load_model(run.model, run.data, SCHEME)
         return
@@ -102,14 +102,14 @@ def measure(
     run: Run,
     networks: dict[str, DeepMDS],
     views: str,
-    spread: str,
+    sd_of: str,
     scale: float,
     model: MorphableModel,
 ) -> Iterator[dict]:
     """Errors of every answer, with 95 % bootstrap intervals over faces, or over constant answers.
 
     Yields:
-        `spread, views, scale, answer, mse, low, high, depth_corr`.
+        `sd_of, views, scale, answer, mse, low, high, depth_corr`.
     """
     rng = np.random.default_rng([run.seed, Stream.WITNESS_FACES])
     n = run.preset.test_faces
@@ -122,7 +122,7 @@ def measure(
     }
     mean = normalise(faces.shapes).mean(0)
     constants = {
-        "own_constant": outputs["released"][:_CONSTANTS],
+        "deep_mds_constant": outputs["released"][:_CONSTANTS],
         "random_face": others if scale else mean[None],
     }
     errors = {name: _errors(score(shapes, test)) for name, shapes in outputs.items()}
@@ -133,7 +133,7 @@ def measure(
     errors["mean_shape"] = _errors(_constant(mean, test))
     for answer, (mse, depth_corr) in ((answer, columns.T) for answer, columns in errors.items()):
         low, high = _interval(mse, rng)
-        row = {"spread": spread, "views": views, "scale": scale, "answer": answer}
+        row = {"sd_of": sd_of, "views": views, "scale": scale, "answer": answer}
         yield row | {"mse": mse.mean(), "low": low, "high": high, "depth_corr": depth_corr.mean()}
 
 
@@ -153,24 +153,24 @@ def _interval(values: np.ndarray, rng: np.random.Generator) -> tuple[float, floa
 
 
 def cells(released: pd.DataFrame) -> pd.DataFrame:
-    """Texts of the table: MSE and, for the networks, depth correlation, by spread and scale."""
+    """MSE and, for the networks, depth correlation, as text, by source and scale of the s.d."""
     rows = released[released["views"] == "released"].copy()
     rows["text"] = [rounded(mse / _UNIT, 2) for mse in rows["mse"]]
     nets = rows["answer"].isin(NETS)
     rows.loc[nets, "text"] += " (" + rows["depth_corr"].map(lambda c: rounded(c, 3)) + ")"
     rows = rows.assign(
-        spread=rows["spread"].map(TITLES),
+        sd_of=rows["sd_of"].map(TITLES),
         scale=rows["scale"].map("{:g}".format),
         answer=[_LOOKS[answer].title for answer in rows["answer"]],
     )
-    table = rows.pivot_table("text", ["spread", "scale"], "answer", "first", sort=False)
+    table = rows.pivot_table("text", ["sd_of", "scale"], "answer", "first", sort=False)
     return table.fillna("").rename_axis(columns=f"MSE ({power(_UNIT)})")
 
 
 def draw_released(released: pd.DataFrame) -> Figure:
-    """Errors of all answers by the scale of the spread, one panel per model and kind of views."""
+    """Errors of all answers by the scale of the s.d., one panel per model and kind of views."""
     panels = []
-    for (spread, views), rows in released.groupby(["spread", "views"], sort=False):
+    for (sd_of, views), rows in released.groupby(["sd_of", "views"], sort=False):
         rows = rows.rename(columns={"answer": "method", "mse": "mean"})
         ends = rows["scale"].agg(["min", "max"])
         lines = [
@@ -179,8 +179,8 @@ def draw_released(released: pd.DataFrame) -> Figure:
             for scale in ends
         ]
         rows = pd.concat([rows, pd.DataFrame(lines)])
-        title = f"Spread of {TITLES[spread]}, {VIEWS[views]}"
-        panels.append(Panel(rows, "scale", "Scale of the spread", title))
+        title = f"S.d. of {TITLES[sd_of]}, {VIEWS[views]}"
+        panels.append(Panel(rows, "scale", "Scale of the s.d.", title))
     return error_lines(panels, looks=_LOOKS, n_columns=2, log_y=False)
 
 
@@ -192,5 +192,5 @@ def draw_trained(trained: pd.DataFrame) -> Figure:
     rows = ratios.melt(ignore_index=False, value_name="mean").reset_index()
     rows = rows.groupby(["method", "scale"])["mean"].agg(["median", "min", "max"]).reset_index()
     rows.columns = ["method", "scale", "mean", "low", "high"]
-    panel = Panel(rows, "scale", "Scale of the spread")
+    panel = Panel(rows, "scale", "Scale of the s.d.")
     return error_lines([panel], "MSE", 1, "in that of the mean shape")

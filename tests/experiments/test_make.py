@@ -47,7 +47,7 @@ def ended(process, seconds=300):
 
 
 def names(steps):
-    """Step and items of the words of steps: `"tracks.train ours"`."""
+    """Step and items of the words of steps: `"tracks.train deep_mds"`."""
     return [" ".join(words[: words.index("--track")]) for words in steps]
 
 
@@ -86,8 +86,9 @@ def test_a_second_call_prints_the_table_and_does_nothing(copy):
          ["tracks.train mobileface", "tracks.predict mobileface", "tracks.bfm"]),
         (["SEEDS=2"],
          ["datasets.faces",
-          *(f"tracks.train {m}" for m in ("ours", "ours_released", "ours_stable")),
-          *(f"tracks.predict {m}" for m in ("mean_shape", "ours", "ours_released", "ours_stable")),
+          *(f"tracks.train {m}" for m in ("deep_mds", "deep_mds_released", "deep_mds_cosine")),
+          *(f"tracks.predict {m}"
+            for m in ("mean_shape", "deep_mds", "deep_mds_released", "deep_mds_cosine")),
           "studies.seed", "studies.seed", "tracks.bfm"]),
     ],
 )  # fmt: skip
@@ -107,7 +108,7 @@ def test_a_row_that_was_left_out_is_added(copy):
 
 def test_weights_of_the_authors_run_their_row_and_the_table(whole_bfm, tmp_path):
     planned = names(runs.plan("reproduce-bfm", whole_bfm, weights(tmp_path / "a", b"1")))
-    assert planned[0] == "tracks.predict authors_weights"
+    assert planned[0] == "tracks.predict deep_mds_weights"
     assert [name.split()[0] for name in planned] == ["tracks.predict", "tracks.times", "tracks.bfm"]
 
 
@@ -240,7 +241,7 @@ def test_unusable_weights_are_named_before_the_long_work(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["records/train-ours.json", pytest.param("test.npz", marks=pytest.mark.slow)]
+    "name", ["records/train-deep_mds.json", pytest.param("test.npz", marks=pytest.mark.slow)]
 )
 def test_a_damaged_file_is_named(copy, name):
     path = runs.work(copy, "bfm") / name
@@ -280,7 +281,7 @@ def test_ctrl_c_ends_all_within_seconds_and_the_command_goes_on(tmp_path):
     at_work = subprocess.run(["pgrep", "-g", str(process.pid)], capture_output=True)
     assert at_work.stdout == b""
     left = names(runs.plan("reproduce-bfm", tmp_path, "MOBILEFACE=no"))
-    assert "datasets.faces" not in left and "tracks.train ours" in left
+    assert "datasets.faces" not in left and "tracks.train deep_mds" in left
 
 
 # Records and manifests.
@@ -291,7 +292,7 @@ def test_a_manifest_lists_the_steps_behind_a_table_and_what_was_written(whole_bf
     manifest = read_manifest(folder)
     steps = [step["step"] for step in manifest["steps"]]
     assert steps[0] == "datasets.faces" and steps[-1].startswith("tracks.bfm ")
-    assert {"tracks.train ours", "tracks.predict ours", "datasets.images"} <= {*steps}
+    assert {"tracks.train deep_mds", "tracks.predict deep_mds", "datasets.images"} <= {*steps}
     assert manifest["command"] == "make reproduce-bfm PRESET=tiny"
     assert commits_of(manifest) == {environment()["commit"]} - {None}  # none without git
     for step in steps_of(manifest):

@@ -55,7 +55,7 @@ def test_a_row_is_all_that_a_method_needs(folder, monkeypatch):
     monkeypatch.setitem(METHODS, MADE_UP.id, MADE_UP)
     run = Run(preset=TINY, jobs=1)
     predict_step.main(run, MADE_UP.id)
-    bfm.main(run, "mean_shape", "zhao_frontal", "ours", MADE_UP.id)
+    bfm.main(run, "mean_shape", "zhao_frontal", "deep_mds", MADE_UP.id)
     results = run.experiment_results("bfm")
     for name in ("metrics.csv", "table.csv"):
         rows = pd.read_csv(results / name).set_index(["method", "metric"]).sort_index()
@@ -91,7 +91,7 @@ def test_predictions_take_faces_whichever_way_up(whole_bfm, monkeypatch):
     monkeypatch.chdir(whole_bfm)
     run = Run(preset=TINY, jobs=1)
     turned = load_faces(run, "test").views * (1, -1)
-    lifter = load(run, "lifting")
+    lifter = load(run, "landmark_lifter")
     with pytest.raises(InputError, match="y must grow upwards"):
         lifter.predict(turned)
     assert np.isfinite(predict(lifter, turned)).all()
@@ -103,8 +103,8 @@ def test_errors_in_training_are_drawn_for_each_face_where_a_detector_finds_those
 ):
     views = normalise(np.random.default_rng(0).normal(size=(2000, 51, 2)))
     monkeypatch.setattr(recipes, "faces", lambda run: (views, views))
-    assert recipes.faces_with_errors(Run(preset=TINY))[0] is views
-    moved, _ = recipes.faces_with_errors(Run(preset=TINY, track="flame"))
+    assert recipes.faces_with_noise(Run(preset=TINY))[0] is views
+    moved, _ = recipes.faces_with_noise(Run(preset=TINY, track="flame"))
     assert (moved.min((1, 2)) == 0).all() and (moved.max((1, 2)) == 1).all()
     errors = (align(moved, views) - views).std((1, 2)) / rms_radius(views)
     assert errors.mean() == pytest.approx(recipes.LANDMARK_NOISE / 2, rel=0.05)
@@ -125,7 +125,7 @@ def test_a_method_is_run_where_its_row_says(tmp_path):
     for name in (*AUTHORS_FILES["bfm"], *recipes.ZHAO_FILES["bfm"]):
         (tmp_path / name).touch()
     given = {m.id for m in methods_of("bfm", authors=tmp_path)} - {*ids["bfm"]}
-    assert given == {"authors_weights", "zhao_weights"}
+    assert given == {"deep_mds_weights", "zhao_weights"}
     (tmp_path / recipes.MOBILEFACE_FILES["bfm"][0]).touch()
     given = {m.id for m in methods_of("bfm", authors=tmp_path, model="bfm2009")}
     assert "mobileface_weights" in given

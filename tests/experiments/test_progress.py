@@ -36,7 +36,7 @@ def test_a_terminal_gets_one():
 
 def preview(folder, stdout, **variables):
     return subprocess.run(
-        [sys.executable, "-m", "experiments", "tracks.preview", "linear", "--preset", "tiny"],
+        [sys.executable, "-m", "experiments", "tracks.preview", "ridge", "--preset", "tiny"],
         cwd=folder, env=runs.ENVIRONMENT | variables, stdout=stdout, stderr=subprocess.PIPE,
         text=True,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 
 from deepmds_keras.baselines import closed_form
-from deepmds_keras.baselines.closed_form import Aldrian, AldrianAuthors, Linear, MeanShape
+from deepmds_keras.baselines.closed_form import Aldrian, AldrianAuthors, MeanShape, RidgeRegression
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import affine_cameras
 
@@ -41,18 +41,18 @@ def turned(shapes, yaw, pitch=0.0):
 def test_linear_recovers_an_exactly_linear_map(rng):
     truth, views = rng.normal(size=(10, 15)), rng.random((200, 5, 2))
     shapes = (views.reshape(200, 10) @ truth + 0.3).reshape(200, 5, 3)
-    linear = Linear().fit(views[:150], shapes[:150])
-    np.testing.assert_allclose(linear.predict(views[150:]), shapes[150:], atol=1e-3)
-    assert linear.n_parameters == 10 * 15 + 15 and linear.ridge_.alpha_ < 1e-4
+    ridge = RidgeRegression().fit(views[:150], shapes[:150])
+    np.testing.assert_allclose(ridge.predict(views[150:]), shapes[150:], atol=1e-3)
+    assert ridge.n_parameters == 10 * 15 + 15 and ridge.ridge_.alpha_ < 1e-4
 
 
-def test_upright_regression_does_not_depend_on_place_size_and_roll(model, rng):
+def test_roll_aligned_regression_does_not_depend_on_place_size_and_roll(model, rng):
     shapes = model[0] + np.einsum("nk,kld->nld", rng.standard_normal((200, K)), model[1])
-    upright = Linear(upright=True).fit(shapes[..., :2], shapes)
+    aligned = RidgeRegression(roll_aligned=True).fit(shapes[..., :2], shapes)
     roll = Rotation.from_euler("z", 50, degrees=True).as_matrix()[:2, :2]
     moved = 3 * shapes[..., :2] @ roll + [100, 7]
-    np.testing.assert_allclose(upright.predict(moved), upright.predict(shapes[..., :2]), atol=1e-6)
-    assert np.abs(upright.predict(moved) - shapes).mean() < 1
+    np.testing.assert_allclose(aligned.predict(moved), aligned.predict(shapes[..., :2]), atol=1e-6)
+    assert np.abs(aligned.predict(moved) - shapes).mean() < 1
 
 
 @pytest.mark.parametrize("yaw", [-45, 0, 45])
@@ -121,7 +121,7 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
         np.testing.assert_allclose(coefficients, expected, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("method", [MeanShape(), Linear(alphas=(1e6,))])
+@pytest.mark.parametrize("method", [MeanShape(), RidgeRegression(alphas=(1e6,))])
 def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method, rng):
     views, shapes = rng.random((5, L, 2)), rng.random((5, L, 3))
     with pytest.raises(NotFittedError, match=f"This {type(method).__name__} is not trained"):

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
 from deepmds_keras import InputError
+from deepmds_keras.baselines.mlp import MLP, _flat
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
-from deepmds_keras.baselines.perceptron import Perceptron, _flat
 from deepmds_keras.baselines.ringnet import (
     RingNet,
     RingNetLoss,
@@ -62,8 +62,8 @@ def untrained(method, **options):
     options = {"epochs": 2, "steps_per_epoch": 3} | options
     if method == "zhao":
         return Zhao(L, **options), (SHAPES,), VIEWS
-    if method == "perceptron":
-        return Perceptron(L, **options), (VIEWS, SHAPES / 100), VIEWS
+    if method == "mlp":
+        return MLP(L, **options), (VIEWS, SHAPES / 100), VIEWS
     if method == "mobileface":
         gram, images = np.einsum("kld,mld->km", BASIS, BASIS) / (3 * L), images_of(CODES, 96)
         return MobileFace(MEAN, BASIS, gram, **options), (images, CODES[:, :K]), images
@@ -83,7 +83,7 @@ def test_numbers_of_parameters_are_the_published_ones(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["zhao", "perceptron", "mobileface", "ringnet"])
+@pytest.mark.parametrize("method", ["zhao", "mlp", "mobileface", "ringnet"])
 def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
     (whole, data, inputs), path = untrained(method), tmp_path / "net.npz"
     whole.fit(*data)
@@ -156,14 +156,14 @@ def test_zhao_learns_depth_in_the_unit_of_x_and_y_whatever_scale_and_place():
     assert np.abs(zhao.predict(VIEWS) - predicted).max() > 1e-3
 
 
-def test_perceptron_learns_shapes_whatever_scale_and_place_and_has_as_many_parameters():
-    model, data, _ = untrained("perceptron", epochs=5, steps_per_epoch=100)
+def test_mlp_learns_shapes_whatever_scale_and_place_and_has_as_many_parameters():
+    model, data, _ = untrained("mlp", epochs=5, steps_per_epoch=100)
     predicted = model.fit(*data).predict(7.0 * VIEWS + [300, -20])
     np.testing.assert_allclose(predicted, model.predict(VIEWS), atol=1e-5)
     np.testing.assert_allclose(predicted[3], model.predict(VIEWS[3]), atol=1e-5)
     errors = [((shapes - data[1]) ** 2).mean() for shapes in (predicted, data[1].mean(0))]
     assert errors[0] < 0.2 * errors[1]
-    assert count_trainable(Perceptron()._build()) == 25_536
+    assert count_trainable(MLP()._build()) == 25_536
     standardised = model.network_.get_layer("standardised")(_flat(VIEWS)).numpy()
     np.testing.assert_allclose(standardised.mean(0), 0, atol=1e-4)
     np.testing.assert_allclose(standardised.std(0), 1, atol=1e-3)

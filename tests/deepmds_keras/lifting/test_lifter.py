@@ -17,7 +17,7 @@ from sklearn.preprocessing import FunctionTransformer
 
 from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
-from deepmds_keras.baselines.closed_form import Linear
+from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.alignment import procrustes
 from deepmds_keras.geometry.units import centre
@@ -69,7 +69,7 @@ def error(shapes, truth):
 
 def test_it_beats_ridge_and_the_mean_on_turned_faces(lifter, faces):
     views, shapes = faces
-    ridge = Linear().fit(*map(normalise, sample_faces(5000, np.random.default_rng(2))[:2]))
+    ridge = RidgeRegression().fit(*map(normalise, sample_faces(5000, np.random.default_rng(2))[:2]))
     lifted = error(lifter.predict(views), shapes)
     assert lifted < 0.5 * error(ridge.predict(normalise(views)), shapes)
     assert lifted < 0.02 * error(np.tile(normalise(shapes).mean(0), (300, 1, 1)), shapes)

@@ -12,6 +12,7 @@ from deepmds_keras.errors import InputError
 from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.tables import Tables
+from experiments.old_names import read_table
 from experiments.presets import FULL
 from experiments.run import Run
 from experiments.scoring.intervals import Estimate, point
@@ -80,24 +81,26 @@ def _other_files(folder, names):
 
 
 def test_committed_verdicts_are_those_of_the_committed_tables(copied):
+    names = ("claims.csv", "numbers.csv")
+    committed = {(m, n): read_table(RESULTS / m / "audit" / n) for m in MODELS for n in names}
     for run in copied:
         audit.judge(run)
-        for name in ("claims.csv", "numbers.csv"):
-            path = run.experiment_results("audit") / name
-            assert path.read_text() == (RESULTS / run.model / "audit" / name).read_text()
+        for name in names:
+            made = read_table(run.experiment_results("audit") / name)
+            pd.testing.assert_frame_equal(made, committed[run.model, name])
     folder = audit.combine(copied[0].results)
     assert {path.name for path in folder.iterdir()} == {"claims.csv", "claims.md"}
-    for path in folder.iterdir():
-        assert path.read_text() == (RESULTS / "audit" / path.name).read_text(), path.name
+    of_all_models = (read_table(where / "claims.csv") for where in (folder, RESULTS / "audit"))
+    pd.testing.assert_frame_equal(*of_all_models)
 
 
 def test_a_new_claim_is_a_row_of_the_table(copied, tmp_path, monkeypatch):
-    row = "new,Results,It is as good as the mean shape.,ours_over_mean_shape < 1.2\n"
+    row = "new,Results,It is as good as the mean shape.,deep_mds_over_mean_shape < 1.2\n"
     file = tmp_path / "claims.csv"
     file.write_text(audit.CLAIMS.read_text() + row)
     monkeypatch.setattr(audit, "CLAIMS", file)
     new = audit.judge(copied[0]).set_index("id").loc["new"]
-    assert (new["verdict"], new["number"]) == (claims.NOT_SUPPORTED, "ours_over_mean_shape")
+    assert (new["verdict"], new["number"]) == (claims.NOT_SUPPORTED, "deep_mds_over_mean_shape")
     assert new["low"] > 1.2
     page = (audit.combine(copied[0].results) / "claims.md").read_text()
     assert "It is as good as the mean shape." in page
@@ -117,8 +120,8 @@ def test_what_was_not_run_is_not_testable(copied):
 def test_a_method_as_good_as_claimed_is_supported(copied):
     run = copied[0]
     path = run.experiment_results("seeds") / "metrics.csv"
-    table = pd.read_csv(path)
-    better = (table["method"] == "ours") & (table["metric"] == "mse")
+    table = read_table(path)
+    better = (table["method"] == "deep_mds") & (table["metric"] == "mse")
     table.loc[better, "value"] = 0.5e-4 + 1e-8 * table.loc[better, "seed"]
     table.to_csv(path, index=False)
     verdicts = audit.judge(run).set_index("id")["verdict"]
@@ -127,11 +130,11 @@ def test_a_method_as_good_as_claimed_is_supported(copied):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_numbers_agree_with_the_tables_that_documents_quote(model):
-    numbers = pd.read_csv(RESULTS / model / "audit" / "numbers.csv").set_index("number")
-    seeds = pd.read_csv(RESULTS / model / "seeds" / "metrics.csv")
-    ours = seeds[(seeds["method"] == "ours") & (seeds["metric"] == "mse")]["value"]
-    assert numbers.loc["ours_mse", "value"] == pytest.approx(ours.median())
-    assert numbers.loc["ours_mse", "low"] == pytest.approx(ours.sort_values().iloc[1])
+    numbers = read_table(RESULTS / model / "audit" / "numbers.csv").set_index("number")
+    seeds = read_table(RESULTS / model / "seeds" / "metrics.csv")
+    ours = seeds[(seeds["method"] == "deep_mds") & (seeds["metric"] == "mse")]["value"]
+    assert numbers.loc["deep_mds_mse", "value"] == pytest.approx(ours.median())
+    assert numbers.loc["deep_mds_mse", "low"] == pytest.approx(ours.sort_values().iloc[1])
     assert numbers.loc["seed_sd_mse", "value"] == pytest.approx(ours.std())
     assert numbers.loc["rank", "value"] == 4
     assert numbers.loc["least_p_value", "value"] == pytest.approx(2 / 2**10)

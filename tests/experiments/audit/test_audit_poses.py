@@ -48,7 +48,7 @@ def evidence():
     cameras = Cameras(nothing.astype(int), nothing, nothing, nothing, nothing)
     views = project(landmarks, cameras)
     faces = Faces(normalise(views), shapes, unit(landmarks)[1].ravel(), shapes, cameras)
-    models = {name: AddsDepth(shapes[AUDITED]) for name in ("zhao", "ours", "ours_stable")}
+    models = {name: AddsDepth(shapes[AUDITED]) for name in ("zhao", "deep_mds", "deep_mds_cosine")}
     return SimpleNamespace(
         run=SimpleNamespace(authors=None, scheme="bfm72"),
         test=faces,
@@ -102,7 +102,7 @@ def test_every_method_has_every_view(curves, noise):
 
 
 def test_noise_is_a_share_of_the_interocular_distance(evidence, noise):
-    mse = errors(noise, "ours")
+    mse = errors(noise, "deep_mds")
     assert mse[0] < 1e-20
     for percent in (1, 2):
         # The distance is 100 mm, in three dimensions. Two of three coordinates have noise.
@@ -113,7 +113,7 @@ def test_noise_is_a_share_of_the_interocular_distance(evidence, noise):
 def test_authors_weights_are_measured_where_they_are_given(evidence, noise):
     run = SimpleNamespace(**vars(evidence.run) | {"authors": "folder"})
     given = poses.noise(SimpleNamespace(**vars(evidence) | {"run": run}))
-    assert {*given["method"]} - {*noise["method"]} == {"authors_weights"}
+    assert {*given["method"]} - {*noise["method"]} == {"deep_mds_weights"}
 
 
 def test_released_views_are_orthographic_but_for_rounding_and_the_texts_are_not(evidence):

@@ -75,7 +75,7 @@ def test_standard_error_is_the_spread_over_samples_of_faces(rng):
 def evidence():
     truth = normalise(np.random.default_rng(0).normal(0, (3, 2, 1), (4, 24, 3)))
     mean = np.broadcast_to(truth.mean(0), truth.shape)
-    predictions = {"mean_shape": mean, "ours": mean + 0.5 * (truth - mean)}
+    predictions = {"mean_shape": mean, "deep_mds": mean + 0.5 * (truth - mean)}
     there = {name: Path(__file__) for name in predictions}
     return SimpleNamespace(
         run=SimpleNamespace(prediction_file=lambda m: there.get(m, Path("not-there"))),
@@ -89,8 +89,8 @@ def evidence():
 
 def test_bias_is_of_the_methods_that_see_the_same_views(evidence):
     table = shapes.bias(evidence).set_index("method")
-    assert [*table.index] == ["mean_shape", "ours"]
-    assert table.loc["mean_shape", "slope"] == 0 < table.loc["ours", "slope"] < 1
+    assert [*table.index] == ["mean_shape", "deep_mds"]
+    assert table.loc["mean_shape", "slope"] == 0 < table.loc["deep_mds", "slope"] < 1
 
 
 def test_distances_of_d_dimensions_have_rank_d(evidence):

@@ -120,7 +120,7 @@ def test_the_training_that_is_timed_as_ours_is_our_training(faces):
     shapes, steps = np.float32(normalise(faces.landmarks)), 5
     expected, _ = train_dissimilarity_net(shapes[..., :2], shapes, Recipe(1, steps))
     expected = np.concatenate([w.ravel() for w in expected.get_weights()])
-    for way, tolerance in (("ours", 0), ("released", 1e-2)):
+    for way, tolerance in (("deep_mds", 0), ("released", 1e-2)):
         network, epoch = training(way, shapes[..., :2], shapes, steps)
         epoch()
         weights = np.concatenate([w.ravel() for w in network.get_weights()])
@@ -148,5 +148,5 @@ def test_bench_times_every_part_beside_the_released_way(tmp_path):
     table = pd.read_csv(tmp_path / "results" / "tiny" / "bench" / "bench.csv")
     ways = table[table["comparison"] == "parts"].groupby("part", sort=False)["way"].agg(set)
     assert all("released" in names and len(names) > 1 for names in ways)
-    assert {"sklearn", "numba", "lifting"} < ways["end to end"]
+    assert {"sklearn", "numba", "landmark_lifter"} < ways["end to end"]
     assert (table["seconds"] > 0).all()

@@ -28,7 +28,7 @@ def faces(rng, n=2, scheme="bfm72"):
 
 
 def draw_learning(rng):
-    histories = {"ours": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
+    histories = {"deep_mds": {"autoencoder": RECORD, "dissimilarity_net": RECORD}}
     return learning_curves(histories, {m: {"train": [9.0, 2.0]} for m in ("mobileface", "ringnet")})
 
 
@@ -41,7 +41,7 @@ def face_errors(rng, n=60):
     perspective = np.arange(n) % 2 == 1
     return pd.DataFrame(
         {
-            "method": np.repeat(["ours", "linear"], n // 2),
+            "method": np.repeat(["deep_mds", "ridge"], n // 2),
             "projection": np.where(perspective, "perspective", "orthographic"),
             "yaw": np.where(perspective, -rng.uniform(0, 45, n), rng.choice([-45, 0, 45], n)),
             "pitch": np.where(perspective, -rng.uniform(0, 30, n), 0),
@@ -68,7 +68,11 @@ def draw_fits(rng):
 
 
 def seed_metrics(rng):
-    runs = {"method": ["ours", "ours", "linear", "linear"], "seed": [3, 4] * 2, "metric": "mse"}
+    runs = {
+        "method": ["deep_mds", "deep_mds", "ridge", "ridge"],
+        "seed": [3, 4] * 2,
+        "metric": "mse",
+    }
     return pd.DataFrame(runs | {"value": rng.uniform(1e-4, 1e-3, 4)})
 
 
@@ -76,16 +80,16 @@ def headline_table():
     columns = ["method", "metric", "mean", "std", "paper_mean", "median", "lowest", "highest"]
     nan = np.nan
     rows = [
-        ("linear", "mse", 3e-6, 1e-7, nan, nan, nan, nan),
-        ("linear", "depth_corr", 71.999, 1e-4, 72.5, nan, nan, nan),
-        ("ours", "mse", 9e-4, 2e-6, 1.4e-4, 1.5e-4, 1e-4, 3e-4),
-        ("ours", "depth_corr", 71.94, 0.002, 71.95, 71.9, 71.8, 71.95),
+        ("ridge", "mse", 3e-6, 1e-7, nan, nan, nan, nan),
+        ("ridge", "depth_corr", 71.999, 1e-4, 72.5, nan, nan, nan),
+        ("deep_mds", "mse", 9e-4, 2e-6, 1.4e-4, 1.5e-4, 1e-4, 3e-4),
+        ("deep_mds", "depth_corr", 71.94, 0.002, 71.95, 71.9, 71.8, 71.95),
         ("mobileface", "mse", nan, nan, 6e-5, nan, nan, nan),
     ]
     return pd.DataFrame(rows, columns=columns).assign(n_seeds=10)
 
 
-def draw_qualitative(rng, methods=("ours", "linear"), n=1, detected=True, photos=None):
+def draw_qualitative(rng, methods=("deep_mds", "ridge"), n=1, detected=True, photos=None):
     truth = faces(rng, n) / 200
     predictions = {method: truth + rng.normal(0, 0.01, truth.shape) for method in methods}
     predictions[methods[-1]][0] += 0 if detected else np.nan
@@ -102,7 +106,7 @@ PLOTS = {
         {method: rng.uniform(1, 9, 72) for method in DRAWN}, BFM72, faces(rng)[0], DRAWN[:3]
     ),
     "error_per_pose": lambda rng: errors.error_per_pose(face_errors(rng)),
-    "errors": lambda rng: errors.error_distribution({"ours": rng.uniform(1e-5, 1e-3, 50)}),
+    "errors": lambda rng: errors.error_distribution({"deep_mds": rng.uniform(1e-5, 1e-3, 50)}),
     "qualitative": lambda rng: draw_qualitative(rng, DRAWN[:11], 4),
     "scans": draw_ground_truth,
     "fits": draw_fits,
@@ -141,7 +145,7 @@ def test_every_quantity_on_a_value_axis_has_its_unit(draw):
 
 
 def test_lines_are_means_in_the_unit_with_their_intervals():
-    rows = pd.DataFrame({"method": ["ours", "linear"] * 2, "x": [2.0, 2.0, 1.0, 1.0]})
+    rows = pd.DataFrame({"method": ["deep_mds", "ridge"] * 2, "x": [2.0, 2.0, 1.0, 1.0]})
     rows = rows.assign(mean=[4e-4, 1e-4] * 2, sem=[1e-5, np.nan] * 2)
     ends = rows.assign(low=rows["mean"] / 2, high=rows["mean"] * 3)
     panels = [errors.Panel(rows, "x", "Noise (mm)"), errors.Panel(ends, "x", shaded=(0, 1))]
@@ -150,9 +154,9 @@ def test_lines_are_means_in_the_unit_with_their_intervals():
         line, band = axes.lines[0], axes.collections[0].get_paths()[0].vertices
         np.testing.assert_allclose(line.get_xydata(), [[1, 4], [2, 4]])
         np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [low, high])
-        assert line.get_color() == style.colour("ours")
+        assert line.get_color() == style.colour("deep_mds")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["Deep-MDS", "Linear", "training views"]
+    assert labels == ["Deep-MDS", "Ridge regression", "training views"]
     other = [errors.Panel(rows.assign(method="somebody"), "x")]
     with pytest.raises(InputError, match="somebody"):
         errors.error_lines(other)
@@ -163,7 +167,7 @@ def test_lines_are_means_in_the_unit_with_their_intervals():
 def test_errors_by_pose_are_means_of_the_faces_in_it():
     table = face_errors(np.random.default_rng(0), 600)
     kinds = errors.error_per_pose(table).axes[0]
-    ours = table[table["method"] == "ours"].groupby(["projection", "yaw"])["mse"].mean() / 1e-4
+    ours = table[table["method"] == "deep_mds"].groupby(["projection", "yaw"])["mse"].mean() / 1e-4
     drawn = kinds.containers[0].lines[0].get_xydata()[:, 1]
     np.testing.assert_allclose(drawn[:3], ours["orthographic"])
     assert [text.get_text() for text in kinds.get_xticklabels()][:3] == ["−45°", "0°", "45°"]
@@ -177,7 +181,7 @@ def test_region_errors_are_root_mean_squares():
     squares = np.where(np.arange(72) % 2, 16.0, 2.0)
     groups = pd.Series(squares).groupby(np.array(BFM72.groups)).mean()
     figure = errors.error_per_landmark(
-        {"ours": np.sqrt(squares)}, BFM72, faces(np.random)[0], ["ours"]
+        {"deep_mds": np.sqrt(squares)}, BFM72, faces(np.random)[0], ["deep_mds"]
     )
     regions = next(axes for axes in figure.axes if "Region" in axes.get_xlabel())
     drawn = regions.containers[0].lines[0].get_xydata()[:, 1]
@@ -230,7 +234,7 @@ def test_wireframe_joins_the_landmarks_of_each_polyline():
 
 def test_qualitative_shows_the_best_score_and_what_was_not_found():
     photos = np.zeros((2, 20, 20, 3), np.uint8), np.resize([(0, 0), (20, 0)], (2, 72, 2))
-    methods = ("ours", "linear", "mediapipe")
+    methods = ("deep_mds", "ridge", "mediapipe")
     figure = draw_qualitative(np.random.default_rng(0), methods, 2, False, photos)
     photo, frontal, _, *others = figure.axes[:6]
     texts = [text for axes in others for text in axes.texts if text.get_text()[0].isdigit()]
@@ -248,7 +252,7 @@ def test_gallery_marks_what_was_not_found():
     shapes = faces(np.random.default_rng(0), 2, "ibug51")
     lost = np.stack([shapes[0], np.full((51, 3), np.nan)])
     photos = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 51, 2))
-    figure = gallery(*photos, {"ours": shapes, "mediapipe": lost}, IBUG51)
+    figure = gallery(*photos, {"deep_mds": shapes, "mediapipe": lost}, IBUG51)
     assert [len(axes.texts) for axes in figure.axes] == [0, 0, 0, 0, 0, 1]
 
 

@@ -31,12 +31,12 @@ def errors():
     rng, parts = np.random.default_rng(0), []
     for condition in CONDITIONS:
         best = 1e-5 * rng.uniform(1, 2, 40)
-        given = {"ours_stable": [1e-3 * np.ones(40)] if not condition.missing else []}
-        given |= {"lifting": [2 * best, 2.1 * best][: 1 + (condition.id == "hard_1")]}
-        for method, by_seed in (given | {"limit": [best]}).items():
+        given = {"deep_mds_cosine": [1e-3 * np.ones(40)] if not condition.missing else []}
+        given |= {"landmark_lifter": [2 * best, 2.1 * best][: 1 + (condition.id == "hard_1")]}
+        for method, by_seed in (given | {"lower_bound": [best]}).items():
             for seed, values in enumerate(by_seed):
                 yaw = np.linspace(0, 59, 40)
-                rows = {"mse": values, "times_limit": values / best, "seed": seed, "yaw": yaw}
+                rows = {"mse": values, "times_lower_bound": values / best, "seed": seed, "yaw": yaw}
                 rows |= {"within_1_sd": np.nan, "within_2_sd": np.nan}
                 parts.append(pd.DataFrame(rows).assign(method=method, condition=condition.id))
     return pd.concat(parts)
@@ -44,17 +44,19 @@ def errors():
 
 def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
     table = hard.summarise(errors).set_index(["metric", "method", "condition"])
-    assert {*table.index.levels[0]} == {"mse", "times_limit"}, "what nobody measured has no row"
-    seeded = table.loc["times_limit", "lifting", "hard_1"]
+    assert {*table.index.levels[0]} == {"mse", "times_lower_bound"}, (
+        "what nobody measured has no row"
+    )
+    seeded = table.loc["times_lower_bound", "landmark_lifter", "hard_1"]
     assert seeded["n_seeds"] == 2 and seeded["mean"] == pytest.approx(2.05)
     assert seeded["std"] == pytest.approx(0.1 / 2**0.5)
     assert seeded["standard_error"] == pytest.approx(0, abs=1e-12)
-    limit = errors.query("method == 'limit' and condition == 'hard_3'")["mse"]
-    mse = table.loc["mse", "limit", "hard_3"]
+    limit = errors.query("method == 'lower_bound' and condition == 'hard_3'")["mse"]
+    mse = table.loc["mse", "lower_bound", "hard_3"]
     assert mse["mean"] == pytest.approx(limit.mean())
     assert mse["standard_error"] == pytest.approx(limit.std() / 40**0.5)
     empty = table.index[table["mean"].isna()]
-    assert {*empty} == {("mse", "ours_stable", c.id) for c in CONDITIONS if c.missing}
+    assert {*empty} == {("mse", "deep_mds_cosine", c.id) for c in CONDITIONS if c.missing}
     cells = hard.cells(table.reset_index())
     assert cells.loc["Deep-MDS, cosine schedule"].tolist() == 4 * ["1,000"] + 3 * ["–"]
 
@@ -208,16 +210,16 @@ def test_steps_of_the_anatomy_are_scored_on_all_test_faces_and_seeds(folder):
     assert {*table.index.levels[0]} == {*anatomy.STEPS}
     ours, lifted = (
         score(predict(load(run, method), test.views), test).mse.mean()
-        for method in ("ours", "lifting")
+        for method in ("deep_mds", "landmark_lifter")
     )
     seeds = pd.read_csv(runs.results(folder, "lifting/anatomy") / "seeds.csv")
     first = seeds[seeds["seed"] == 0].set_index(["step", "embedding"])["mse"]
     # The same faces, weights at the start and mini-batches, by another input pipeline.
     assert first["constant", "non_metric"] == pytest.approx(ours, rel=0.05)
     for embedding in ("non_metric", "metric"):  # of Euclidean distances either gives the shape back
-        assert first["lifting", embedding] == pytest.approx(lifted, rel=1e-2)
+        assert first["landmark_lifter", embedding] == pytest.approx(lifted, rel=1e-2)
         assert first["true_distances", embedding] < 1e-12
-    assert first["limit", "none"] < lifted < first["mean_shape", "none"]
+    assert first["lower_bound", "none"] < lifted < first["mean_shape", "none"]
     assert (table.loc["cosine", "n_seeds"] == TINY.n_seeds).all()
 
 
@@ -228,5 +230,9 @@ def test_tests_of_the_transfer_differ_by_the_noise_alone(folder):
         assert errors.index.tolist() == [*transfer.NOISES_MM]
         assert errors["mean_shape"].nunique() == 1, "the faces are the same"
         if model == "openhead":
-            assert errors["lifting"].is_monotonic_increasing
-            assert errors.loc[0, "lifting"] < errors.loc[0, "linear"] < errors.loc[0, "mean_shape"]
+            assert errors["landmark_lifter"].is_monotonic_increasing
+            assert (
+                errors.loc[0, "landmark_lifter"]
+                < errors.loc[0, "ridge"]
+                < errors.loc[0, "mean_shape"]
+            )

@@ -24,7 +24,7 @@ STEP = {
     "step": "datasets.faces", "preset": vars(SMOKE), "started": "2026-01-02T03:04:05+00:00",
     "seconds": 75.0, "peak_memory_mb": 3000, "commit": "0123456789ab", "python": "3.11.7",
     "platform": "Linux", "processor": "A", "packages": {"numpy": "2.4"},
-    "photos": {"used": 4853, "no face found": 147}, "times": {"ours": {"ms_per_face": 1.0}},
+    "photos": {"used": 4853, "no face found": 147}, "times": {"deep_mds": {"ms_per_face": 1.0}},
 }  # fmt: skip
 
 
@@ -44,12 +44,12 @@ def run(tmp_path):
     run = Run("openhead", SMOKE, results=tmp_path)
     rows = [
         (method, metric, subset, value * factor)
-        for method, value in (("ours", 2e-4), ("mean_shape", 1e-4), ("linear", 5e-5))
+        for method, value in (("deep_mds", 2e-4), ("mean_shape", 1e-4), ("ridge", 5e-5))
         for metric in ("mse", "depth_corr")
         for subset, factor in enumerate((0.75, 1.25))
     ]
     metrics = pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
-    per_face = {"mse": {"ours": np.arange(1.0, 20), "linear": np.arange(19.0)}}
+    per_face = {"mse": {"deep_mds": np.arange(1.0, 20), "ridge": np.arange(19.0)}}
     of = {"experiment": "bfm", "subset_size": 10, "notes": {"mobileface": "<b> | left out"}}
     for seed in (0, 1):
         folder = dataclasses.replace(run, seed=seed).experiment_results("bfm")
@@ -62,7 +62,9 @@ def run(tmp_path):
     claims = pd.DataFrame(claims, columns=["model", "claim", "verdict", "evidence"])
     write_csv(tmp_path / "smoke" / "audit" / "claims.csv", claims)
     write_result(run.experiment_results("audit"), processor="B")
-    hard = pd.DataFrame({"method": ["ours", "no_noise"], "n_faces": 5000, "mse": [1.5e-5, np.nan]})
+    hard = pd.DataFrame(
+        {"method": ["deep_mds", "no_noise"], "n_faces": 5000, "mse": [1.5e-5, np.nan]}
+    )
     write_result(run.experiment_results("lifting/hard"), hard)
     return run
 

@@ -34,15 +34,15 @@ def test_every_cell_of_the_four_tables_is_there(rows):
 @pytest.mark.parametrize(
     ("experiment", "method", "metric", "expected"),
     [
-        ("bfm", "ours", "mse", (1.4e-4, 5e-7)),
-        ("bfm", "ours", "depth_corr", (71.95, 0.002)),
+        ("bfm", "deep_mds", "mse", (1.4e-4, 5e-7)),
+        ("bfm", "deep_mds", "depth_corr", (71.95, 0.002)),
         ("bfm", "zhao", "mse", (22e-4, 0.25e-4)),
         ("celeba", "mobileface", "mse", (0.092e-5, 0.0016e-5)),
         ("celeba", "aldrian", "depth_corr", (71.91, 0.076)),
         ("flame", "ringnet", "mse", (1.34e-3, 0.95e-3)),
         ("flame", "mediapipe", "depth_corr", (68, 0.009)),
         ("bfm", "mean_shape", "mse", (2.9e-4, float("nan"))),  # the trivial case
-        ("parameters", "ours", "n_parameters", (27505, float("nan"))),
+        ("parameters", "deep_mds", "n_parameters", (27505, float("nan"))),
     ],
 )
 def test_numbers_are_the_papers_in_plain_units(experiment, method, metric, expected):

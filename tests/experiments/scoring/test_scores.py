@@ -28,7 +28,7 @@ from experiments.scoring.tables import write_tables
 from experiments.scoring.typesetting import text
 
 N, L = 24, 72
-COSTS = {"ours": {"ms_per_face": 2.5, "n_parameters": 27323}}
+COSTS = {"deep_mds": {"ms_per_face": 2.5, "n_parameters": 27323}}
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def faces():
 def predictions(faces):
     """Of two methods, one of which does not find every face."""
     noise = np.random.default_rng(1).standard_normal(faces.shapes.shape)
-    shapes = {"linear": faces.shapes + 0.01 * noise, "ours": faces.shapes + 0.02 * noise}
-    shapes["linear"][::5] = np.nan
+    shapes = {"ridge": faces.shapes + 0.01 * noise, "deep_mds": faces.shapes + 0.02 * noise}
+    shapes["ridge"][::5] = np.nan
     return shapes
 
 
@@ -72,12 +72,12 @@ def test_a_registered_metric_is_in_every_table(run, faces, predictions, monkeypa
     metrics, scores = evaluate(run, faces, predictions, COSTS)
     of_metric = metrics[metrics["metric"] == metric.id]
     assert len(of_metric) == len(predictions) * SMOKE.n_subsets
-    largest = 200 * np.linalg.norm(scores["ours"].aligned - faces.shapes, axis=2).max(1)
-    ours = of_metric[of_metric["method"] == "ours"]["value"]
+    largest = 200 * np.linalg.norm(scores["deep_mds"].aligned - faces.shapes, axis=2).max(1)
+    ours = of_metric[of_metric["method"] == "deep_mds"]["value"]
     assert largest.min() < ours.min() < ours.max() < largest.max()
 
     table = table_of(run, metrics, scores)
-    mean = table.set_index(["method", "metric"]).loc[("ours", metric.id), "mean"]
+    mean = table.set_index(["method", "metric"]).loc[("deep_mds", metric.id), "mean"]
     assert mean == pytest.approx(ours.mean())
     latex = (run.experiment_results("bfm") / "table.tex").read_text()
     for output in (latex, text(table, "bfm"), markdown_table(cells(table, "bfm", "terminal"))):
@@ -97,16 +97,16 @@ def test_faces_that_a_method_did_not_find_are_left_out_and_counted(run, faces, p
     metrics, scores = evaluate(flame, faces, predictions, COSTS)
     values = metrics.set_index(["method", "metric"])["value"]
     assert values.notna().all()
-    assert (values["ours", "detection_rate"] == 1).all()
-    assert values["linear", "detection_rate"].mean() == pytest.approx(1 - 5 / N, abs=0.15)
-    assert np.isnan(scores["linear"].mse[::5]).all()
-    assert values["ours", "n_parameters"] == 27323
+    assert (values["deep_mds", "detection_rate"] == 1).all()
+    assert values["ridge", "detection_rate"].mean() == pytest.approx(1 - 5 / N, abs=0.15)
+    assert np.isnan(scores["ridge"].mse[::5]).all()
+    assert values["deep_mds", "n_parameters"] == 27323
     assert "detection_rate" not in {*evaluate(run, faces, predictions, {})[0]["metric"]}
     assert {len(v) for of in per_face(scores).values() for v in of.values()} == {N - 5}
 
 
 def test_scores_of_some_faces_are_those_of_all(faces, predictions):
-    scores, some = score(predictions["linear"], faces), [3, 5, 7]
+    scores, some = score(predictions["ridge"], faces), [3, 5, 7]
     assert np.array_equal(scores[some].mse, scores.mse[some], equal_nan=True)
     assert np.array_equal(scores[some].depth_corr, scores.depth_corr[some], equal_nan=True)
 
@@ -123,12 +123,12 @@ def test_only_the_named_predictions_are_read(run, predictions):
     for method in (*predictions, "zhao"):
         shapes = predictions.get(method, np.zeros((1, L, 3)))
         write_arrays(run.prediction_file(method), {"shapes": shapes}, {"n_parameters": 7})
-    loaded = load_predictions(run, ["ours", "linear"])
-    assert [*loaded] == ["ours", "linear"] and loaded["ours"][1] == {"n_parameters": 7}
-    write_record(run.record_file("times"), {"times": {"ours": {"ms_per_face": 2.5}}})
-    arrays, description = load_predictions(run, ["ours"])["ours"]
+    loaded = load_predictions(run, ["deep_mds", "ridge"])
+    assert [*loaded] == ["deep_mds", "ridge"] and loaded["deep_mds"][1] == {"n_parameters": 7}
+    write_record(run.record_file("times"), {"times": {"deep_mds": {"ms_per_face": 2.5}}})
+    arrays, description = load_predictions(run, ["deep_mds"])["deep_mds"]
     assert description == {"n_parameters": 7, "ms_per_face": 2.5}
-    assert np.array_equal(arrays["shapes"], predictions["ours"])
+    assert np.array_equal(arrays["shapes"], predictions["deep_mds"])
     with pytest.raises(InputError, match="mean_shape"):
         load_predictions(run, ["mean_shape"])
 
@@ -136,7 +136,7 @@ def test_only_the_named_predictions_are_read(run, predictions):
 def test_seeds_are_those_that_the_run_asks_for(run):
     assert metrics_by_seed(run) is None
     for seed in range(3):
-        rows = [("ours", "mse", 1e-4 * seed)]
+        rows = [("deep_mds", "mse", 1e-4 * seed)]
         write_record(dataclasses.replace(run, seed=seed).record_file("seed"), {"rows": rows})
     for n in (2, 3):
         table = metrics_by_seed(dataclasses.replace(run, seeds=n))

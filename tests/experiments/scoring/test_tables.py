@@ -22,11 +22,11 @@ NOTES = {"mobileface": "needs images: not part of this experiment yet"}
 @pytest.fixture
 def metrics():
     rows = [
-        ("ours", "mse", 0, 1e-4), ("ours", "mse", 1, 3e-4),
-        ("ours", "mse_mm2", 0, 4.0), ("ours", "mse_mm2", 1, 9.0),
-        ("ours", "depth_corr", 0, 71.9), ("ours", "depth_corr", 1, 71.92),
-        ("ours", "n_parameters", np.nan, 27323),
-        ("linear", "mse", 0, 2e-6), ("linear", "mse", 1, 2e-6),
+        ("deep_mds", "mse", 0, 1e-4), ("deep_mds", "mse", 1, 3e-4),
+        ("deep_mds", "mse_mm2", 0, 4.0), ("deep_mds", "mse_mm2", 1, 9.0),
+        ("deep_mds", "depth_corr", 0, 71.9), ("deep_mds", "depth_corr", 1, 71.92),
+        ("deep_mds", "n_parameters", np.nan, 27323),
+        ("ridge", "mse", 0, 2e-6), ("ridge", "mse", 1, 2e-6),
     ]  # fmt: skip
     return pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
 
@@ -42,26 +42,26 @@ def line(string, start):
 
 def test_csv_to_the_letter(metrics, tmp_path):
     faces = np.arange(1.0, 21)
-    per_face = {"mse": {"linear": faces, "ours": 2 * faces}}
+    per_face = {"mse": {"ridge": faces, "deep_mds": 2 * faces}}
     write_tables(
         tmp_path, metrics, experiment="bfm", subset_size=500, notes=NOTES, per_face=per_face
     )
     lines = (tmp_path / "table.csv").read_text().splitlines()
     assert lines[0] == "method,metric,mean,std,paper_mean,paper_std,n_subsets,subset_size,note"
-    assert "ours,mse,0.0002,0.00014142136,0.00014,5e-07,2,500," in lines
-    assert "ours,n_parameters,27323,,,,,," in lines
+    assert "deep_mds,mse,0.0002,0.00014142136,0.00014,5e-07,2,500," in lines
+    assert "deep_mds,n_parameters,27323,,,,,," in lines
     assert "ours,ms_per_face,,,,,,,ms_per_face not measured" in lines
     assert f"mobileface,mse,,,6e-05,4e-07,,,{NOTES['mobileface']}" in lines
     tests = pd.read_csv(tmp_path / "wilcoxon.csv").iloc[:, :5]
     assert [*tests] == ["over", "metric", "method_a", "method_b", "n"]
     assert tests.to_numpy().tolist() == [
-        ["subsets", "mse", "linear", "ours", 2],
-        ["faces", "mse", "linear", "ours", 20],
+        ["subsets", "mse", "ridge", "deep_mds", 2],
+        ["faces", "mse", "ridge", "deep_mds", 20],
     ]
 
 
 def test_every_method_has_every_metric_and_every_empty_cell_a_reason(table):
-    methods = ["own_constant", "linear", "zhao", "aldrian_authors", "mobileface", "ours"]
+    methods = ["deep_mds_constant", "ridge", "zhao", "aldrian_authors", "mobileface", "deep_mds"]
     cells = [*zip(table["method"], table["metric"], strict=True)]
     columns = [metric.id for metric in metrics_of("bfm")]
     assert columns[:2] == ["depth_corr", "mse"], "the paper's first, in its order"
@@ -69,7 +69,7 @@ def test_every_method_has_every_metric_and_every_empty_cell_a_reason(table):
     assert (table.loc[table["mean"].isna(), "note"] != "").all()
     reasons = table[table["mean"].isna()].groupby("method")["note"].first()
     assert reasons["aldrian_authors"].startswith("not part of this experiment")
-    root_of_each_subset = table.set_index(["method", "metric"]).loc[("ours", "rmse_mm")]
+    root_of_each_subset = table.set_index(["method", "metric"]).loc[("deep_mds", "rmse_mm")]
     assert (root_of_each_subset["mean"], root_of_each_subset["n_subsets"]) == (2.5, 2)
 
 
@@ -82,7 +82,7 @@ def test_latex_to_the_letter(table):
     )
     assert rules == "".join(rf"\cmidrule(lr){{{k}}}" for k in ("2-3", "4-5", "6-6", "7-7"))
     assert subheads == r"Method & paper & here & paper & here & here & here \\"
-    assert rows[1] == r"Linear & -- & -- & -- & 0.02 & -- & -- \\"
+    assert rows[1] == r"Ridge regression & -- & -- & -- & 0.02 & -- & -- \\"
     assert rows[4:7] == [
         r"MobileFace & 71.97 $\pm$ 0.002 & -- & 0.6 $\pm$ 0.004 & -- & -- & -- \\",
         r"Deep-MDS & 71.95 $\pm$ 0.002 & 71.910 $\pm$ 0.014 & 1.4 $\pm$ 0.005 & 2.0 $\pm$ 1.4"
@@ -124,12 +124,12 @@ def test_errors_have_the_unit_and_the_digits_of_the_papers_table(
 
 
 def test_several_seeds_have_columns_and_a_range(metrics):
-    rows = [("ours", seed, "mse", value) for seed, value in enumerate((1e-4, 1.3e-4, 0.9e-4))]
+    rows = [("deep_mds", seed, "mse", value) for seed, value in enumerate((1e-4, 1.3e-4, 0.9e-4))]
     seeds = pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
     table = summarise(metrics, "bfm", NOTES, subset_size=500, seeds=seeds)
     cells = table.set_index(["method", "metric"])[["n_seeds", "median", "lowest", "highest"]]
-    assert cells.loc["ours", "mse"].tolist() == [3, 1e-4, 0.9e-4, 1.3e-4]
-    assert cells.loc["linear", "mse"].isna().all()
+    assert cells.loc["deep_mds", "mse"].tolist() == [3, 1e-4, 0.9e-4, 1.3e-4]
+    assert cells.loc["ridge", "mse"].isna().all()
     assert "1.00 [0.90, 1.30]" in line(text(table, "bfm"), "Deep-MDS ")
     assert "of 3 trainings" in text(table, "bfm")
 
@@ -170,7 +170,7 @@ def test_numbers_are_rounded_where_their_spread_begins(shown, expected):
 
 def test_unknown_methods_and_experiments_are_refused(metrics):
     with pytest.raises(InputError, match=r"method must be one of .* Received 'mystery'"):
-        summarise(metrics.replace("linear", "mystery"), "bfm", {}, subset_size=5)
+        summarise(metrics.replace("ridge", "mystery"), "bfm", {}, subset_size=5)
     with pytest.raises(InputError, match=r"experiment must be one of bfm, .* Received 'lfw'"):
         summarise(metrics, "lfw", {}, subset_size=5)
 
@@ -179,8 +179,8 @@ def test_parameters_are_counted_from_the_networks(metrics):
     table = parameters.parameter_table(metrics).set_index("method")
     counts = table[["trainable", "total", "paper"]].T.to_dict("list")
     assert counts["mobileface"] == ["900979", "907819", "900,979"]
-    assert counts["ours"] == ["27323", "28229", "27505"]
-    assert counts["ours_released"][:2] == ["27303", "28209"]
+    assert counts["deep_mds"] == ["27323", "28229", "27505"]
+    assert counts["deep_mds_released"][:2] == ["27303", "28209"]
     # ResNet-50 without its head has 23,534,592 trainable parameters.
     assert int(counts["ringnet"][0]) > 23_534_592 and counts["ringnet"][2] == "> 23000000"
     row = line(parameters.latex(table.reset_index()), "MediaPipe")

@@ -16,7 +16,12 @@ from experiments.scoring.tables import summarise, wilcoxon_tests
 from experiments.scoring.typesetting import paper_layout
 from experiments.scoring.verdict import check, verdict
 
-ERRORS = {"mean_shape": 0.5e-4, "own_constant": 1e-4, "ours": 0.9e-4, "lifting": 0.05e-4}
+ERRORS = {
+    "mean_shape": 0.5e-4,
+    "deep_mds_constant": 1e-4,
+    "deep_mds": 0.9e-4,
+    "landmark_lifter": 0.05e-4,
+}
 
 
 def metrics_of(errors):
@@ -40,7 +45,7 @@ def run(tmp_path):
     run = Run("openhead", FULL, results=tmp_path / "results")
     path = run.experiment_results("bfm") / "table.csv"
     path.parent.mkdir(parents=True)
-    seeds = seeds_of({m: mse for m, mse in ERRORS.items() if m != "lifting"})
+    seeds = seeds_of({m: mse for m, mse in ERRORS.items() if m != "landmark_lifter"})
     table_of(ERRORS, seeds).to_csv(path, index=False)
     who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     for words in (("init", "-q"), ("add", "."), (*who, "commit", "-qm", "a run")):
@@ -61,10 +66,12 @@ def test_a_run_ends_with_its_verdict(run):
         "all views 1.45 [1.00, 1.90]; the mean shape 0.72 [0.50, 0.95]."
     )
     assert compared == "This run agrees with the committed one."
-    write(run, ERRORS | {"ours": 3e-4})
-    assert verdict(run)[1].endswith("see make check: ours.")
-    write(run, {method: ERRORS[method] for method in ("mean_shape", "own_constant", "ours")})
-    assert verdict(run)[1].endswith("agrees with the committed one; not run here: lifting.")
+    write(run, ERRORS | {"deep_mds": 3e-4})
+    assert verdict(run)[1].endswith("see make check: deep_mds.")
+    write(
+        run, {method: ERRORS[method] for method in ("mean_shape", "deep_mds_constant", "deep_mds")}
+    )
+    assert verdict(run)[1].endswith("agrees with the committed one; not run here: landmark_lifter.")
     small = replace(run, preset=SMOKE)
     write(small, ERRORS)
     assert "Not compared" in verdict(small)[1]
@@ -74,10 +81,10 @@ def test_a_run_ends_with_its_verdict(run):
     ("changes", "off"),
     [
         ({}, []),
-        ({"ours": 1.7e-4}, []),  # as one of the seeds
-        ({"lifting": 0.053e-4}, []),
-        ({"lifting": 0.07e-4}, ["lifting"]),
-        ({"ours": 0.5e-4, "mean_shape": 2e-4}, ["mean_shape", "ours"]),
+        ({"deep_mds": 1.7e-4}, []),  # as one of the seeds
+        ({"landmark_lifter": 0.053e-4}, []),
+        ({"landmark_lifter": 0.07e-4}, ["landmark_lifter"]),
+        ({"deep_mds": 0.5e-4, "mean_shape": 2e-4}, ["mean_shape", "deep_mds"]),
     ],
 )
 def test_check_allows_what_seeds_do(run, capsys, changes, off):

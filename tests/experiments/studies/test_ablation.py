@@ -94,9 +94,9 @@ def test_curve_by_training_faces_ends_with_the_method_itself(collected, monkeypa
     faces = Faces(shapes[..., :2], shapes, np.ones(len(shapes)), shapes, np.zeros(len(shapes)))
     monkeypatch.setattr(ablation, "load_faces", lambda run, part: faces)
     curve = ablation.training_curve(run, metrics)
-    ours = curve[curve["method"] == "ours"].set_index("value")["mse"] / 1e-4
+    ours = curve[curve["method"] == "deep_mds"].set_index("value")["mse"] / 1e-4
     assert dict(ours) == pytest.approx({SIZE: 1 + SIZE, run.preset.train_faces: 1})
-    assert {*curve["method"]} == {"mean_shape", "linear", "ours", "ours_stable"}
+    assert {*curve["method"]} == {"mean_shape", "ridge", "deep_mds", "deep_mds_cosine"}
 
 
 @pytest.mark.slow

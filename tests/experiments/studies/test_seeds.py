@@ -25,13 +25,13 @@ def test_recalibrated_statistics_are_those_of_the_given_faces():
 
 
 def test_spread_is_over_the_seeds_of_a_method():
-    rows = [("ours", seed, "mse", value) for seed, value in enumerate((1.0, 2.0, 9.0))]
-    rows += [("ours_stable", 0, "mse", 4.0)]
+    rows = [("deep_mds", seed, "mse", value) for seed, value in enumerate((1.0, 2.0, 9.0))]
+    rows += [("deep_mds_cosine", 0, "mse", 4.0)]
     metrics = pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
     table = spread(metrics, ["method", "metric"]).set_index("method")
-    ours = table.loc["ours", ["median", "mean", "std", "min", "max", "count"]]
+    ours = table.loc["deep_mds", ["median", "mean", "std", "min", "max", "count"]]
     assert ours.tolist() == [2, 4, pytest.approx(19**0.5), 1, 9, 3]
-    assert table.index.tolist() == ["ours", "ours_stable"]
+    assert table.index.tolist() == ["deep_mds", "deep_mds_cosine"]
 
 
 @pytest.mark.slow
@@ -44,10 +44,10 @@ def test_the_table_shows_the_spread_over_seeds(whole_bfm, tmp_path):
     seeds = metrics[metrics["metric"] == "mse"].pivot(index="method", columns="seed")["value"]
     table = pd.read_csv(runs.results(tmp_path, "bfm") / "table.csv").set_index(["method", "metric"])
     rows = table.xs("mse", level="metric").loc[seeds.index]
-    trained = {"ours", "ours_released", "ours_stable"}
-    assert {*rows.index} == {"mean_shape", "own_constant", *trained}
+    trained = {"deep_mds", "deep_mds_released", "deep_mds_cosine"}
+    assert {*rows.index} == {"mean_shape", "deep_mds_constant", *trained}
     assert (seeds[0] != seeds[1]).all()
     assert (rows["n_seeds"] == 2).all()
     np.testing.assert_allclose(rows[["lowest", "highest"]], np.sort(seeds), rtol=1e-7)
     np.testing.assert_allclose(rows["median"], seeds.mean(axis=1), rtol=1e-7)
-    assert table.loc["linear", "mse"][["n_seeds", "median"]].isna().all()
+    assert table.loc["ridge", "mse"][["n_seeds", "median"]].isna().all()

@@ -51,7 +51,7 @@ def test_its_numbers_are_those_of_the_method_on_distinct_faces(folder):
     ]
     table = pd.read_csv(table_of(folder)).set_index(["method", "metric"])
     assert (table["n_faces"] == 25).all()
-    for method in ("mean_shape", "ours"):
+    for method in ("mean_shape", "deep_mds"):
         fitted = load(run, method)
         errors = np.concatenate([score(predict(fitted, part.views), part).mse for part in parts])
         assert len({*errors}) == 25, "no face twice"

@@ -28,15 +28,15 @@ FIGURES = {
     "celeba": {"celeba", "celeba_others", "fits", "photos"},
 }
 EVERYWHERE = {
-    "mean_shape", "own_constant", "linear", "linear_upright", "perceptron", "zhao", "ours",
-    "ours_released", "ours_stable", "lifting",
+    "mean_shape", "deep_mds_constant", "ridge", "ridge_roll_aligned", "mlp", "zhao", "deep_mds",
+    "deep_mds_released", "deep_mds_cosine", "landmark_lifter",
 }  # fmt: skip
 MEASURED = {
     "bfm": {
         "zhao_authors", "zhao_frontal", "zhao_evaluator", "aldrian", "aldrian_authors",
         "mobileface",
     },
-    "flame": {"ringnet", "true_landmarks", "model_fit", "ours_with_errors"},
+    "flame": {"ringnet", "true_landmarks", "model_fit", "deep_mds_noise"},
     "celeba": {"aldrian", "aldrian_authors", "mobileface", "true_landmarks"},
 }  # fmt: skip
 
@@ -101,21 +101,21 @@ def test_a_table_has_every_method_with_a_number_or_a_reason(whole, track):
     if MEDIAPIPE and track == "flame":
         measured |= {"mediapipe", "mediapipe_corrected"}
     assert {*rows.index[rows["mean"].notna()]} == measured
-    assert rows.loc["authors_weights", "note"].startswith("their weight files were not given")
+    assert rows.loc["deep_mds_weights", "note"].startswith("their weight files were not given")
     caution = "smoke: too short to mean anything"
     assert rows.loc["mean_shape", "note"] == caution
-    assert (rows.loc["linear", "note"] == caution) == (track != "flame")
-    assert ("with errors" in rows.loc["linear", "note"]) == (track == "flame")
-    assert rows.loc["lifting", "note"].startswith("not in the paper; trained for 3 steps")
+    assert (rows.loc["ridge", "note"] == caution) == (track != "flame")
+    assert ("with errors" in rows.loc["ridge", "note"]) == (track == "flame")
+    assert rows.loc["landmark_lifter", "note"].startswith("not in the paper; trained for 3 steps")
     quoted = {
-        "bfm": ("ours", 1.4e-4),
+        "bfm": ("deep_mds", 1.4e-4),
         "flame": ("ringnet", 1.34e-3),
         "celeba": ("mobileface", 9.2e-7),
     }
     method, mean = quoted[track]
     assert rows.loc[method, "paper_mean"] == pytest.approx(mean)
     if track == "bfm":
-        assert rows.loc["linear", "mean"] < rows.loc["mean_shape", "mean"]
+        assert rows.loc["ridge", "mean"] < rows.loc["mean_shape", "mean"]
 
 
 @pytest.mark.slow
@@ -149,13 +149,13 @@ def test_the_released_evaluator_scores_the_same_predictions(copy):
     # The paper's number stands next to the views that the authors gave to the net.
     assert released.loc[("zhao_frontal", "mse"), "paper_mean"] == 22e-4
     assert paper.loc[("zhao_evaluator", "mse"), "paper_mean"] == 22e-4
-    others = ["mean_shape", "linear", "aldrian", "mobileface", "ours"]
+    others = ["mean_shape", "ridge", "aldrian", "mobileface", "deep_mds"]
     pd.testing.assert_frame_equal(released.loc[others], paper.loc[others], check_exact=True)
 
 
 def test_a_preview_is_the_table_without_what_takes_long(copy):
     folder = copy("bfm")
-    few = ["mean_shape", "linear", "ours"]
+    few = ["mean_shape", "ridge", "deep_mds"]
     done = step("tracks.preview", folder, "bfm", *few, seeds=2)  # of which one is not trained yet
     assert done.returncode == 0, done.stderr
     row = next(line for line in done.stdout.splitlines() if line.startswith("Deep-MDS "))
@@ -179,10 +179,10 @@ def change(path):
 @pytest.mark.parametrize(
     ("name", "items", "file", "spoil", "message"),
     [
-        ("tracks.preview", ["linear"], "predictions/linear.npz", damage, "must be an npz"),
-        ("tracks.preview", ["linear"], "predictions/linear.npz", None, "linear.npz does not exist"),
+        ("tracks.preview", ["ridge"], "predictions/ridge.npz", damage, "must be an npz"),
+        ("tracks.preview", ["ridge"], "predictions/ridge.npz", None, "ridge.npz does not exist"),
         ("tracks.predict", ["mobileface"], "images/test/0000.npy", change, "was changed since"),
-        ("tracks.predict", ["linear"], "train.npz", None, "train.npz does not exist"),
+        ("tracks.predict", ["ridge"], "train.npz", None, "train.npz does not exist"),
     ],
 )
 def test_files_that_are_missing_or_changed_are_named(copy, name, items, file, spoil, message):
@@ -353,10 +353,10 @@ def test_the_authors_weights_have_a_row(copy, track, tmp_path):
     write_keras2(weights / ZHAO_FILES[track][0], build_zhao_net(n, seed=3))
     folder = copy(track)
     (runs.work(folder, track) / "landmark_model.npz").unlink()  # which only RingNet needs
-    for method in ("authors_weights", "zhao_weights"):
+    for method in ("deep_mds_weights", "zhao_weights"):
         done = step("tracks.predict", folder, track, method, authors=weights)
         assert done.returncode == 0, done.stderr
-    few = ["mean_shape", "ours", "linear", "zhao", "authors_weights"]
+    few = ["mean_shape", "deep_mds", "ridge", "zhao", "deep_mds_weights"]
     done = step("tracks.preview", folder, track, *few, authors=weights)
     assert done.returncode == 0 and "Deep-MDS, authors' weights" in done.stdout
 
@@ -367,7 +367,7 @@ def test_faces_with_flames_landmarks_are_drawn(copy, given):
     """Of the folder TF_FLAME, or drawn in their place."""
     if given and not TF_FLAME.is_dir():
         pytest.skip("../shared/tf_flame is absent")
-    of_views = ["zhao", "ours", "lifting"]
+    of_views = ["zhao", "deep_mds", "landmark_lifter"]
     of_photos = ["ringnet", *["mediapipe_corrected"] * MEDIAPIPE]
     folder, options = copy("flame"), {"tf_flame": TF_FLAME} if given else {}
     methods, recorded = [*of_views, *of_photos], "celeba-flame"

@@ -66,7 +66,7 @@ def test_answers_are_scored_on_the_same_faces():
     networks = {"released": MeanNetwork(off)}
     rows = pd.DataFrame(witness.measure(run, networks, "paper", "openhead", 1.0, model))
     mse = rows.set_index("answer")["mse"]
-    assert mse["own_constant"] == pytest.approx(mse["released"]), "it is a constant"
+    assert mse["deep_mds_constant"] == pytest.approx(mse["released"]), "it is a constant"
     assert mse["mean_shape"] < mse["random_face"] < 3 * mse["mean_shape"]
     assert mse["mean_shape"] < mse["released"]
     assert (rows["low"] <= rows["mse"]).all() and (rows["mse"] <= rows["high"]).all()
@@ -84,7 +84,7 @@ def test_make_witness_prints_the_numbers_of_a_basel_model(tmp_path):
     assert [words[0] for words in steps] == ["witness.witness"]
     folder = tmp_path / "results" / runs.PRESET / "bfm2009" / "witness"
     table = pd.read_csv(folder / "released.csv")
-    assert {*table["answer"]} == {*witness.NETS, "own_constant", "random_face", "mean_shape"}
+    assert {*table["answer"]} == {*witness.NETS, "deep_mds_constant", "random_face", "mean_shape"}
 
 
 @needs_weights

@@ -1,4 +1,4 @@
-"""A plain dense network from a view to the shape, which a structured network must beat."""
+"""A multilayer perceptron from a view to the shape, which a structured network must beat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNIT = 0.01  # unit of the output, in which faces differ by about 1
 
 
 @dataclass(eq=False, repr=False)
-class Perceptron(NetworkMethod):
+class MLP(NetworkMethod):
     """Two hidden layers with ReLU, from a centred and scaled view to all coordinates of the shape.
 
     Each number of a view is standardised over the training faces: otherwise the pose outweighs the
@@ -48,7 +48,7 @@ class Perceptron(NetworkMethod):
     batch_size: int = 128
     seed: int = 0
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> Perceptron:
+    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> MLP:
         """Train on `(n, L, 2)` views, any scale and place, and `(n, L, 3)` shapes in one frame.
 
         Args:
@@ -85,7 +85,7 @@ class Perceptron(NetworkMethod):
         check_n_landmarks(self.n_landmarks)
         sizes = dict.fromkeys(("hidden_1", "hidden_2"), (self.units, "relu"))
         sizes["shape"] = 3 * self.n_landmarks, None
-        name = f"perceptron_{self.n_landmarks}"
+        name = f"mlp_{self.n_landmarks}"
         return dense_network(name, 2 * self.n_landmarks, sizes, seed, standardised=True)
 
 
