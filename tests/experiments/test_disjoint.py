@@ -13,8 +13,8 @@ import runs
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.files import read_arrays
 from experiments.inputs import face_model
+from experiments.lifting import transfer
 from experiments.lifting.train import transfer_faces
-from experiments.lifting.transfer import tested_faces
 from experiments.lifting.views import CONDITIONS, hard_views, training_views
 from experiments.presets import TINY
 from experiments.run import Run
@@ -83,7 +83,7 @@ def test_no_two_data_sets_share_a_person(request, track):
         sets = of_flame(request.getfixturevalue("whole_flame"))
     else:  # with their expressions
         sets = {"training": transfer_faces(RUN, "openhead")[1]}
-        sets["tests"] = tested_faces(RUN, "openhead", 0.0)[1]
+        sets["tests"] = transfer.tested_faces(RUN, "openhead", 0.0)[1]
     for one, other in combinations(sets, 2):
         first, second = (sets[name].reshape(len(sets[name]), -1) for name in (one, other))
         apart = min(np.abs(first - face).max(1).min() for face in second)
