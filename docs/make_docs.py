@@ -18,8 +18,8 @@ from data_gen.models.registry import TITLES
 from deepmds_keras.files import write_bytes
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
-from experiments.old_names import read_table
 from experiments.scoring.numbers import NOTHING, power
+from experiments.scoring.old_names import read_table
 
 ROOT = Path(__file__).parents[1]
 _DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")

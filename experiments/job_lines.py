@@ -10,9 +10,9 @@ from pathlib import Path
 from statistics import median
 
 from deepmds_keras.errors import InputError, brief
-from experiments.old_names import new_name
 from experiments.progress import duration
 from experiments.records import MANIFEST, read_manifest, read_record, steps_of
+from experiments.scoring.old_names import new_name
 
 
 class JobLines(logging.Handler):

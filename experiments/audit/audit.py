@@ -17,10 +17,10 @@ from experiments.audit.poses import TRAINED
 from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
-from experiments.old_names import read_table
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.numbers import power, scientific
+from experiments.scoring.old_names import read_table
 
 CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
 _DRAWN = ("mean_shape", "zhao", "aldrian", "deep_mds", "landmark_lifter")

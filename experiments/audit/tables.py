@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.old_names import read_table
 from experiments.run import SCHEMES, Run
 from experiments.scoring.intervals import Estimate, point
+from experiments.scoring.old_names import read_table
 
 
 @dataclass(frozen=True)

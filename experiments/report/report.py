@@ -15,12 +15,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, title
-from experiments.old_names import read_table
 from experiments.progress import duration
 from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, write_text
 from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
+from experiments.scoring.old_names import read_table
 from experiments.scoring.typesetting import cells, head_of, remarks
 
 # Folder of results → title, and the target of `make` that writes it, in the report's order. Texts

@@ -11,10 +11,10 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 from experiments.methods import CONSTANT
-from experiments.old_names import read_table
 from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
+from experiments.scoring.old_names import read_table
 from experiments.scoring.published import unit_of
 
 # Relative difference that another processor may cause: about the range over ten seeds of Deep-MDS

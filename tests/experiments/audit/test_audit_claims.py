@@ -12,10 +12,10 @@ from deepmds_keras.errors import InputError
 from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.tables import Tables
-from experiments.old_names import read_table
 from experiments.presets import FULL
 from experiments.run import Run
 from experiments.scoring.intervals import Estimate, point
+from experiments.scoring.old_names import read_table
 
 RESULTS = committed() / "results"
 MODELS = ("openhead", "ict")
