@@ -10,7 +10,7 @@ import json
 import os
 import secrets
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -62,7 +62,7 @@ def write_arrays(
     path: str | Path, arrays: dict[str, np.ndarray], description: dict, *, compressed: bool = True
 ) -> None:
     """Write arrays and a JSON description into one npz, and raise as `atomic_write` does."""
-    save = np.savez_compressed if compressed else np.savez
+    save: Callable[..., None] = np.savez_compressed if compressed else np.savez
     with atomic_write(path) as file:
         save(file, description=np.array(json.dumps(description)), **arrays)
 
@@ -90,15 +90,15 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
             the message calls the file `kind`.
     """
     arrays = {}
-    with _named(path, kind), zipfile.ZipFile(path) as archive:
+    with _named(path, kind), open(path, "rb") as file, zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
             # Read to the end, so that the checksum is compared; NumPy stops at the array's end.
             content = io.BytesIO(archive.read(member))
             name = member.filename.removesuffix(".npy")
             arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
         # Python reads a damaged directory up to the damage, and does not compare the count.
-        archive.fp.seek(-_ZIP_END_SIZE, os.SEEK_END)
-        end = archive.fp.read()
+        file.seek(-_ZIP_END_SIZE, os.SEEK_END)
+        end = file.read()
         listed = int.from_bytes(end[10:12], "little")
         if end.startswith(b"PK\5\6") and len(archive.infolist()) != listed:
             raise zipfile.BadZipFile(f"{len(arrays)} arrays of {listed}")

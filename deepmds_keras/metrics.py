@@ -45,7 +45,7 @@ def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
     prediction, truth = _pair(prediction, truth, least=2)
     truth = normalise(centre(truth))
     mean = np.broadcast_to(truth.mean(0), truth.shape)
-    error, worst = (mse(align(shapes, truth), truth).mean() for shapes in (prediction, mean))
+    error, worst = (np.mean(mse(align(x, truth), truth)) for x in (prediction, mean))
     return float(1 - error / worst)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
@@ -88,7 +89,7 @@ class NetworkMethod(BaseEstimator):
 def dense_network(
     name: str,
     n_inputs: int,
-    sizes: dict[str, tuple[int, str | None]],
+    sizes: Mapping[str, tuple[int, str | None]],
     seed: int,
     standardised: bool = False,
 ) -> keras.Model:

@@ -18,7 +18,7 @@ def forward_images(network, images: np.ndarray, batch_size: int = 100) -> np.nda
 
 def scale_images(images: np.ndarray) -> np.ndarray:
     """[0, 255] → [-1, 1]."""
-    return np.float32(images) / 127.5 - 1
+    return images.astype(np.float32) / 127.5 - 1
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray):

@@ -83,8 +83,8 @@ class MLP(NetworkMethod):
 
     def _build(self, seed: int = 0) -> keras.Model:
         check_n_landmarks(self.n_landmarks)
-        sizes = dict.fromkeys(("hidden_1", "hidden_2"), (self.units, "relu"))
-        sizes["shape"] = 3 * self.n_landmarks, None
+        hidden = self.units, "relu"
+        sizes = {"hidden_1": hidden, "hidden_2": hidden, "shape": (3 * self.n_landmarks, None)}
         name = f"mlp_{self.n_landmarks}"
         return dense_network(name, 2 * self.n_landmarks, sizes, seed, standardised=True)
 

@@ -75,7 +75,7 @@ class MobileFace(NetworkMethod):
         n, n_coefficients = len(images), len(self.landmark_basis_times_sd)
         check_shape(coefficients, "coefficients", (n, n_coefficients))
         check_shape(self.shape_gram, "shape_gram", (n_coefficients, n_coefficients))
-        coefficients, check = np.float32(coefficients), np.arange(min(n, _CHECK_FACES))
+        coefficients, check = np.asarray(coefficients, np.float32), np.arange(min(n, _CHECK_FACES))
         steps, batch = self.steps_per_epoch, self.batch_size
         recipe, loss = Recipe(self.epochs, steps, self.schedule, self.learning_rate), self._loss()
         network = self._compiled(recipe.optimizer(steps), loss)

@@ -105,7 +105,8 @@ class RingNet(NetworkMethod):
                 f"subjects must be two or more with {self.ring_size - 1} images each or more. "
                 f"Received {len(members)}, one with {least}."
             )
-        points = np.float32((2 * landmarks / self.image_size - 1) * [1, -1])  # -1 to 1, y up
+        # From -1 to 1, y up.
+        points = np.asarray((2 * landmarks / self.image_size - 1) * [1, -1], np.float32)
         fill = float(np.ptp(points, axis=1).max(1).mean() / 2)
         points = points.reshape(len(points), -1)
         loss, check = RingNetLoss(self, fill), np.arange(min(len(images), _CHECK_IMAGES))
@@ -211,7 +212,9 @@ class Regressor(layers.Layer):
 
     def __init__(self, n_parameters: int, **options):
         super().__init__(**options)
-        self.n_parameters, self.kernels, self.biases = n_parameters, [], []
+        self.n_parameters = n_parameters
+        self.kernels: list[keras.Variable] = []
+        self.biases: list[keras.Variable] = []
         self.dropouts = [layers.Dropout(0.2, seed=number) for number in (1, 2)]
 
     def build(self, shape: tuple) -> None:

@@ -117,7 +117,7 @@ def refit(poses: HeadPose, views: np.ndarray, shapes: np.ndarray) -> HeadPose:
     posed = shapes @ np.swapaxes(poses.rotation, 1, 2)
     seen = ~np.isnan(views[..., :1])
     n_seen, views = seen.sum(1), np.where(seen, views, 0)
-    scale, perspective = poses.scale, poses.perspective
+    scale, perspective = np.asarray(poses.scale), np.asarray(poses.perspective)
     for _ in range(2):  # the perspective hardly depends on the scale
         flat = seen * posed[..., :2] / (1 - perspective[:, None, None] * posed[..., 2:])
         flat_middle, middle = flat.sum(1) / n_seen, views.sum(1) / n_seen

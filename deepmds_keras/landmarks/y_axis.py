@@ -123,7 +123,7 @@ def _eyes_and_mouth(
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
     # Of a part that is not known the vectors are NaN; what belongs to none may be missing.
-    parts = np.where(_middles(judged).any(0)[:, None], faces, 0)
+    parts = np.where(np.any(_middles(judged), axis=0)[:, None], faces, 0)
     right, left, mouth = (_middles(judged) @ parts).swapaxes(0, 1)
     return faces, left - right, mouth - (right + left) / 2
 
