@@ -7,23 +7,24 @@ from numbers import Integral
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deepmds_keras.errors import InputError
 
 
-def as_numbers(points: np.ndarray, name: str) -> np.ndarray:
+def as_numbers(points: ArrayLike, name: str) -> np.ndarray:
     """An array of floats, NaN where the input is masked; the input itself if it is one.
 
     Raises:
         InputError: Lists of unequal lengths, or anything but real numbers.
     """
     try:
-        points = points if np.ma.isMaskedArray(points) else np.asarray(points)
+        array = points if isinstance(points, np.ma.MaskedArray) else np.asarray(points)
     except ValueError:
         raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
-    if points.dtype.kind not in "fiu":
-        raise InputError(f"{name} must hold numbers. Received dtype {points.dtype}.")
-    return np.ma.filled(points.astype(float, copy=False), np.nan)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} must hold numbers. Received dtype {array.dtype}.")
+    return np.ma.filled(array.astype(float, copy=False), np.nan)
 
 
 def check_points(points: np.ndarray, name: str, n_dimensions: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from deepmds_keras import __version__
 from deepmds_keras.landmarks import said_sizes
 from deepmds_keras.tool.command.outputs import FORMATS
 from deepmds_keras.tool.detection import DETECTORS, default_detector
-from deepmds_keras.tool.predict.faces import Face
+from deepmds_keras.tool.predict.faces import Face, frame_of
 from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES
 from deepmds_keras.tool.predict.videos import tell_tracks
 
@@ -125,7 +125,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
     """Lines to print about a finished source: its first faces, up to `most`."""
     if faces[0].frame_ref is not None:
-        yield f"{source}: faces in {len({face.frame_ref.frame for face in faces})} frames"
+        yield f"{source}: faces in {len({frame_of(face).frame for face in faces})} frames"
         yield from tell_tracks(faces, most)
         return
     seen = [face for face in faces if not face.is_gap]

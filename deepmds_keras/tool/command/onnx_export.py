@@ -104,10 +104,11 @@ def _traced(lifter: LandmarkLifter):
     points = xp.where(known[:, None], points, 0)
     seen = xp.float32(known)
     share = xp.mean(seen, 1, keepdims=True)[:, None]
-    centre = 0
+    middles = []
     for _ in range(2):  # the second pass removes rounding errors
-        middle = xp.mean(points, 2, keepdims=True) / share
-        points, centre = (points - middle) * seen[:, None], middle + centre
+        middles.append(xp.mean(points, 2, keepdims=True) / share)
+        points = (points - middles[-1]) * seen[:, None]
+    centre = middles[1] + middles[0]
     square = xp.mean(points * points, 2, keepdims=True) / share
     radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
     sd = landmark_sd / radius[:, 0]

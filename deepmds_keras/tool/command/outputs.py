@@ -106,8 +106,8 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
         # Quoted, so that no character of a file name is taken for part of the table.
         name = '"' + face.name.replace("%", "%%").replace('"', '""') + '",'
         name += "".join(f"{value}," for value in _frame(face).values())
-        std = () if face.std is None else (face.std,)
-        numbers = np.hstack([face.xyz, *std, face.landmarks_3d, face.residuals[:, None]])
+        estimated = () if face.std is None else (face.std,)
+        numbers = np.hstack([face.xyz, *estimated, face.landmarks_3d, face.residuals[:, None]])
         yield "".join(name + row for row in rows) % tuple(numbers.ravel().tolist())
 
 
@@ -161,7 +161,8 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
     for key in poses[0]:
         name = f"pose_{key}" if key in measured else key
         measured[name] = over_faces(pose[key] for pose in poses)
-    np.savez(  # compressing measurements takes long and gains little
+    save: Callable[..., None] = np.savez  # compressing measurements takes long and gains little
+    save(
         file,
         face=np.array([face.name for face in faces]),
         **{key: np.array([_frame(face)[key] for face in faces]) for key in _frame(faces[0])},
@@ -269,7 +270,7 @@ def _rounded(values) -> list | float | None:
 
 def or_null(values: np.ndarray) -> list | float | None:
     """Numbers for JSON, which has no NaN."""
-    return np.where(np.isnan(values), None, values).tolist()
+    return np.where(np.isnan(values), np.array(None), values).tolist()
 
 
 def _as_text(parts: Callable[[Sequence[Face], Mapping], Iterator[str]]) -> Callable:

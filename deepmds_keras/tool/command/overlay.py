@@ -55,9 +55,9 @@ def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800) -> Cut
         first, last = np.zeros(2, int), size
     image = Image.fromarray(photo[first[1] : last[1], first[0] : last[0]])
     scale = min(1, side / max(image.size))
-    small = tuple(max(1, round(scale * length)) for length in image.size)
-    image = image.resize(small, Image.Resampling.LANCZOS, reducing_gap=3)
-    return Cutout(image, first, np.divide(small, last - first))
+    width, height = (max(1, round(scale * length)) for length in image.size)
+    image = image.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3)
+    return Cutout(image, first, np.divide((width, height), last - first))
 
 
 def overlay(faces: Sequence[Face], photo: np.ndarray | None) -> Image.Image:

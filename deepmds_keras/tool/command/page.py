@@ -84,7 +84,7 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
     digits = _DIGITS.get(face.unit, 4)
     return {
         "name": face.name,
-        "source": face.source.name,  # without its folder: pages are passed on
+        "source": face.source and face.source.name,  # without its folder: pages are passed on
         "scheme": face.scheme,
         "unit": face.unit,
         "scale": SCALE[face.unit],
@@ -136,7 +136,7 @@ def _base64(content: bytes) -> str:
 
 def _policy(page: str) -> str:
     """Content-Security-Policy: only the page's scripts and styles run, only its pictures load."""
-    allowed = {"script": [], "style": []}
+    allowed: dict[str, list[str]] = {"script": [], "style": []}
     for kind, content in _HASHED.findall(page):
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         allowed[kind].append(f"'sha256-{digest}'")

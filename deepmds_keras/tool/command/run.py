@@ -147,7 +147,7 @@ def _locked(out: Path) -> Iterator[Path]:
     out.mkdir(parents=True, exist_ok=True)
     with open(out / LOCK, "wb") as file:
         try:
-            if os.name == "nt":
+            if sys.platform == "win32":
                 import msvcrt
 
                 msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
@@ -212,11 +212,12 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     family = model if model in FAMILIES else load_model(model).family
     jobs = cpu_count() if jobs == -1 else jobs
     workers = min(jobs, len(others)) if family == DEFAULT else 1
-    process = partial(_process, folder=folder, jobs=1 if workers > 1 else jobs, **settings)
+    settings = {"folder": folder, "jobs": jobs, **settings}
     if others:
-        tasks = (delayed(process)(*pair) for pair in others)
+        within = settings | {"jobs": 1 if workers > 1 else jobs}
+        tasks = (delayed(_process)(*pair, **within) for pair in others)
         yield from Parallel(workers, return_as="generator")(tasks)
-    yield from (process(*pair, jobs=jobs) for pair in videos)
+    yield from (_process(*pair, **settings) for pair in videos)
 
 
 def _process(
@@ -258,13 +259,16 @@ def _detect(
     **_,
 ) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
     """The photo, or None for other sources, and the landmarks of its faces."""
-    options = {"detector": detector, "landmarker": landmarker, "model": model}
     if kind_of(source) == "video":
-        options |= {"every": every, "smooth": smooth, "jobs": jobs}
-        return None, find_in_video(source, name, **options)
+        return None, find_in_video(
+            source, name, detector=detector, landmarker=landmarker, model=model,
+            every=every, smooth=smooth, jobs=jobs,
+        )  # fmt: skip
     if kind_of(source) == "photo":
         photo = open_photo(source)
-        detections = find_in_photo(photo, source, name, **options)
+        detections = find_in_photo(
+            photo, source, name, detector=detector, landmarker=landmarker, model=model
+        )
         if not detections.names:
             raise no_face(source, detector, "whichever side is up")
         return photo, detections
@@ -308,13 +312,14 @@ def _pictures(
     some = shown[:_DRAWN_FACES]
 
     def write_view(path: Path) -> None:
-        write_page(
-            path, some, read_stills(some, every) if video else [photo] * len(some), mesh=mesh
-        )
+        stills = read_stills(source, some, every) if video else [photo] * len(some)
+        write_page(path, some, stills, mesh=mesh)
+
+    def write_picture(path: Path) -> None:
+        if video:
+            write_landmark_video(path, source, faces, every)
+        else:
+            write_overlay(path, some if photo is None else shown, photo)
 
     writers = {folder / f"{name}.html": write_view} if view else {}
-    drawn = some if photo is None else shown
-    write_picture = partial(write_overlay, faces=drawn, photo=photo)
-    if video:
-        write_picture = partial(write_landmark_video, faces=faces, every=every)
-    return writers | {folder / _picture(source, name): write_picture}
+    return {**writers, folder / _picture(source, name): write_picture}

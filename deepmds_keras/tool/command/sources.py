@@ -41,7 +41,9 @@ def find_sources(
         each folder without photos, and each file with another suffix; and the number of entries
         of folders that were skipped, by kind.
     """
-    sources, errors, skipped = {}, [], Counter()
+    sources: dict[Path, Path] = {}
+    errors: list[InputError] = []
+    skipped: Counter[str] = Counter()
     for path in paths:
         try:
             if os.path.isdir(path):
@@ -71,7 +73,9 @@ def name_sources(sources: Sequence[Path]) -> list[str]:
     `name_faces` appends: `a.jpg`, `a.png` and `a-1.jpg` give `a`, `a_png` and `a-1_jpg`. None is
     that of a mesh.
     """
-    names, used, numbered = [], set(), set()
+    names: list[str] = []
+    used: set[str] = set()
+    numbered: set[str] = set()
     for source in sources:
         suffixed = f"{source.stem}_{source.suffix[1:]}"
         for name in chain([source.stem, suffixed], (f"{suffixed}_{i}" for i in count(2))):

@@ -35,8 +35,8 @@ def find_shape_predictor() -> Path:
     """
     # Located without importing: the package imports pkg_resources, which setuptools has dropped.
     spec = find_spec(_PACKAGE)
-    folders = [Path(place) / "models" for place in spec.submodule_search_locations] if spec else []
-    for folder in (*folders, _DEBIAN_FOLDER):
+    places = (spec.submodule_search_locations if spec else None) or ()
+    for folder in (*(Path(place, "models") for place in places), _DEBIAN_FOLDER):
         if (folder / _FILE).is_file():
             return folder / _FILE
     raise InputError(

@@ -51,10 +51,11 @@ class MediaPipeLandmarks:
 
     def __init__(self, landmarker: str | Path | None = None, *, max_faces: int = 20):
         with _silenced():
-            if landmarker is None:
-                self._find = _FaceMesh(max_faces)
-            else:
-                self._find = _FaceLandmarker(landmarker, max_faces)
+            self._find: _FaceMesh | _FaceLandmarker = (
+                _FaceMesh(max_faces)
+                if landmarker is None
+                else _FaceLandmarker(landmarker, max_faces)
+            )
         self._has_found = False
 
     def detect_all(self, image: np.ndarray) -> np.ndarray:
@@ -82,7 +83,7 @@ class MediaPipeLandmarks:
             faces, scores = self._find(image)
         self._has_found |= len(faces) > 0
         height, width = image.shape[:2]
-        points = np.float32(faces * (width, height, -width))
+        points = (faces * (width, height, -width)).astype(np.float32)
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]
 
@@ -139,7 +140,8 @@ class _FaceMesh:
                 )
         except ImportError as error:
             raise _no_mediapipe(f"MediaPipe must be whole: {_HOW_TO}", error) from None
-        self._mp, self._packets, self._n_images = mp, {_POINTS: [], _DETECTIONS: []}, 0
+        self._mp, self._n_images = mp, 0
+        self._packets: dict[str, list] = {_POINTS: [], _DETECTIONS: []}
         mp.resource_util.set_resource_dir(str(file.parents[3]))
         self._graph = mp.CalculatorGraph(binary_graph_path=str(file))
         for name, packets in self._packets.items():
@@ -192,7 +194,7 @@ class _FaceLandmarker:
         try:
             content = Path(path).read_bytes()
         except OSError as error:
-            raise _no_landmarker(path, error.strerror) from None
+            raise _no_landmarker(path, error.strerror or brief(error)) from None
         try:
             import mediapipe as mp
 
@@ -250,10 +252,11 @@ def _bare_package() -> Iterator[None]:
     FaceMesh needs none of them (0.2 s instead of 5 to 20 s, and no libGL). A later import of
     MediaPipe gets all of it, with the same compiled library.
     """
-    if "mediapipe" in sys.modules:
+    spec = find_spec("mediapipe")
+    if spec is None or "mediapipe" in sys.modules:
         yield
         return
-    sys.modules["mediapipe"] = module_from_spec(find_spec("mediapipe"))
+    sys.modules["mediapipe"] = module_from_spec(spec)
     try:
         yield
     finally:

@@ -39,13 +39,8 @@ def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
     try:
         content = _content(source)
         # By the content: telephones send HEIC files called `.jpg`.
-        if content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis"):
-            with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
-                from pillow_heif import HeifImageFile
-            photo = HeifImageFile(io.BytesIO(content))
-        else:
-            photo = _opened(content)
-        with photo:
+        is_heic = content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis")
+        with _opened_heic(content, name) if is_heic else _opened(content) as photo:
             _check_head(photo)
             return np.array(in_colour(ImageOps.exif_transpose(photo)))
     except MissingPackageError:
@@ -86,6 +81,12 @@ def in_colour(photo: Image.Image) -> Image.Image:
         photo = photo.convert("RGBA")
         photo = Image.alpha_composite(Image.new("RGBA", photo.size, "white"), photo)
     return photo.convert("RGB")
+
+
+def _opened_heic(content: bytes, name: object) -> Image.Image:
+    with needs(f"{name}: pillow-heif, which opens HEIC photos,", "heic"):
+        from pillow_heif import HeifImageFile
+    return HeifImageFile(io.BytesIO(content))
 
 
 def _opened(content: bytes) -> Image.Image:

@@ -74,7 +74,8 @@ def estimate_faces(
     if interocular is not None:
         right, left = map(scheme.index, _CORNERS)
         scale = interocular / np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
-        shapes, std = (a if a is None else a * scale[:, None, None] for a in (shapes, std))
+        shapes = shapes * scale[:, None, None]
+        std = None if std is None else std * scale[:, None, None]
         poses = replace(poses, scale=poses.scale / scale, perspective=poses.perspective / scale)
     size = np.nanmax(views, axis=1) - np.nanmin(views, axis=1)
     off = np.linalg.norm(poses.project(shapes) - views, axis=2) / size.max(1)[:, None]
@@ -120,10 +121,10 @@ def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) ->
         sd = np.asarray(detections.landmark_sd, float)
         return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
     detector = detections.detector
-    sd = detector_sd(detector["name"], detections.scheme) if detector else None
-    if sd is None:
+    measured = detector_sd(detector["name"], detections.scheme) if detector else None
+    if measured is None:
         return None
-    return rms_radius(convert(views, detections.scheme, "ibug51"))[:, None] * sd
+    return rms_radius(convert(views, detections.scheme, "ibug51"))[:, None] * measured
 
 
 def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> HeadPose:
@@ -164,8 +165,8 @@ def _notes(poses: HeadPose, quarters: np.ndarray, model: Model) -> list[list[str
     angles = {name: getattr(poses, name) for name in ("yaw", "pitch", "roll")}
     # The face may have been rotated.
     upright = angles | {"roll": (angles["roll"] + 90 * quarters + 180) % 360 - 180}
-    notes = []
-    for i, residual in enumerate(poses.residual):
+    notes: list[list[str]] = []
+    for i, residual in enumerate(np.asarray(poses.residual)):
         notes.append([])
         if quarters[i]:
             notes[i].append(

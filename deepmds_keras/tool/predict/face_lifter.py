@@ -6,9 +6,10 @@ import os
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
+from PIL import Image
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
@@ -16,16 +17,13 @@ from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.detection.photos import check_photo, in_colour, open_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
-from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
+from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
 from deepmds_keras.tool.predict.models import target_scheme
 from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
 from deepmds_keras.validation import as_numbers
-
-if TYPE_CHECKING:
-    from PIL import Image
 
 
 class FaceLifter:
@@ -89,12 +87,21 @@ class FaceLifter:
         """
         image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
-        if path is not None or isinstance(image, bytes):
+        if isinstance(image, Image.Image):
+            pixels = check_photo(np.asarray(in_colour(image)))
+        elif isinstance(image, (str, os.PathLike, bytes)):
             pixels = open_photo(image)
         else:
-            pixels = check_photo(in_colour(image) if hasattr(image, "convert") else image)
-        name = "face" if path is None else path.stem
-        return self._estimate(find_in_photo(pixels, path, name, **self._detection))
+            pixels = check_photo(image)
+        found = find_in_photo(
+            pixels,
+            path,
+            "face" if path is None else path.stem,
+            detector=self.detector,
+            landmarker=self.landmarker,
+            model=self.model,
+        )
+        return self._estimate(found)
 
     def predict_landmarks(
         self,
@@ -179,20 +186,24 @@ class FaceLifter:
                 "every must be a whole number, 1 or more, and smooth a number, 0 or more. "
                 f"Received {every} and {smooth}."
             )
-        options = self._detection | {"every": every, "smooth": smooth}
-        detections = find_in_video(path, Path(path).stem, **options)
-        by_frame = groupby(self._estimate(detections), key=lambda face: face.frame_ref.frame)
+        detections = find_in_video(
+            path,
+            Path(path).stem,
+            detector=self.detector,
+            landmarker=self.landmarker,
+            model=self.model,
+            every=every,
+            smooth=smooth,
+        )
+        by_frame = groupby(self._estimate(detections), key=lambda face: frame_of(face).frame)
         faces = {frame: [*some] for frame, some in by_frame}
         for frame in Video(path, every):
             yield frame, faces.get(frame.index, [])
 
-    @property
-    def _detection(self) -> dict[str, str | None]:
-        return {"detector": self.detector, "landmarker": self.landmarker, "model": self.model}
-
     def _estimate(self, detections: Detections) -> list[Face]:
-        options = {"model": self.model, "interocular": self.interocular}
-        return estimate_faces(detections, **options) if len(detections.names) else []
+        if not detections.names:
+            return []
+        return estimate_faces(detections, model=self.model, interocular=self.interocular)
 
 
 def predict_photo(

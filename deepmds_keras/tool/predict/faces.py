@@ -41,7 +41,7 @@ class Detections:
         faults: Number of each gap that is an unusable face, 0-based, → the reason.
         detector: Name and licence of the detector, or None: the landmarks were given.
         frame_refs: Where in the video each face is; None for other sources.
-        scores: The detector's scores, 0 to 1, or None if it has none.
+        scores: The detector's scores `(n,)`, 0 to 1, NaN or None if it has none.
         notes: Number of a face, 0-based, → what a reader must know about it.
         landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
             landmarks: one number, `(n,)` or `(n, L)`; None if unknown.
@@ -55,7 +55,7 @@ class Detections:
     faults: Mapping[int, str] = field(default_factory=dict)
     detector: dict[str, str] | None = None
     frame_refs: Sequence[FrameRef] | None = None
-    scores: Sequence[float] | None = None
+    scores: np.ndarray | None = None
     notes: Mapping[int, str] = field(default_factory=dict)
     landmark_sd: float | np.ndarray | None = None
 
@@ -138,8 +138,8 @@ class Face:
         """The head's pose in whole degrees: `yaw +20°, pitch +12°, roll -8°`; or `gap`."""
         if self.is_gap:
             return "gap"
-        pose = self.pose
-        return f"yaw {round(pose.yaw):+}°, pitch {round(pose.pitch):+}°, roll {round(pose.roll):+}°"
+        degrees = {name: float(getattr(self.pose, name)) for name in ("yaw", "pitch", "roll")}
+        return ", ".join(f"{name} {round(angle):+}°" for name, angle in degrees.items())
 
     @property
     def is_gap(self) -> bool:
@@ -150,6 +150,13 @@ class Face:
         """A gap in the same source as this face."""
         pose = replace(self.pose, **_nan(vars(self.pose)))
         return replace(self, **_nan(vars(self)), name=name, pose=pose, notes=notes)
+
+
+def frame_of(face: Face) -> FrameRef:
+    """Where in its video a face is seen; only for faces of videos."""
+    if face.frame_ref is None:
+        raise ValueError(f"{face.name} is not of a video")
+    return face.frame_ref
 
 
 def name_faces(name: str, n: int) -> list[str]:

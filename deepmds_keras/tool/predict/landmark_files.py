@@ -265,15 +265,16 @@ def _read_csv(path: Path) -> np.ndarray:
         rows = csv.reader(chain([first], file), skipinitialspace=True, strict=True)
         try:
             header = [cell.strip().lower() for cell in next(rows, [])]
-            columns = next((pair for pair in _PAIRS if {*pair} <= {*header}), None)
-            if columns is None:
+            pair = next((pair for pair in _PAIRS if {*pair} <= {*header}), None)
+            if pair is None:
                 raise InputError(
                     f"{path} must have a header with columns x and y; save numbers without one as "
                     f".npy. Received the first line {brief(first, _SHOWN)!r}."
                 )
-            columns = [header.index(name) for name in (*columns, "number") if name in header]
+            columns = [header.index(name) for name in (*pair, "number") if name in header]
             face = header.index("face") if "face" in header else None
-            values, faces, end = array("d"), [], 0
+            faces: list[str] = []
+            values, end = array("d"), 0
             for row in rows:
                 if len(row) > len(header):
                     raise InputError(

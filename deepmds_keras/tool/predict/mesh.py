@@ -68,7 +68,8 @@ def _fit(shapes: np.ndarray, scheme: str) -> np.ndarray:
         off = (scale * (shapes @ rotation) + shift - mean).reshape(len(shapes), -1)
         seen = mean + (off @ gain[:, columns]).reshape(shapes.shape)
     vertices = head.mean + (off @ gain).reshape(len(shapes), -1, 3)
-    return np.float32((vertices - shift) / scale @ np.swapaxes(rotation, 1, 2))
+    placed = (vertices - shift) / scale @ np.swapaxes(rotation, 1, 2)
+    return placed.astype(np.float32)
 
 
 @cache

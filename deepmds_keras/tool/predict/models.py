@@ -106,10 +106,10 @@ def target_scheme(scheme: str, model: str | None) -> str:
     Raises:
         InputError: There is no such model, or its landmarks are of no known scheme.
     """
-    family = FAMILIES.get(model or DEFAULT)
-    if family is not None:
-        return scheme if scheme in family.shipped else FALLBACK
-    target = scheme_of(load_model(model).n_landmarks)
+    name = model or DEFAULT
+    if name in FAMILIES:
+        return scheme if scheme in FAMILIES[name].shipped else FALLBACK
+    target = scheme_of(load_model(name).n_landmarks)
     points = np.zeros((len(load_scheme(scheme)), 2))
     lacking = np.isnan(convert(points, scheme, target, missing="nan")).any()
     return scheme if lacking else target
@@ -117,8 +117,8 @@ def target_scheme(scheme: str, model: str | None) -> str:
 
 def name_for(scheme: str, model: str | None) -> str:
     """Name of a model; for a family, that of its weights for a landmark scheme."""
-    family = FAMILIES.get(model or DEFAULT)
-    return model if family is None else family.shipped[scheme]
+    name = model or DEFAULT
+    return FAMILIES[name].shipped[scheme] if name in FAMILIES else name
 
 
 def describe_model(scheme: str, model: str | None) -> dict[str, str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from deepmds_keras.landmarks import convert
@@ -73,35 +74,36 @@ def find_in_video(
         raise no_face(Path(source), detector, "in any frame")
     tracks = np.concatenate(follow_faces(faces, times, find_cuts(changes)))
     landmarks = np.concatenate(faces)
-    frames, times = np.repeat(frames, counts), np.repeat(times, counts)
-    order = np.lexsort((tracks, frames))
-    frames, times, tracks = frames[order], times[order], tracks[order]
+    order = np.lexsort((tracks, np.repeat(frames, counts)))
+    frame, time, track = (
+        column[order] for column in (np.repeat(frames, counts), np.repeat(times, counts), tracks)
+    )
     return Detections(
         source=Path(source),
         names=name_faces(name, len(landmarks)),
         scheme=target,
-        landmarks=smooth_over_time(landmarks[order], frames, smooth, tracks=tracks, step=every),
+        landmarks=smooth_over_time(landmarks[order], frame, smooth, tracks=track, step=every),
         is_photo=False,
-        frame_refs=[*map(FrameRef, frames.tolist(), times.tolist(), tracks.tolist())],
+        frame_refs=[*map(FrameRef, frame.tolist(), time.tolist(), track.tolist())],
         detector=describe_detector(detector, landmarker),
     )
 
 
-def find_cuts(changes: Sequence[float]) -> np.ndarray:
+def find_cuts(changes: ArrayLike) -> np.ndarray:
     """Whether a video cuts to another scene at each of its frames, `(n,)` bool.
 
     Changes are mean absolute differences from the frame before, as a part of the range.
     """
-    changes = np.array(changes)
-    cuts = changes > _CUT
-    for i in np.flatnonzero(cuts):
-        near = np.r_[changes[max(i - _CUT_FRAMES, 1) : i], changes[i + 1 : i + 1 + _CUT_FRAMES]]
-        cuts[i] = not len(near) or changes[i] > _CUT_RATIO * np.median(near)
+    by = np.asarray(changes)
+    cuts = by > _CUT
+    for i in np.flatnonzero(cuts).tolist():
+        near = np.r_[by[max(i - _CUT_FRAMES, 1) : i], by[i + 1 : i + 1 + _CUT_FRAMES]]
+        cuts[i] = not len(near) or by[i] > _CUT_RATIO * np.median(near)
     return cuts
 
 
 def follow_faces(
-    faces: Sequence[np.ndarray], times: Sequence[float], cuts: Sequence[bool]
+    faces: Sequence[np.ndarray], times: Sequence[float], cuts: Iterable[bool]
 ) -> list[np.ndarray]:
     """Assign the faces of all frames to tracks, one for each person in view.
 
@@ -119,7 +121,10 @@ def follow_faces(
     """
     from scipy.optimize import linear_sum_assignment  # slow to load, and not needed for photos
 
-    tracks, n_tracks, known, before = [], 0, {}, -np.inf
+    known: dict[
+        int, tuple[float, np.ndarray]
+    ] = {}  # time and landmarks at which each was last seen
+    tracks, n_tracks, before = [], 0, -np.inf
     for here, time, cut in zip(faces, times, cuts, strict=True):
         oldest, far = min(time - _PATIENCE, before), _CUT_STILL if cut else _FAR
         known = {track: last for track, last in known.items() if last[0] >= oldest}
@@ -190,4 +195,4 @@ def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def _sampled(image: np.ndarray) -> np.ndarray:
     """A sample of an image's pixels, `(48, 48, 3)`."""
     rows, columns = (np.linspace(0, side - 1, _CUT_GRID).astype(int) for side in image.shape[:2])
-    return np.float32(image[np.ix_(rows, columns)])
+    return image[np.ix_(rows, columns)].astype(np.float32)

@@ -17,7 +17,7 @@ from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.detection.photos import MIN_SIDE
-from deepmds_keras.tool.predict.faces import Face
+from deepmds_keras.tool.predict.faces import Face, frame_of
 
 _MAX_PIXELS = 64_000_000  # twice those of 8K
 _RATE = Fraction(25)  # frames per second if a file does not say
@@ -132,27 +132,27 @@ def portraits(faces: Sequence[Face], most: int) -> list[Face]:
     longest = sorted(_by_track(faces), key=len, reverse=True)[:most]
     chosen = [min(seen, key=lambda face: np.hypot(face.pose.yaw, face.pose.pitch))
               for seen in longest]  # fmt: skip
-    return sorted(chosen, key=lambda face: face.frame_ref.track)
+    return sorted(chosen, key=lambda face: frame_of(face).track)
 
 
-def read_stills(faces: Sequence[Face], every: int) -> list[np.ndarray]:
-    """The whole frame of each face of a video, `(H, W, 3)` uint8 RGB.
+def read_stills(source: Path, faces: Sequence[Face], every: int) -> list[np.ndarray]:
+    """The whole frame of each face of the source, a video: `(H, W, 3)` uint8 RGB.
 
     Raises:
         InputError: The video cannot be read any more.
     """
-    wanted = {face.frame_ref.frame for face in faces}
-    frames = islice(Video(faces[0].source, every), max(wanted) // every + 1)
+    wanted = {frame_of(face).frame for face in faces}
+    frames = islice(Video(source, every), max(wanted) // every + 1)
     images = {frame.index: frame.image for frame in frames if frame.index in wanted}
-    return [images[face.frame_ref.frame] for face in faces]
+    return [images[frame_of(face).frame] for face in faces]
 
 
 def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
     """Lines about the first tracks of a video: when each is seen, and how the head turns."""
     tracks = _by_track(faces)
     for seen in tracks[:most]:
-        first, last = seen[0].frame_ref, seen[-1].frame_ref
-        yaws = [round(face.pose.yaw) for face in seen]
+        first, last = frame_of(seen[0]), frame_of(seen[-1])
+        yaws = [round(float(face.pose.yaw)) for face in seen]
         noted = sum(bool(face.notes) for face in seen)
         yield (
             f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
@@ -163,8 +163,8 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
         yield f"  and {len(tracks) - most} more tracks; pictures are of the {most} longest"
 
 
-def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
-    """Write the used frames with the landmarks of all tracks, whole or not at all.
+def write_landmark_video(path: Path, source: Path, faces: Sequence[Face], every: int) -> None:
+    """Write the used frames of the source with the landmarks of all tracks, whole or not at all.
 
     The file is an MP4 (H.264) without sound, with the frames' times, at most 1280 pixels wide or
     high; all frames have the size of the first.
@@ -172,9 +172,10 @@ def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
     Raises:
         InputError: The video cannot be read any more, or the file cannot be written.
     """
-    video, shown = Video(faces[0].source, every), {}
+    video = Video(source, every)
+    shown: dict[int, list[Face]] = {}
     for face in faces:
-        shown.setdefault(face.frame_ref.frame, []).append(face)
+        shown.setdefault(frame_of(face).frame, []).append(face)
     av = _import_av()
     bar = tqdm(video, total=video.n_frames, unit="frame", leave=False, disable=None)
     options = {"movflags": "faststart"}
@@ -197,15 +198,16 @@ def write_landmark_video(path: Path, faces: Sequence[Face], every: int) -> None:
             drawn.pts = last = max(round(frame.time / _TICK), last + 1)
             drawn.time_base = _TICK
             output.mux(stream.encode(drawn))
-        output.mux(stream.encode())
+        if stream is not None:
+            output.mux(stream.encode())
 
 
 def _drawn(image: np.ndarray, size: tuple[int, int], faces: Sequence[Face]) -> Image.Image:
     scale = np.divide(size, image.shape[1::-1])
-    image = Image.fromarray(image)
-    if image.size != size:
-        image = image.resize(size, Image.Resampling.BILINEAR)
-    draw = ImageDraw.Draw(image)
+    drawn = Image.fromarray(image)
+    if drawn.size != size:
+        drawn = drawn.resize(size, Image.Resampling.BILINEAR)
+    draw = ImageDraw.Draw(drawn)
     for face in faces:
         points = scale * face.landmarks
         side = np.ptp(points, axis=0).max()
@@ -215,16 +217,16 @@ def _drawn(image: np.ndarray, size: tuple[int, int], faces: Sequence[Face]) -> I
         for x, y in points:
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), _DOT, _EDGE, width=0)
         font = ImageFont.load_default(max(12, side / 8))
-        corner, label = (points[:, 0].min(), points[:, 1].min() - side / 8), face.frame_ref.track
+        corner, label = (points[:, 0].min(), points[:, 1].min() - side / 8), frame_of(face).track
         draw.text(corner, str(label), _DOT, font, "lb", stroke_width=1, stroke_fill=_EDGE)
-    return image
+    return drawn
 
 
 def _by_track(faces: Sequence[Face]) -> list[list[Face]]:
     """Faces of each track, in the order of its number."""
     tracks: dict[int, list[Face]] = {}
     for face in faces:
-        tracks.setdefault(face.frame_ref.track, []).append(face)
+        tracks.setdefault(frame_of(face).track, []).append(face)
     return [tracks[track] for track in sorted(tracks)]
 
 

@@ -239,7 +239,7 @@ def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, cli
 def test_drawn_landmarks_are_at_their_times_and_places(tmp_path, squares, clip, monkeypatch):
     monkeypatch.setattr(videos, "_SIDE", 128)
     faces = [face for _, some in FaceLifter("squares").predict_video(clip, 2) for face in some]
-    write_landmark_video(tmp_path / "a b:c.mp4", faces, 2)
+    write_landmark_video(tmp_path / "a b:c.mp4", faces[0].source, faces, 2)
     frames = list(Video(tmp_path / "a b:c.mp4"))
     assert np.allclose([frame.time for frame in frames], np.arange(15) / 12.5, atol=2e-3)
     x = [np.nonzero(f.image[..., 0] > f.image[..., 2] + 60.0)[1].mean() for f in frames[:6]]
