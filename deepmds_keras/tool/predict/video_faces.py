@@ -121,9 +121,7 @@ def follow_faces(
     """
     from scipy.optimize import linear_sum_assignment  # slow to load, and not needed for photos
 
-    known: dict[
-        int, tuple[float, np.ndarray]
-    ] = {}  # time and landmarks at which each was last seen
+    known: dict[int, tuple[float, np.ndarray]] = {}  # when and where each was last seen
     tracks, n_tracks, before = [], 0, -np.inf
     for here, time, cut in zip(faces, times, cuts, strict=True):
         oldest, far = min(time - _PATIENCE, before), _CUT_STILL if cut else _FAR
