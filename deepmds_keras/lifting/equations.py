@@ -12,7 +12,7 @@ import numpy as np
 
 # Precision of the prior on rotation (3), log scale, perspective and shift (2). That of the
 # perspective pulls it to 0; the others only fix what the landmarks leave open.
-_CAMERA_PRECISION = np.float32([1, 1, 1, 1, 4, 1, 1])
+_CAMERA_PRECISION = np.array([1, 1, 1, 1, 4, 1, 1], np.float32)
 _PERSPECTIVE = 4
 _MOST_PERSPECTIVE = 1.0
 _LEAST_DISTANCE = 0.4  # of a landmark from a perspective camera, relative to the face's

@@ -78,7 +78,8 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
             lambda face: f"{relative[face].max():.1e} radii",
         )
         sd = np.asarray(relative, np.float32)
-    return Views(np.float32(views), np.float32(known), sd, middle, radius)
+    views = np.asarray(views, np.float32)
+    return Views(views, np.asarray(known, np.float32), sd, middle, radius)
 
 
 def standardise(points, visible):

@@ -282,7 +282,7 @@ class LandmarkLifter:
         except (KeyError, TypeError, ValueError) as error:
             message = f"{path} was not written by LandmarkLifter.save(): {error}."
             raise InputError(message) from None
-        lifter.weights_ = {name: np.float32(array) for name, array in arrays.items()}
+        lifter.weights_ = {name: np.asarray(array, np.float32) for name, array in arrays.items()}
         return lifter
 
     @classmethod
@@ -339,8 +339,8 @@ class LandmarkLifter:
             translation=camera.shift * seen.radius + seen.centre,
             perspective=camera.perspective[:, 0],
         )
-        estimate = Estimate(shapes, UNIT * np.exp(log_sd), pose)
-        return Estimate(*(part[0] for part in estimate)) if of_one else estimate
+        std = UNIT * np.exp(log_sd)
+        return Estimate(shapes[0], std[0], pose[0]) if of_one else Estimate(shapes, std, pose)
 
     def _check_parameters(self):
         if self.n_landmarks < LEAST_VISIBLE:

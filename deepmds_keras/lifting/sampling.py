@@ -48,16 +48,16 @@ def read_faces(views, shapes, landmark_sd, n_landmarks: int) -> Faces:
     Raises:
         InputError: As for `prepare_views`, or unequal numbers of faces.
     """
-    seen = prepare_views(
-        views, n_landmarks, landmark_sd=0.0 if landmark_sd is None else landmark_sd
-    )
+    seen = prepare_views(views, n_landmarks, landmark_sd=landmark_sd)
+    sd = np.zeros_like(seen.visible) if seen.sd is None else seen.sd
     shapes = centre(normalise(check_faces(shapes, "shapes", 3, n_landmarks)))
     if len(seen.views) != len(shapes):
         raise InputError(
             f"views and shapes must be of the same faces. Received {len(seen.views)} views and "
             f"{len(shapes)} shapes."
         )
-    return Faces(seen.views, seen.visible, seen.sd, np.float32(np.swapaxes(shapes, 1, 2)))
+    shapes = np.asarray(np.swapaxes(shapes, 1, 2), np.float32)
+    return Faces(seen.views, seen.visible, sd, shapes)
 
 
 def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator) -> Faces:
@@ -81,7 +81,8 @@ def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator
     visible = np.where(places < np.floor(hidden), 0, faces.visible)
     views, _, radius = standardise(faces.views + errors, visible)
     sd = np.sqrt(faces.sd**2 + added**2) / radius
-    return Faces(np.float32(views), np.float32(visible), np.float32(sd), faces.shapes)
+    views, visible, sd = (np.asarray(array, np.float32) for array in (views, visible, sd))
+    return Faces(views, visible, sd, faces.shapes)
 
 
 class Source(NamedTuple):

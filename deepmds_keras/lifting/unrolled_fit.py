@@ -62,7 +62,7 @@ def initial_weights(shapes: np.ndarray, seed: int) -> dict[str, np.ndarray]:
         if name.endswith("hidden_kernel"):
             known[name] = rng.standard_normal(shape) / np.sqrt(shape[0])
         known.setdefault(name, np.zeros(shape))
-    return {name: np.float32(array) for name, array in known.items()}
+    return {name: np.asarray(array, np.float32) for name, array in known.items()}
 
 
 def check_weights(weights: dict[str, np.ndarray], n_landmarks: int) -> None:
