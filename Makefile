@@ -5,7 +5,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
-           pretrained lifting witness check report
+           pretrained lifting released-weights check report
 .PHONY: help setup $(TARGETS) all-results dag docs pictures openhead real-faces surface footprint test nightly lint \
         clean
 
@@ -80,8 +80,8 @@ bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (1 h)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the limit, on hard views: results/<model>/lifting/   (2.5 h)
-witness: ## the released weights around the BFM's mean: results/witness/   [AUTHORS=dir]   (45 min)
+lifting: ## the lifting network against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
+released-weights: ## the released weights around the BFM's mean: results/released-weights/   [AUTHORS=dir]   (45 min)
 check: ## compare results/<model>/bfm/table.csv with the committed one
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
@@ -102,7 +102,7 @@ all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	    $(MAKE) --no-print-directory DATA= $$model $(GIVEN) $$target; \
 	  done; \
 	done; \
-	for target in pretrained 'real-faces REAL=$(REAL)' surface witness bench footprint; do \
+	for target in pretrained 'real-faces REAL=$(REAL)' surface released-weights bench footprint; do \
 	  $(MAKE) --no-print-directory DATA=$(DATA) $(GIVEN) $$target; \
 	done; \
 	for target in stream report 'report MODEL=ict DATA=$(DATA)' docs; do \

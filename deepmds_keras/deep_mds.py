@@ -41,9 +41,9 @@ class DeepMDS(BaseEstimator):
             anywhere in its image. The authors' code does not: then views must come in the
             coordinates of the face model.
         schedule: Learning rate, `"constant"` as in the paper or `"cosine"`. With a constant rate,
-            the moving statistics of batch normalisation lag behind the weights, and the error in
+            the running statistics of batch normalisation lag behind the weights, and the error in
             use is far above that in training.
-        autoencoder_epochs: Passes over the faces, in mini-batches of 16.
+        autoencoder_epochs: Epochs, in mini-batches of 16 faces.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` mini-batches, each of one face.
         dissimilarity_steps: Mini-batches per epoch.
         seed: Seed of the initial weights and of the order of the faces.

@@ -48,14 +48,14 @@ def build_dissimilarity_net(
 ) -> keras.Model:
     """The five-layer net that estimates the 3D distance of a pair of landmarks.
 
-    Five hidden layers of 20 units with a short connection, which the released code makes by
+    Five hidden layers of 20 units with a skip connection, which the released code makes by
     concatenating the second and the fourth; batch normalisation on the scalar output too.
 
     Args:
         variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
             (5 features, 2,423 of 2,625); see `pair_features`.
         seed: Seed of the initial weights.
-        chain: Number of hidden layers and units per layer of a net without short connection, to
+        chain: Number of hidden layers and units per layer of a net without skip connection, to
             compare with the paper's; None builds the paper's.
 
     Returns:
@@ -82,7 +82,7 @@ def distance_layers(dense: Callable, pair: keras.KerasTensor, units: int) -> ker
     second = x = dense(x, units, "hidden_2")
     x = dense(x, units, "hidden_3")
     x = dense(x, units, "hidden_4")
-    x = layers.Concatenate(name="short_connection")([second, x])
+    x = layers.Concatenate(name="skip_connection")([second, x])
     x = dense(x, units, "hidden_5")
     return dense(x, 1, "distance", activated=False)
 

@@ -30,7 +30,7 @@ class Recipe:
     """Recipe of a network's training: Adam on the mean squared error.
 
     Attributes:
-        epochs: Passes of `steps_per_epoch` mini-batches; a checkpoint is written after each.
+        epochs: Of `steps_per_epoch` mini-batches; a checkpoint is written after each.
         steps_per_epoch: Mini-batches in an epoch, or None for all of the data.
         schedule: `"constant"` learning rate (the paper and its code) or `"cosine"` decay to zero.
         learning_rate: Adam's initial learning rate.

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from data_gen.appearance import Albedo, Lights
-from data_gen.datasets.photos_standin import PhotosStandin
+from data_gen.datasets.photos_substitute import PhotosSubstitute
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Renderer, square_frames
 from data_gen.views import in_camera_frame, sample_expressive, sample_hard_cameras
@@ -220,7 +220,7 @@ def method_picture() -> Figure:
 
 def portraits() -> bytes:
     """A photo of three people who do not exist, as JPEG: something to try the command on."""
-    photos = PhotosStandin(load_openhead(), 1 + max(_PORTRAITS), _PORTRAITS_SEED)
+    photos = PhotosSubstitute(load_openhead(), 1 + max(_PORTRAITS), _PORTRAITS_SEED)
     images = [next(photos.photos(range(k, k + 1))).image for k in _PORTRAITS]
     content = io.BytesIO()
     Image.fromarray(np.concatenate(images, axis=1)).save(content, format="jpeg", quality=92)

@@ -19,8 +19,8 @@ class Preset:
         scan_subjects, scans: Test set of the FLAME track where it is made here (as many as the
             paper takes from CASIA-3D).
         photos: Test photos of the CelebA experiment; of CelebA, the first of its test images.
-        autoencoder_epochs: Passes over the training faces. Neither the paper nor its code gives the
-            total; at 30 the training error of the autoencoder no longer falls much.
+        autoencoder_epochs: Epochs of the autoencoder. Neither the paper nor its code gives the
+            total; at 30 its training error no longer falls much.
         dissimilarity_epochs: Epochs of `dissimilarity_steps` faces each (released code: 30 × 1000).
         zhao_epochs: Epochs of Zhao's net (released code: 10 × 1000 steps).
         lifting_steps: Mini-batches of 128 faces of the lifting network. Its error on held-out faces

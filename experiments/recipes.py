@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
-# Largest s.d. of the errors in training that stand for a detector's, in r.m.s. radii of a view.
+# Largest s.d. of the noise in training that stands for a detector's, in r.m.s. radii of a view.
 # Half of it, which the lifting network then expects, is 5 % of the interocular distance.
 LANDMARK_NOISE = 0.2
 # MobileFace's learning rate by schedule. With a cosine, 0.002 and 30,000 steps come within 5 % of
@@ -84,7 +84,7 @@ def faces(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def faces_with_noise(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """`faces`, on the FLAME track with landmark errors, since its test views are a detector's.
+    """`faces`, on the FLAME track with landmark noise, since its test views are a detector's.
 
     Each face draws an s.d. up to `LANDMARK_NOISE`, as in the training of the lifting network.
     """
@@ -93,7 +93,7 @@ def faces_with_noise(run: Run) -> tuple[np.ndarray, np.ndarray]:
     views, shapes = faces(run)
     if run.track != "flame":
         return views, shapes
-    rng = np.random.default_rng([run.seed, Stream.LANDMARK_ERRORS])
+    rng = np.random.default_rng([run.seed, Stream.LANDMARK_NOISE])
     sd = LANDMARK_NOISE * rng.random(len(views)) * rms_radius(views)
     return normalise(views + sd[:, None, None] * rng.standard_normal(views.shape)), shapes
 
@@ -190,7 +190,7 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
 
 
 def networks_with_noise(run: Run) -> Path:
-    """Folder of the networks trained on landmarks with errors."""
+    """Folder of the networks trained on landmarks with noise."""
     return run.networks / "with-noise"
 
 
@@ -216,7 +216,7 @@ def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -
 def landmark_lifter(run: Run):
     """The small lifting network.
 
-    On the FLAME track it trains with errors as in `faces_with_noise`, redrawn in each mini-batch.
+    On the FLAME track it trains with noise as in `faces_with_noise`, redrawn in each mini-batch.
     """
     from deepmds_keras.lifting.lifter import LandmarkLifter
 

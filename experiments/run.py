@@ -55,9 +55,9 @@ class Run:
     seed: int = _option("of everything random", 0, type=int)
     protocol: str = _option("how faces are projected", "paper", choices=PROTOCOLS)
     data: str | None = _option("file or folder of a model that is not embedded")
-    coma: str | None = _option("folder of the data set CoMA, instead of its stand-in")
-    casia: str | None = _option("folder of the data set CASIA-3D, instead of its stand-in")
-    celeba: str | None = _option("folder of the data set CelebA, instead of its stand-in")
+    coma: str | None = _option("folder of the data set CoMA, instead of its substitute")
+    casia: str | None = _option("folder of the data set CASIA-3D, instead of its substitute")
+    celeba: str | None = _option("folder of the data set CelebA, instead of its substitute")
     tf_flame: str | None = _option("folder of photos with 51 landmarks, for a figure")
     sfm: str | None = _option("eos's folder share, with the Surrey Face Model, to test on")
     casia_index: str | None = _option("table of the scans of CASIA-3D that are used")
@@ -65,7 +65,9 @@ class Run:
     evaluator: str = _option("how predictions are scored", "paper", choices=EVALUATORS)
     ringnet: str | None = _option("prefix of the licensed RingNet's checkpoint, to use that one")
     mobileface: str = _option("how MobileFace is trained", "cosine", choices=MOBILEFACES)
-    seeds: int | None = _option("number of seeds whose spread the BFM table shows", type=int)
+    seeds: int | None = _option(
+        "number of seeds whose range of errors the BFM table shows", type=int
+    )
     faces: int | None = _option("of make stream, instead of the preset's", type=int)
     jobs: int = _option("processes side by side, -1 for every core", -1, type=int)
     build: Path = Path("build")
@@ -148,10 +150,10 @@ class Run:
         return self.model_results / f"{name}{protocol}{seed}{self._given}"
 
     def folder_of(self, dataset: str) -> Path | None:
-        """Folder of `"coma"`, `"casia"` or `"celeba"`, or None for its stand-in."""
+        """Folder of `"coma"`, `"casia"` or `"celeba"`, or None for its substitute."""
         folder = getattr(self, dataset)
         if folder is None and self.model == "flame" and dataset in _DATASETS:
-            # Its expressions have no names by which a stand-in could be made.
+            # Its expressions have no names by which a substitute could be made.
             raise InputError(
                 f"{dataset.upper()}= must be the folder of {_DATASETS[dataset]}, or DATA= must "
                 f"hold one that begins with {dataset}. Received neither."
@@ -160,7 +162,7 @@ class Run:
 
     @property
     def _given(self) -> str:
-        """Suffix of folders made from given data sets; without it they are of stand-ins."""
+        """Suffix of folders made from given data sets; without it they are of substitutes."""
         return "".join(
             suffix for name, suffix in SUFFIXES[self.track].items() if getattr(self, name)
         )

@@ -74,14 +74,14 @@ def whole_bfm(once):
 
 @pytest.fixture(scope="session")
 def whole_flame(once):
-    """Folder of the FLAME experiment on the stand-ins; without MediaPipe, without its rows."""
+    """Folder of the FLAME experiment on the substitutes; without MediaPipe, without its rows."""
     variables = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
     return once("flame", lambda folder: runs.make("reproduce-flame", folder, *variables))
 
 
 @pytest.fixture(scope="session")
 def whole_celeba(once, whole_bfm):
-    """Folder of the CelebA experiment on the stand-in, after the BFM track."""
+    """Folder of the CelebA experiment on the substitute, after the BFM track."""
 
     def build(folder):
         shutil.copytree(whole_bfm / "build", folder / "build")

@@ -207,7 +207,7 @@ def test_numbers_of_the_method_are_those_of_the_code():
         f"{count_trainable(build_mobileface_net(199)):,} parameters",
         f"{encoder:,} trainable and {released.count_params():,} in all",
         "trainable are {:,}, and {:,} with the paper's".format(*sums),
-        f"{recipe.epochs} passes over the {FULL.train_faces:,} faces",
+        f"{recipe.epochs} epochs of the {FULL.train_faces:,} faces",
         f"mini-batches of {recipe.batch_size}, and {steps:,} mini-batches",
         f"over {FULL.n_subsets} subsets of {FULL.subset_size} faces",
         f"one prediction of {FULL.timed_faces} test faces on one core",

@@ -1,1 +1,1 @@
-"""The data sets of the paper, and the open stand-ins for those that are licensed."""
+"""The data sets of the paper, and the open substitutes for those that are licensed."""

@@ -1,7 +1,7 @@
 """Data sets: landmarks of faces and one view of each, sampled from a model, and their file.
 
 The faces are neutral, or rings of several images of each subject, or frames of performances: the
-open stand-in for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43), which has 12
+open substitute for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43), which has 12
 subjects, 12 sequences and 20,466 frames and is available on request only.
 """
 

@@ -72,7 +72,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Chumpy:
-    """Stand-in for an object of a missing class: its state, as attributes."""
+    """Substitute for an object of a missing class: its state, as attributes."""
 
 
 def _plain(value: object) -> object:

@@ -169,7 +169,7 @@ def build_ringnet(
     one, whose output is added to the estimate. Three iterations share these layers, as in Kanazawa
     et al. 2018 (HMR, arXiv:1712.06584), from where the regressor comes.
 
-    Two things are ours. The moving averages of batch normalisation forget ten times faster than
+    Two things are ours. The running averages of batch normalisation forget ten times faster than
     Keras's default; in a few thousand steps those would lag behind the weights. And dropout removes
     a fifth of the units; the sources at hand do not give their rate.
 

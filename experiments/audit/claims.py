@@ -23,8 +23,8 @@ from experiments.scoring.intervals import (
     over_seeds,
     point,
     rate,
+    sd_of_seeds,
     share_below,
-    spread_of_seeds,
 )
 from experiments.scoring.wilcoxon import wilcoxon_table
 
@@ -77,8 +77,8 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
             )
         },
         "training-luck": {
-            "seed_sd_mse": spread_of_seeds(ours),
-            "seed_sd_cosine_mse": spread_of_seeds(t.seeds("deep_mds_cosine")),
+            "seed_sd_mse": sd_of_seeds(ours),
+            "seed_sd_cosine_mse": sd_of_seeds(t.seeds("deep_mds_cosine")),
             "sampling_sd_mse": point(np.std(t.samplings("deep_mds"), ddof=1)),
         },
         "projection-independent": {

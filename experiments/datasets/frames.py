@@ -30,8 +30,8 @@ def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
     return landmarks, len(skipped)
 
 
-def standin_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
-    """Landmarks `(n, 51, 3)` of as many frames of the open stand-in, millimetres."""
+def substitute_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
+    """Landmarks `(n, 51, 3)` of as many frames of the open substitute, millimetres."""
     faces = make_performances(model, run.preset.frame_subjects, run.preset.frames, rng)
     return model.restrict(model.landmarks[run.scheme]).shape(*faces)
 
@@ -42,7 +42,7 @@ def main(run: Run) -> dict:
     rng = np.random.default_rng([run.seed, Stream.FRAMES])
     folder, skipped = run.folder_of("coma"), 0
     if folder is None:
-        landmarks, source = standin_frames(run, model, rng), f"stand-in, {model.name}"
+        landmarks, source = substitute_frames(run, model, rng), f"substitute, {model.name}"
     else:
         (landmarks, skipped), source = coma_frames(run, folder), "CoMA"
     cameras = sample_cameras(len(landmarks), rng, run.protocol)

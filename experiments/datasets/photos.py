@@ -14,7 +14,7 @@ import numpy as np
 
 from data_gen.datasets.celeba import find_images
 from data_gen.datasets.image_files import read_image
-from data_gen.datasets.photos_standin import PhotosStandin
+from data_gen.datasets.photos_substitute import PhotosSubstitute
 from data_gen.edge_fitting import EdgeFitter
 from data_gen.photographs import crop
 from data_gen.renderer import MARGIN
@@ -30,12 +30,12 @@ _PHOTOS_PER_PIECE = 100
 
 
 @functools.cache
-def _source(run: Run) -> list[Path] | PhotosStandin:
-    """The first photos of CelebA's test partition, of all if it is not there; or the stand-in's."""
+def _source(run: Run) -> list[Path] | PhotosSubstitute:
+    """The first photos of CelebA's test partition, of all if it is not there; or the substitute."""
     folder = run.folder_of("celeba")
     if folder is not None:
         return find_images(folder)[: run.preset.photos]
-    return PhotosStandin(face_model(run), run.preset.photos, [run.seed, Stream.PHOTOS])
+    return PhotosSubstitute(face_model(run), run.preset.photos, [run.seed, Stream.PHOTOS])
 
 
 def photos(
@@ -51,7 +51,7 @@ def photos(
         InputError: The data set is not where it should be, or the model cannot be drawn.
     """
     source = _source(run)
-    if isinstance(source, PhotosStandin):
+    if isinstance(source, PhotosSubstitute):
         for photo in source.photos(numbers):
             yield photo.name, photo.image, {"truth": photo.landmarks[run.scheme]}
         return
@@ -103,6 +103,6 @@ def main(run: Run) -> dict:
     model, folder = face_model(run), run.folder_of("celeba")
     sizes = [len(numbers) for numbers in _pieces(run)]
     pieces = resumable(run.work / "photos", model=model.sha256, celeba=listing(folder))
-    name = f"stand-in, {model.name}" if folder is None else "CelebA"
+    name = f"substitute, {model.name}" if folder is None else "CelebA"
     record = {"model_sha256": model.sha256, "source": name}
     return record | find_faces(run, "photo", pieces, sizes, photos_of_piece, fit_photo)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.datasets import casia
-from data_gen.datasets.scans_standin import Scan, ScansStandin
+from data_gen.datasets.scans_substitute import Scan, ScansSubstitute
 from data_gen.photographs import crop
 from data_gen.registration import GroundTruth
 from deepmds_keras.errors import InputError
@@ -25,12 +25,12 @@ _EXAMPLES, _EXAMPLE_POINTS = 3, 8000  # scans kept for pictures
 
 
 @functools.cache
-def _source(run: Run) -> list[list[casia.CasiaScan]] | ScansStandin:
-    """Scans of each subject of CASIA-3D, of those that the index names, or of the stand-in."""
+def _source(run: Run) -> list[list[casia.CasiaScan]] | ScansSubstitute:
+    """Scans of each subject of CASIA-3D, of those that the index names, or of the substitute."""
     folder = run.folder_of("casia")
     if folder is None:
         seed = [run.seed, Stream.SCANS]
-        return ScansStandin(face_model(run), run.preset.scan_subjects, run.preset.scans, seed)
+        return ScansSubstitute(face_model(run), run.preset.scan_subjects, run.preset.scans, seed)
     scans = casia.find_scans(folder)
     if run.casia_index is not None:
         scans = casia.read_index(run.casia_index, scans)
@@ -40,7 +40,7 @@ def _source(run: Run) -> list[list[casia.CasiaScan]] | ScansStandin:
 def scans_of_subject(run: Run, subject: int) -> Iterator[tuple]:
     """Name, image and data of each scan of a subject, and whether it is kept for pictures."""
     source = _source(run)
-    scans = source.subject(subject) if isinstance(source, ScansStandin) else source[subject]
+    scans = source.subject(subject) if isinstance(source, ScansSubstitute) else source[subject]
     for number, scan in enumerate(scans):
         try:
             if not isinstance(scan, Scan):
@@ -92,7 +92,7 @@ def main(run: Run) -> dict:
     pieces = resumable(run.work / "scans", index, model=model.sha256, casia=listing(folder))
     if folder is None:
         sizes = [source.scans_of(subject) for subject in range(source.n_subjects)]
-        name = f"stand-in, {model.name}"
+        name = f"substitute, {model.name}"
     else:
         sizes, name = [len(scans) for scans in source], "CASIA-3D"
         template = run.work / "casia-index.csv"

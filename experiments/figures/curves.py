@@ -24,7 +24,7 @@ _IMAGE_LOSSES = {
 _MODES = {"train": ((0, (3, 1.5)), "training mode"), "inference": ("-", "inference mode")}
 _SCHEDULES = {"constant": "Constant learning rate", "cosine": "Cosine schedule"}
 _LAG = {
-    "inference": Look("inference mode (moving statistics)", "#D55E00", ""),
+    "inference": Look("inference mode (running statistics)", "#D55E00", ""),
     "train": Look("training mode (statistics of the mini-batch)", "#777777", ""),
     "reestimated": Look("statistics estimated again", "#0072B2", "D", ""),
 }
@@ -76,7 +76,7 @@ def learning_curves(
 def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[float]]]]) -> Figure:
     """The autoencoder's error by batch statistics and by moving ones: mean and range over seeds.
 
-    If the moving statistics of batch normalisation lag behind the weights, the error at inference
+    If the running statistics of batch normalisation lag behind the weights, the error at inference
     exceeds that in training, on the same faces. Re-estimating the statistics for the final weights
     removes the difference.
 

@@ -1,4 +1,4 @@
-"""The headline figure, every method next to the paper's number, and the spread over seeds."""
+"""The headline figure, every method next to the paper's number, and the errors of several seeds."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _draw_rows(axes: Axes, rows: pd.DataFrame) -> None:
 
 
 @styled
-def seed_spread(table: pd.DataFrame) -> Figure:
+def errors_by_seed(table: pd.DataFrame) -> Figure:
     """MSE of every training run, one dot per seed, with runs of the same seed joined.
 
     Args:

@@ -115,7 +115,7 @@ class Contenders:
     def _misfit(self, camera: str) -> float:
         """R.m.s. residual in mm of a coordinate when a kind of camera is fitted to the true shapes.
 
-        A method with that camera must treat all of it as noise: landmark errors and perspective.
+        A method with that camera must treat all of it as noise: landmark noise and perspective.
         """
         faces = self._whole[:_MISFIT_FACES]
         if camera == "affine":
@@ -134,7 +134,7 @@ class Contenders:
 def fit_aldrian(
     mean: np.ndarray, basis: np.ndarray, views: np.ndarray, sd: float | np.ndarray
 ) -> np.ndarray:
-    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with errors of known s.d.
+    """Shapes by Aldrian and Smith's fit to views `(n, L, 2)` with noise of known s.d.
 
     The model is a mean `(L, 3)` and a basis times standard deviation, `(K, L, 3)`. The fit assumes
     one s.d. for all landmarks: the mean.
@@ -194,7 +194,7 @@ def posterior_draws(
     Args:
         jacobian: `(n, K, L, 2)` derivatives of the views by standard-normal coefficients.
         views: `(n, L, 2)`, whose translation and scale are not known.
-        certainty: `(n, L)` inverse standard deviation of the errors of a landmark; 0 if missing.
+        certainty: `(n, L)` inverse standard deviation of the noise of a landmark; 0 if missing.
         rng: Random generator.
     """
     n, k = jacobian.shape[:2]

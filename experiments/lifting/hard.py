@@ -1,4 +1,4 @@
-"""Step: views far from the paper's, turned, near, noisy and incomplete, against the limit.
+"""Step: views far from the paper's, turned, near, noisy and incomplete, against the lower bound.
 
 Every condition is a column of the table. Learning methods are trained for each, on the same faces.
 """
@@ -56,7 +56,7 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     """
     parts = []
     faces, contenders = hard_views(run, condition), Contenders(run, condition)
-    best = lower_bound(run, faces, np.random.default_rng([run.seed, Stream.HARD_LIMIT]))
+    best = lower_bound(run, faces, np.random.default_rng([run.seed, Stream.HARD_BOUND]))
 
     def add(method: str, seed: int, errors: np.ndarray, **metrics: np.ndarray) -> None:
         bound = best[: len(errors)]

@@ -15,7 +15,7 @@ from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
-SEEDED = "hard_1"  # the condition for which lifting is trained from several seeds
+SEEDED = "hard_1"  # the condition for which LandmarkLifter is trained from several seeds
 DEEP_MDS, LIFTING = "deep_mds_cosine", "landmark_lifter"
 TRANSFERRED = (DEEP_MDS, LIFTING)
 TRANSFER_SCHEME, BOTH = "ibug51", "both"
@@ -44,7 +44,7 @@ def transfer_name(method: str, faces: str) -> str:
 
 
 def hard_seeds(run: Run, condition: Condition) -> range:
-    """Seeds from which lifting is trained for a condition."""
+    """Seeds from which LandmarkLifter is trained for a condition."""
     return run.few_seeds[: None if condition.id == SEEDED else 1]
 
 
@@ -101,7 +101,7 @@ def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.nda
     """Training faces of a model, or in equal parts of `BOTH` open ones.
 
     Returns:
-        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's errors.
+        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's noise.
     """
     rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
     sd = training_noise(run.preset.train_faces, rng)
@@ -118,5 +118,5 @@ def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def training_noise(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Standard deviations `(n,)` of the errors in views to train on, mm: mostly small."""
+    """Standard deviations `(n,)` of the noise in views to train on, mm: mostly small."""
     return _MOST_NOISE_MM * rng.random(n) ** 2

@@ -1,4 +1,4 @@
-"""Step: trains one network of `anatomy`, of those that `anatomy_trainings` lists.
+"""Step: trains one network of `component_ablation`, of those that `component_trainings` lists.
 
 Nets on views of the autoencoder use the run's; seeds concern what is trained here.
 """
@@ -17,7 +17,7 @@ from deepmds_keras.training import Recipe, train_autoencoder
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.pair_nets import PairNet
 from experiments.lifting.train import DEEP_MDS, LIFTING
-from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, anatomy_file
+from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, component_file
 from experiments.methods import load
 from experiments.recipes import fit, landmark_lifter
 from experiments.records import resumable
@@ -30,7 +30,7 @@ def main(run: Run, name: str) -> None:
     method, _, seed = name.partition("-seed")
     train, preset, seed = load_faces(run, "train"), run.preset, int(seed)
     inputs = [run.work / "train.npz", *run.networks.glob("autoencoder-*.npz")]
-    folder = resumable(run.work / "anatomy" / name, inputs)
+    folder = resumable(run.work / "component-ablation" / name, inputs)
     checkpoint = folder / "network.npz"
     if method == SIDE_AUTOENCODER:
         recipe = Recipe(preset.autoencoder_epochs, schedule="cosine")
@@ -46,7 +46,7 @@ def main(run: Run, name: str) -> None:
         net = PairNet(variant, preset.dissimilarity_epochs, preset.dissimilarity_steps, seed)
         pairs = views_of_pairs(variant, train, autoencoder(run, variant.frontal, variant.schedule))
         network = fit(net, pairs, train.views, train.shapes, checkpoint=checkpoint)
-    network.save(anatomy_file(run, method, seed))
+    network.save(component_file(run, method, seed))
 
 
 @functools.cache
@@ -54,7 +54,7 @@ def autoencoder(run: Run, frontal: str, schedule: str) -> Callable[[np.ndarray],
     """Function from views to the views `(n, L, 2)` whose pairs a `Variant` uses."""
     if frontal != "side":
         return load(run, "deep_mds" if schedule == "constant" else DEEP_MDS).frontalise
-    file = anatomy_file(run, SIDE_AUTOENCODER, run.seed)
+    file = component_file(run, SIDE_AUTOENCODER, run.seed)
     network = keras.saving.load_model(file, compile=False)
     return lambda views: forward(network, views.reshape(len(views), -1)).reshape(views.shape)
 

@@ -1,6 +1,6 @@
 """Step: methods trained on faces of one model and tested on those of another, as in practice.
 
-The faces have expressions, poses as in photos and, in training, a detector's errors of random size.
+The faces have expressions, poses as in photos and, in training, landmark noise of random size.
 Training uses the run's face model; the tests use the open ones, and the run's.
 """
 
@@ -146,7 +146,7 @@ def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Views with errors, and shapes, `(n, 51, ·)`; NaN for landmarks that the model lacks."""
+    """Views with noise, and shapes, `(n, 51, ·)`; NaN for landmarks that the model lacks."""
     # The same faces and, except for their size, the same errors.
     rng, n = np.random.default_rng([run.seed, Stream.TRANSFER_TESTS]), run.preset.test_faces
     if tested != SURREY:
@@ -163,7 +163,7 @@ def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np
 
 
 def measure(run: Run, faces: str, tested: str, noise_mm: float) -> pd.DataFrame:
-    """One row per method: its error on faces of a model, with landmark errors of that s.d.
+    """One row per method: its error on faces of a model, with landmark noise of that s.d.
 
     On the Surrey model also eos, to which it belongs.
     """

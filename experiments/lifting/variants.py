@@ -1,4 +1,4 @@
-"""The dissimilarity nets of `anatomy`, each of which differs from another in one thing.
+"""The dissimilarity nets of `component_ablation`, each of which differs from another in one thing.
 
 The module is light to import, since the Snakefile reads it.
 """
@@ -74,13 +74,13 @@ STEPS = {
 }
 
 
-def anatomy_trainings(run: Run) -> list[str]:
+def component_trainings(run: Run) -> list[str]:
     """Names of what is trained: a method and a seed, the slow ones first."""
     names = [f"{method}-seed{seed}" for method in (LIFTING, *VARIANTS) for seed in run.few_seeds]
     return [f"{SIDE_AUTOENCODER}-seed{run.seed}", *names]
 
 
-def anatomy_file(run: Run, method: str, seed: int) -> Path:
+def component_file(run: Run, method: str, seed: int) -> Path:
     """Trained network."""
     suffix = "npz" if method == LIFTING else "keras"
-    return run.work / "anatomy" / f"{method}-seed{seed}.{suffix}"
+    return run.work / "component-ablation" / f"{method}-seed{seed}.{suffix}"

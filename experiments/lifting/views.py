@@ -26,7 +26,7 @@ class Condition:
     Attributes:
         id, title: Name in CSV files, and in tables for readers.
         protocol: Protocol of the cameras, one of `_CAMERAS`.
-        noise: Standard deviation of the errors of a coordinate, percent of `FACE_MM`.
+        noise: Standard deviation of a coordinate's noise, percent of `FACE_MM`.
         missing: Share of randomly missing landmarks, in training the largest one; or `HIDDEN` for
             those that the head hides.
     """
@@ -67,7 +67,7 @@ class Views:
         identity: `(n, K)` standard-normal coefficients.
         shapes: `(n, L, 3)` true landmarks.
         views: `(n, L, 2)` landmarks in the image, NaN where one is missing.
-        sd_mm: `(n,)` standard deviation of the errors of the landmarks in the image.
+        sd_mm: `(n,)` standard deviation of the landmarks' noise in the image.
         cameras: Pose and projection of each face.
     """
 
@@ -118,7 +118,7 @@ def training_views(run: Run, condition: Condition) -> Views:
 
 
 def hard_views(run: Run, condition: Condition) -> Views:
-    """The test faces: the same in every condition of a protocol, with the same errors in its unit.
+    """The test faces: the same in every condition of a protocol, with the same noise in its unit.
 
     A landmark missing at one share is missing at all larger ones.
     """

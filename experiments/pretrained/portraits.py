@@ -20,7 +20,7 @@ from experiments.streams import Stream
 from experiments.tasks import unordered
 
 if TYPE_CHECKING:
-    from data_gen.datasets.photos_standin import Portraits
+    from data_gen.datasets.photos_substitute import Portraits
 
 _PER_TASK = 50
 
@@ -76,7 +76,7 @@ def _draw(run: Run, model: str, numbers: range, detectors: list[str]) -> tuple[r
 
 @functools.cache
 def _source(run: Run, model: str) -> Portraits:
-    from data_gen.datasets.photos_standin import Portraits
+    from data_gen.datasets.photos_substitute import Portraits
 
     seed = (run.seed, Stream.PORTRAITS, OPEN.index(model), 1)  # 0 was of photos for training
     return Portraits(load_model(model, run.data, "ibug68"), seed)

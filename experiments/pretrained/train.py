@@ -1,6 +1,6 @@
 """Step: trains one of the networks that ship with the package, on faces as in photos.
 
-The lifters see faces of both open models, with white errors whose size they get as an approximate
+The lifters see faces of both open models, with i.i.d. noise whose size they get as an approximate
 input. Every face is changed beyond its model, since real people are of no model at all. The
 networks of Deep-MDS are those of `deep_mds_cosine`, on faces of the open head alone.
 """
@@ -30,7 +30,7 @@ from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
 
-# Standard deviation of the errors in Deep-MDS's training, mm. No detector finds the 72 landmarks:
+# Standard deviation of the noise in Deep-MDS's training, mm. No detector finds the 72 landmarks:
 # they come from fits of face models to photos.
 DEEP_MDS = {"ibug51": DETECTOR_SD_MM, "bfm72": 1.0}
 LIFTERS = ("ibug51", "ibug68", "bfm72")
@@ -44,7 +44,7 @@ _YAW, _PITCH, _ROLL, _FIELD_OF_VIEW = 90.0, 40.0, 40.0, 40.0
 # open head's nose is shallow: its tip lies 0.41 of the distance between the outer corners of the
 # eyes in front of them, ICT's 0.50, that of people about 0.52.
 _TOWARDS_OTHER = {"openhead": (0.5, 1.75), "ict": (-0.75, 0.5)}
-# S.d. of the errors in a view, of most much less; and the share of views that have none.
+# S.d. of the noise in a view, of most much less; and the share of views that have none.
 _MOST_NOISE_MM, _EXACT = 6.0, 0.1
 # S.d. of the logarithm of the ratio of the given to the true s.d.: a detector's is never known
 # exactly, and a network that takes it for exact trusts it too much.
@@ -95,10 +95,10 @@ def main(run: Run, name: str) -> None:
 def sample_faces(
     models: Sequence[MorphableModel], n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Random faces with errors in their views, equal parts of models restricted to the landmarks.
+    """Random faces with noise in their views, equal parts of models restricted to the landmarks.
 
     Returns:
-        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the stated s.d. of the errors,
+        Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the stated s.d. of the noise,
         `(n,)`.
     """
     share = np.arange(n) * len(models) // n

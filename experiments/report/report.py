@@ -20,7 +20,7 @@ from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, w
 from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
-from experiments.scoring.old_names import read_table
+from experiments.scoring.old_names import new_name, read_table
 from experiments.scoring.typesetting import cells, head_of, remarks
 
 # Folder of results → title, and the target of `make` that writes it, in the report's order. Texts
@@ -33,7 +33,7 @@ RESULTS = {
     "celeba": ("The paper's CelebA table", "reproduce-celeba"),
     "celeba-true-landmarks": ("CelebA, against the true landmarks", "reproduce-celeba"),
     "celeba-flame": ("The paper's CelebA faces with 51 landmarks", "reproduce-celeba TF_FLAME=dir"),
-    "celeba-flame-stand-in": ("Rendered photos with 51 landmarks", "reproduce-flame"),
+    "celeba-flame-substitute": ("Rendered photos with 51 landmarks", "reproduce-flame"),
     "audit": ("Claims of the paper", "audit"),
     "parameters": ("Parameters and time", "reproduce-bfm"),
     "ablation": ("Ablation", "ablation"),
@@ -43,7 +43,7 @@ RESULTS = {
     "pretrained": ("The weights that ship with the package", "pretrained"),
     "real": ("Real faces by two detectors", "real-faces"),
     "lifting/hard": ("Hard views, against the lower bound", "lifting"),
-    "lifting/anatomy": ("Anatomy of Deep-MDS", "lifting"),
+    "lifting/component-ablation": ("Component ablation of Deep-MDS", "lifting"),
     "lifting/transfer": ("Transfer between face models", "lifting"),
 }
 _MACHINE = ("platform", "processor", "python")
@@ -118,7 +118,7 @@ def report(run: Run, results: list[Result]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"md": escaped, "table": markdown_table, "duration": duration}
-    environment.filters["commits"] = commits_of
+    environment.filters |= {"commits": commits_of, "new_name": new_name}
     steps = [step for result in results for step in result.steps]
     present = {result.base for result in results}
     given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "full")
@@ -210,16 +210,16 @@ def readable(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _by_metric(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean ± spread of each metric; the columns to the left of the metric name a row."""
+    """Mean ± s.d. or standard error of each metric; the columns to the left of it name a row."""
     keys = [*table.columns[: table.columns.get_loc("metric")]]
-    spread = table["standard_error" if "standard_error" in table else "std"]
+    sd = table["standard_error" if "standard_error" in table else "std"]
     typical = table["mean"].abs().groupby(table["metric"]).transform("median")
     small = (typical > 0) & (typical < 0.01)
     units = 10.0 ** np.floor(np.log10(typical.where(small, 1.0)))
     heads = map(_head, table["metric"])
     table = table[keys].assign(
         head=[f"{h} ({power(u)})" if u < 1 else h for h, u in zip(heads, units, strict=True)],
-        text=[*map(plus_minus, table["mean"], spread, units)],
+        text=[*map(plus_minus, table["mean"], sd, units)],
     )
     rows, columns = table[keys].drop_duplicates(), table["head"].unique()
     wide = table.pivot(index=keys, columns="head", values="text")[columns].rename_axis(columns=None)

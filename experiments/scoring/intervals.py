@@ -52,7 +52,7 @@ def share_below(values: np.ndarray, bound: np.ndarray | float) -> Estimate:
     return rate(below.mean(), len(values), "seeds")
 
 
-def spread_of_seeds(values: np.ndarray) -> Estimate:
+def sd_of_seeds(values: np.ndarray) -> Estimate:
     """Standard deviation, with the interval for a normal distribution."""
     free = len(values) - 1
     if free < 1:

@@ -32,7 +32,7 @@ class Metric:
         derived: Id of another metric and a function of its value on each subset. `metrics.csv`
             has the other metric only.
         in_paper: Whether the paper prints it: two columns, paper and here, and Wilcoxon's tests.
-        over_seeds: Whether tables have a column for its spread over seeds.
+        over_seeds: Whether tables have columns for its median and range over seeds.
         decimals: Decimals of a mean shown without its s.d.; None gives three significant digits.
         shown: Outputs with this column: `"terminal"`, whose columns the report has too, and
             `"latex"`. The CSV files hold every metric.

@@ -26,7 +26,10 @@ _NEW = {
     "limit": "lower_bound",
     "stable": "cosine",
     "short_connection": "skip_connection",
+    "seed_spread": "errors_by_seed",
     "spread": "sd_of",
+    "anatomy": "component_ablation",
+    "witness": "released_weights",
 }
 # Parts of longer ids too, such as `ours_over_own_constant`. The task is still called lifting, as in
 # the step `lifting-hard-lifting-hard_1-seed0`.

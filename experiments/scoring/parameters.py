@@ -40,7 +40,7 @@ def parameter_table(metrics: pd.DataFrame, n_coefficients: int = 199) -> pd.Data
 
     Returns:
         Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
-        adds the moving statistics of batch normalisation, which nothing trains.
+        adds the running statistics of batch normalisation, which nothing trains.
     """
     from deepmds_keras.networks import count_trainable  # printing a table needs no Keras
 

@@ -20,7 +20,7 @@ from experiments.scoring.verdict import verdict
 _KEYS = ["method", "metric"]
 _PAPER = ["paper_mean", "paper_std"]
 _SEEDS = ["n_seeds", "median", "lowest", "highest"]
-# What the paper uses as the truth, if a stand-in knows a better one.
+# What the paper uses as the truth, if a substitute knows a better one.
 _TRUTHS = {
     "flame": "the landmarks found on the scans, as in the paper",
     "celeba": "the model fitted to the photos, as in the paper",
@@ -155,7 +155,7 @@ def print_tables(run: Run) -> None:
         path = run.experiment_results(name) / "table.csv"
         if not path.is_file():
             continue
-        truth = _TRUTHS.get(name, "the true landmarks, which the stand-in knows")
+        truth = _TRUTHS.get(name, "the true landmarks, which the substitute knows")
         against = f", against {truth}" if run.track in _TRUTHS else ""
         print(f"\n{run.model}, {run.preset.name} preset, seed {run.seed}{against}\n")
         print(text(pd.read_csv(path), run.track))
@@ -168,8 +168,8 @@ def print_tables(run: Run) -> None:
 
 
 def _over_seeds(seeds: pd.DataFrame) -> pd.DataFrame:
-    spread = seeds.groupby(_KEYS)["value"].agg(["count", "median", "min", "max"])
-    return spread.set_axis(_SEEDS, axis=1).astype({"n_seeds": "Int64"})
+    statistics = seeds.groupby(_KEYS)["value"].agg(["count", "median", "min", "max"])
+    return statistics.set_axis(_SEEDS, axis=1).astype({"n_seeds": "Int64"})
 
 
 def _with_derived(metrics: pd.DataFrame) -> pd.DataFrame:

@@ -101,8 +101,8 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
         here = zip(rows["mean"], rows["std"], strict=True)
         columns[head, "here"] = [plus_minus(*number, unit) for number in here]
         if metric.over_seeds and "n_seeds" in rows:
-            spread = zip(rows["median"], rows["lowest"], rows["highest"], strict=True)
-            columns[head, "seeds"] = [between(*number, unit) for number in spread]
+            ranges = zip(rows["median"], rows["lowest"], rows["highest"], strict=True)
+            columns[head, "seeds"] = [between(*number, unit) for number in ranges]
     return pd.DataFrame(columns, index=pd.Index(map(title, methods), name="Method"))
 
 

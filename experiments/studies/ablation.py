@@ -1,7 +1,7 @@
 """Step: ablation of the method's parts, from the trainings of `studies.variant` over seeds.
 
 The paper compares mini-batches of one face with shuffled ones. Further variants are the net without
-its short connection and of other depths, the method without its autoencoder, and both networks
+its skip connection and of other depths, the method without its autoencoder, and both networks
 trained on fewer faces.
 """
 
@@ -19,7 +19,7 @@ from experiments.figures.style import Look
 from experiments.inputs import load_faces
 from experiments.run import Run
 from experiments.scoring.scores import score, subsets
-from experiments.studies.seeds import spread
+from experiments.studies.seeds import seed_statistics
 from experiments.studies.study_results import grid, write_results
 from experiments.studies.variant import VARIANTS, ablation_trainings, scores_file
 
@@ -35,7 +35,7 @@ _FIRST_EPOCH = 3  # drawn; earlier losses all fall alike, and would hide any dif
 
 def main(run: Run) -> dict:
     metrics, losses = collect(run)
-    table = spread(metrics, ["variant", "faces", "metric"])
+    table = seed_statistics(metrics, ["variant", "faces", "metric"])
     curve = training_curve(run, metrics)
     tables = {"metrics": metrics, "losses": losses, "table": table, "curves": curve}
     panel = Panel(curve.rename(columns={"mse": "mean"}), "value", "Training faces", log_x=True)

@@ -50,7 +50,7 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
 def recalibrate_batchnorm(network: keras.Model, inputs: np.ndarray) -> keras.Model:
     """The same weights with the batch normalisation of these inputs, all as one batch.
 
-    Training leaves in each such layer a moving average over past mini-batches and past weights.
+    Training leaves in each such layer a running average over past mini-batches and past weights.
     The gain from recalibration is the cost of that lag.
 
     Args:

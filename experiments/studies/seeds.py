@@ -1,4 +1,4 @@
-"""Step: the spread of Deep-MDS over seeds, and its cause, from the records of `studies.seed`.
+"""Step: errors of Deep-MDS over seeds, and why they differ, from the records of `studies.seed`.
 
 Faces, views, initial weights and mini-batches all come from the seed.
 """
@@ -12,7 +12,7 @@ import pandas as pd
 from deepmds_keras.files import read_arrays
 from deepmds_keras.weights import checkpoint_files
 from experiments.figures.curves import batchnorm_lag
-from experiments.figures.summary import seed_spread
+from experiments.figures.summary import errors_by_seed
 from experiments.methods import DEEP_MDS
 from experiments.run import Run
 from experiments.scoring.scores import metrics_by_seed
@@ -21,16 +21,16 @@ from experiments.studies.study_results import statistics_cells, write_results
 
 def main(run: Run) -> dict:
     metrics = metrics_by_seed(replace(run, seeds=run.n_seeds))
-    table = spread(metrics, ["method", "metric"])
+    table = seed_statistics(metrics, ["method", "metric"])
     figures = {
-        "seed_spread": seed_spread(metrics),
+        "errors_by_seed": errors_by_seed(metrics),
         "batchnorm_lag": batchnorm_lag(autoencoder_histories(run, metrics)),
     }
     tables, cells = {"metrics": metrics, "table": table}, statistics_cells(table)
     return write_results(run, "seeds", tables, cells, figures=figures)
 
 
-def spread(metrics: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+def seed_statistics(metrics: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     """Median, mean, s.d. (of a sample), range and number of the seeds' `value` in each group."""
     groups = metrics.groupby(by, sort=False)["value"]
     return groups.agg(["median", "mean", "std", "min", "max", "count"]).reset_index()

@@ -41,7 +41,7 @@ VARIANTS = {
     "shuffled": Variant("Shuffled mini-batches", shuffled=True),
     "same_face_cosine": Variant("Mini-batches of one face, cosine schedule", "cosine"),
     "shuffled_cosine": Variant("Shuffled mini-batches, cosine schedule", "cosine", shuffled=True),
-    "no_skip_connection": Variant("Without the short connection", chain=(5, 20)),
+    "no_skip_connection": Variant("Without the skip connection", chain=(5, 20)),
     "no_autoencoder": Variant("Without the autoencoder", with_autoencoder=False),
     # Nets of other depths, each as wide as fewer than 3,000 trainable parameters allow.
     "two_layers_cosine": Variant("Two layers of 48, cosine schedule", "cosine", chain=(2, 48)),

@@ -1,4 +1,4 @@
-"""Step: the paper's figure of CelebA faces with FLAME's landmarks, or of rendered stand-ins.
+"""Step: the paper's figure of CelebA faces with FLAME's landmarks, or of rendered substitutes.
 
 `TF_FLAME=` is the folder `data` of the public repository TF_FLAME: photos with 51 landmarks each.
 """
@@ -70,12 +70,12 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
     Raises:
         InputError: The face model cannot be drawn, or dlib finds no face.
     """
-    from data_gen.datasets.photos_standin import Portraits
+    from data_gen.datasets.photos_substitute import Portraits
     from data_gen.models.registry import load_model
 
     model = load_model(run.model, run.data)
     detections = []
-    for photo in Portraits(model, (run.seed, Stream.STAND_IN_PHOTOS)).photos(range(_DRAWN)):
+    for photo in Portraits(model, (run.seed, Stream.SUBSTITUTE_PHOTOS)).photos(range(_DRAWN)):
         landmarks = next(iter(shared_detector().detect_all(photo.image)), None)
         if landmarks is not None:
             detections.append((abs(photo.yaw), photo.image, convert(landmarks, "ibug68", "ibug51")))
@@ -106,7 +106,7 @@ def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def main(run: Run, *methods: str) -> dict:
-    folder = run.experiment_results("celeba-flame" + "-stand-in" * (run.tf_flame is None))
+    folder = run.experiment_results("celeba-flame" + "-substitute" * (run.tf_flame is None))
     record = {}
     if run.tf_flame is None:
         # VTK and TensorFlow do not get on in one process.

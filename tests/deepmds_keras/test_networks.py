@@ -45,7 +45,7 @@ def test_networks_are_functional_uncompiled_and_as_large_as_published(
     assert isinstance(network, keras.src.models.Functional) and not network.compiled
 
 
-def test_short_connection_reaches_past_the_third_layer():
+def test_skip_connection_reaches_past_the_third_layer():
     network = build_dissimilarity_net()
     third = network.get_layer("hidden_3")
     third.set_weights([np.zeros_like(weight) for weight in third.get_weights()])

@@ -18,7 +18,10 @@ MODULES = {
 # Streams that two modules draw from, on purpose: the same faces.
 SHARED = {
     "PHOTO_FACES": {"pretrained/pretrained.py", "pretrained/real_faces.py"},  # train both
-    "WITNESS_FACES": {"witness/train.py", "witness/witness.py"},  # test both
+    "RELEASED_WEIGHTS_FACES": {
+        "released_weights/train.py",
+        "released_weights/score.py",
+    },  # test both
 }
 
 

@@ -1,6 +1,6 @@
 """Expressions as subjects perform them: the sequences of CoMA and the held faces of CASIA.
 
-Neither data set is free to share. The open stand-ins mix named blendshapes into key poses, listed
+Neither data set is free to share. The open substitutes mix named blendshapes into key poses, listed
 in the CSV tables of this folder, and move between those. Weights are 0 for neutral and 1 for the
 full expression. Sequences: CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43).
 """

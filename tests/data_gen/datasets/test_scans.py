@@ -8,11 +8,11 @@ from data_gen.registration import GroundTruth
 
 
 def make_scans():
-    """Two of three subjects of a stand-in, in a process that may draw."""
-    from data_gen.datasets.scans_standin import ScansStandin
+    """Two of three subjects of a substitute, in a process that may draw."""
+    from data_gen.datasets.scans_substitute import ScansSubstitute
 
     model = load_model("openhead", scheme="ibug51")
-    source, again = (ScansStandin(model, 3, 7, [0, 5]) for _ in range(2))
+    source, again = (ScansSubstitute(model, 3, 7, [0, 5]) for _ in range(2))
     counts = [source.scans_of(subject) for subject in range(3)]
     return source.subject(0), again.subject(1), source.subject(1), counts
 

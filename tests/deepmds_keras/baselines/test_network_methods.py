@@ -77,7 +77,7 @@ def test_numbers_of_parameters_are_the_published_ones(monkeypatch):
     assert [build_zhao_net(n).count_params() for n in (72, 51)] == [114_840, 57_783]
     mobileface = build_mobileface_net()
     assert (count_trainable(mobileface), mobileface.count_params()) == (900_979, 907_819)
-    resnet50, n = 23_587_712 - 53_120, 6 + K + E  # without classes and moving averages
+    resnet50, n = 23_587_712 - 53_120, 6 + K + E  # without classes and running averages
     regressor = (2048 + n) * 512 + 512 + 512 * 512 + 512 + 512 * n + n
     assert count_trainable(build_ringnet(K, E, SIZE)) == resnet50 + regressor
 

@@ -11,7 +11,7 @@ from experiments.figures import errors, style
 from experiments.figures.curves import batchnorm_lag, learning_curves
 from experiments.figures.ground_truth import fits, ground_truth
 from experiments.figures.qualitative import gallery, qualitative, renders
-from experiments.figures.summary import seed_spread, summary
+from experiments.figures.summary import errors_by_seed, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
 from experiments.methods import METHODS
 from experiments.presets import PRESETS
@@ -110,7 +110,7 @@ PLOTS = {
     "qualitative": lambda rng: draw_qualitative(rng, DRAWN[:11], 4),
     "scans": draw_ground_truth,
     "fits": draw_fits,
-    "seed_spread": lambda rng: seed_spread(seed_metrics(rng)),
+    "errors_by_seed": lambda rng: errors_by_seed(seed_metrics(rng)),
     "summary": lambda rng: summary(headline_table(), "bfm"),
 }
 
@@ -207,7 +207,7 @@ def test_summary_draws_the_median_over_seeds_and_what_the_depth_correlation_lack
 
 def test_every_seed_is_a_dot_above_its_median():
     metrics = seed_metrics(np.random.default_rng(0))
-    (axes,) = seed_spread(metrics).axes
+    (axes,) = errors_by_seed(metrics).axes
     dots = np.concatenate([line.get_ydata() for line in axes.lines if line.get_ls() == "None"])
     np.testing.assert_allclose(dots, metrics["value"] / 1e-4)
     medians = metrics.groupby("method", sort=False)["value"].median() / 1e-4

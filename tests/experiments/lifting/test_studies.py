@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 from deepmds_keras.baselines.closed_form import MeanShape
 from deepmds_keras.geometry.units import normalise
 from experiments.inputs import load_faces
-from experiments.lifting import anatomy, hard, transfer
+from experiments.lifting import component_ablation, hard, transfer
 from experiments.lifting.train import lifting_networks
 from experiments.lifting.train_pairs import views_of_pairs
 from experiments.lifting.variants import VARIANTS
@@ -27,7 +27,7 @@ from experiments.scoring.scores import score
 
 @pytest.fixture(scope="module")
 def errors():
-    """Of 40 faces: twice those of the limit, in one condition from two seeds."""
+    """Of 40 faces: twice those of the lower bound, in one condition from two seeds."""
     rng, parts = np.random.default_rng(0), []
     for condition in CONDITIONS:
         best = 1e-5 * rng.uniform(1, 2, 40)
@@ -87,7 +87,7 @@ def test_nets_use_their_inputs_and_not_the_order_of_a_pair(name):
     assert net.get_layer("hidden_1").units == variant.units
 
 
-def test_each_variant_of_the_anatomy_differs_from_another_in_one_thing():
+def test_each_variant_of_the_component_ablation_differs_from_another_in_one_thing():
     for name in [*VARIANTS][1:]:
         others = (vars(VARIANTS[other]) for other in VARIANTS if other != name)
         apart = [sum(other[k] != v for k, v in vars(VARIANTS[name]).items()) for other in others]
@@ -203,16 +203,16 @@ def test_every_method_is_above_the_limit(folder):
 
 
 @pytest.mark.slow
-def test_steps_of_the_anatomy_are_scored_on_all_test_faces_and_seeds(folder):
+def test_steps_of_the_component_ablation_are_scored_on_all_test_faces_and_seeds(folder):
     run = Run("openhead", TINY, build=folder / "build", jobs=1)
     test = load_faces(run, "test")
-    table = table_of(folder, "anatomy").set_index(["step", "embedding"])
-    assert {*table.index.levels[0]} == {*anatomy.STEPS}
+    table = table_of(folder, "component-ablation").set_index(["step", "embedding"])
+    assert {*table.index.levels[0]} == {*component_ablation.STEPS}
     ours, lifted = (
         score(predict(load(run, method), test.views), test).mse.mean()
         for method in ("deep_mds", "landmark_lifter")
     )
-    seeds = pd.read_csv(runs.results(folder, "lifting/anatomy") / "seeds.csv")
+    seeds = pd.read_csv(runs.results(folder, "lifting/component-ablation") / "seeds.csv")
     first = seeds[seeds["seed"] == 0].set_index(["step", "embedding"])["mse"]
     # The same faces, weights at the start and mini-batches, by another input pipeline.
     assert first["constant", "non_metric"] == pytest.approx(ours, rel=0.05)

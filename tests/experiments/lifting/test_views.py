@@ -1,4 +1,4 @@
-"""Views of the protocol `hard`, what methods do about missing landmarks, and the limit."""
+"""Views of the protocol `hard`, what methods do about missing landmarks, and the lower bound."""
 
 from dataclasses import replace
 

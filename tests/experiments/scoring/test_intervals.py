@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, ttest_rel
 
-from experiments.scoring.intervals import holm, over_seeds, share_below, spread_of_seeds
+from experiments.scoring.intervals import holm, over_seeds, sd_of_seeds, share_below
 
 
 @pytest.fixture
@@ -23,14 +23,14 @@ def test_intervals_over_seeds_cover_the_truth_whatever_the_distribution(rng, n, 
     skewed = rng.exponential(size=(2000, n))
     assert coverage(map(over_seeds, skewed), math.log(2)) == pytest.approx(of_median, abs=0.02)
     normal = rng.standard_normal((2000, n))
-    assert coverage(map(spread_of_seeds, normal), 1) == pytest.approx(0.95, abs=0.02)
+    assert coverage(map(sd_of_seeds, normal), 1) == pytest.approx(0.95, abs=0.02)
     covers = [coverage([share_below(np.arange(n), k)], 0.5) for k in range(n + 1)]
     assert np.dot(covers, binom.pmf(range(n + 1), n, 0.5)) >= 0.95
 
 
 def test_few_seeds_have_no_interval_and_what_is_missing_no_number():
     assert math.isnan(over_seeds(np.array([1.0, 2.0])).high)
-    assert math.isnan(spread_of_seeds(np.array([1.0])).value)
+    assert math.isnan(sd_of_seeds(np.array([1.0])).value)
     assert math.isnan(holm({"a": np.array([1.0])})["a"].value)
     assert math.isnan(share_below(np.array([1.0, 2.0]), math.nan).value)
 

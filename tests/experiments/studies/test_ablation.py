@@ -15,7 +15,7 @@ from experiments.presets import FULL, SMOKE, TINY
 from experiments.records import write_json
 from experiments.run import Run
 from experiments.studies import ablation
-from experiments.studies.seeds import spread
+from experiments.studies.seeds import seed_statistics
 from experiments.studies.variant import VARIANTS, ablation_trainings, scores_file
 
 SIZE = SMOKE.training_sizes[0]
@@ -51,8 +51,8 @@ def test_shuffled_mini_batches_hold_pairs_of_many_faces():
     assert (shuffled == again).all() and (shuffled != other).any()
 
 
-def test_net_without_the_short_connection_has_fewer_parameters():
-    chain = VARIANTS["no_short_connection"].chain
+def test_net_without_the_skip_connection_has_fewer_parameters():
+    chain = VARIANTS["no_skip_connection"].chain
     with_it, without = (build_dissimilarity_net(chain=c).count_params() for c in (None, chain))
     assert with_it - without == 20 * 20, "the fifth layer sees the fourth alone"
 
@@ -79,11 +79,11 @@ def collected(tmp_path):
 
 def test_table_shows_mean_and_spread_over_seeds_in_the_papers_unit(collected):
     run, metrics, losses = collected
-    table = ablation.cells(spread(metrics, ["variant", "faces", "metric"]))
+    table = ablation.cells(seed_statistics(metrics, ["variant", "faces", "metric"]))
     expected = [f"{run.preset.train_faces:,}", "2", *["1.5 ± 0.7"] * 3]
     assert table.loc[VARIANTS["same_face"].title].tolist() == expected
     fewer = [f"{SIZE}", "1", *[f"{1 + SIZE}"] * 3]
-    assert table.loc[VARIANTS["fewer_faces"].title].tolist() == fewer, "one seed has no spread"
+    assert table.loc[VARIANTS["fewer_faces"].title].tolist() == fewer, "one seed has no s.d."
     first = losses[(losses["variant"] == "same_face") & (losses["seed"] == 0)]
     assert first[["epoch", "train", "inference"]].to_numpy().tolist() == [[1, 3, 4], [2, 2, 3]]
 

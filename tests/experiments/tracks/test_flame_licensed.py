@@ -80,9 +80,9 @@ def write_casia(folder, scans):
 
 
 def make_scans():
-    from data_gen.datasets.scans_standin import ScansStandin
+    from data_gen.datasets.scans_substitute import ScansSubstitute
 
-    return ScansStandin(load_model("openhead", scheme="ibug51"), 1, N_SCANS, [0, 5]).subject(0)
+    return ScansSubstitute(load_model("openhead", scheme="ibug51"), 1, N_SCANS, [0, 5]).subject(0)
 
 
 pytestmark = pytest.mark.slow

@@ -105,7 +105,7 @@ def test_a_table_has_every_method_with_a_number_or_a_reason(whole, track):
     caution = "smoke: too short to mean anything"
     assert rows.loc["mean_shape", "note"] == caution
     assert (rows.loc["ridge", "note"] == caution) == (track != "flame")
-    assert ("with errors" in rows.loc["ridge", "note"]) == (track == "flame")
+    assert ("with noise" in rows.loc["ridge", "note"]) == (track == "flame")
     assert rows.loc["landmark_lifter", "note"].startswith("not in the paper; trained for 3 steps")
     quoted = {
         "bfm": ("deep_mds", 1.4e-4),
@@ -283,11 +283,11 @@ def test_a_stopped_search_goes_on_and_finds_the_same(copy, track, kind):
 
 
 def write_photos(folder, n):
-    """Photos of the stand-in under the names of CelebA's."""
-    from data_gen.datasets.photos_standin import PhotosStandin
+    """Photos of the substitute under the names of CelebA's."""
+    from data_gen.datasets.photos_substitute import PhotosSubstitute
     from data_gen.models.openhead import load_openhead
 
-    for number, photo in enumerate(PhotosStandin(load_openhead(), n, [3]).photos(range(n)), 1):
+    for number, photo in enumerate(PhotosSubstitute(load_openhead(), n, [3]).photos(range(n)), 1):
         Image.fromarray(photo.image).save(folder / f"{number:06}.jpg")
 
 
@@ -373,7 +373,7 @@ def test_faces_with_flames_landmarks_are_drawn(copy, given):
     methods, recorded = [*of_views, *of_photos], "celeba-flame"
     done = step("tracks.celeba_flame", folder, "flame", *methods, recorded=recorded, **options)
     assert done.returncode == 0, done.stderr
-    results = runs.results(folder, "celeba-flame" if given else "celeba-flame-stand-in")
+    results = runs.results(folder, "celeba-flame" if given else "celeba-flame-substitute")
     assert (results / "figures/celeba_flame.png").stat().st_size > 50_000
     record = read_record(runs.work(folder, "flame") / f"records/{recorded}.json")
     assert record["methods"] == of_photos + of_views

@@ -1,7 +1,7 @@
 """Photos of synthetic faces with the truth about who is on them.
 
-`PhotosStandin` is an open stand-in for CelebA (Liu et al. 2015, doi:10.1109/ICCV.2015.425), which
-is free for research only and has no 3D truth; `Portraits` are of expressive faces turned any way.
+`PhotosSubstitute` is in place of CelebA (Liu et al. 2015, doi:10.1109/ICCV.2015.425), which is free
+for research only and has no 3D truth; `Portraits` are of expressive faces turned any way.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class Portraits:
         return draw(draw_background(PIXELS, rng)), 0
 
 
-class PhotosStandin(Portraits):
+class PhotosSubstitute(Portraits):
     """Neutral faces of standard-normal identity in photos of CelebA's form.
 
     A photo depends on the seed and its number alone, whichever others are drawn.

@@ -13,9 +13,9 @@ from data_gen.models.registry import load_model
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
 from experiments.presets import TINY
+from experiments.released_weights import score
+from experiments.released_weights.bfm_mean import SCHEME, about_mean, extract_mean, read_mean
 from experiments.run import Run
-from experiments.witness import witness
-from experiments.witness.bfm_mean import SCHEME, about_mean, extract_mean, read_mean
 
 RELEASED = SHARED / "released" / "bfm"
 needs_weights = pytest.mark.skipif(
@@ -64,7 +64,7 @@ def test_answers_are_scored_on_the_same_faces():
     off = read_mean() + rng.normal(0, 2, (72, 3))
     model = about_mean(load_model("openhead", None, SCHEME), 1.0)
     networks = {"released": MeanNetwork(off)}
-    rows = pd.DataFrame(witness.measure(run, networks, "paper", "openhead", 1.0, model))
+    rows = pd.DataFrame(score.measure(run, networks, "paper", "openhead", 1.0, model))
     mse = rows.set_index("answer")["mse"]
     assert mse["deep_mds_constant"] == pytest.approx(mse["released"]), "it is a constant"
     assert mse["mean_shape"] < mse["random_face"] < 3 * mse["mean_shape"]
@@ -78,22 +78,24 @@ def test_answers_are_scored_on_the_same_faces():
 
 @needs_weights
 @pytest.mark.slow
-def test_make_witness_prints_the_numbers_of_a_basel_model(tmp_path):
+def test_make_released_weights_prints_the_numbers_of_a_basel_model(tmp_path):
     file = write_bfm2009(tmp_path, read_mean())
-    steps = runs.make("witness", tmp_path, "MODEL=bfm2009", f"DATA={file}", f"AUTHORS={RELEASED}")
-    assert [words[0] for words in steps] == ["witness.witness"]
-    folder = tmp_path / "results" / runs.PRESET / "bfm2009" / "witness"
+    steps = runs.make(
+        "released-weights", tmp_path, "MODEL=bfm2009", f"DATA={file}", f"AUTHORS={RELEASED}"
+    )
+    assert [words[0] for words in steps] == ["released_weights.score"]
+    folder = tmp_path / "results" / runs.PRESET / "bfm2009" / "released-weights"
     table = pd.read_csv(folder / "released.csv")
-    assert {*table["answer"]} == {*witness.NETS, "deep_mds_constant", "random_face", "mean_shape"}
+    assert {*table["answer"]} == {*score.NETS, "deep_mds_constant", "random_face", "mean_shape"}
 
 
 @needs_weights
 @pytest.mark.slow
-def test_make_witness_trains_about_the_mean_and_draws(tmp_path):
-    runs.make("witness", tmp_path, f"AUTHORS={RELEASED}")
-    folder = tmp_path / "results" / runs.PRESET / "witness"
+def test_make_released_weights_trains_about_the_mean_and_draws(tmp_path):
+    runs.make("released-weights", tmp_path, f"AUTHORS={RELEASED}")
+    folder = tmp_path / "results" / runs.PRESET / "released-weights"
     trained = pd.read_csv(folder / "trained.csv")
     assert len(trained) == 3 * TINY.n_seeds * 4
     names = {"released.csv", "trained.csv", "table.tex", "manifest.json"}
     assert names <= {path.name for path in folder.iterdir()}
-    assert {p.name for p in (folder / "figures").glob("*.png")} == {"witness.png", "trained.png"}
+    assert {p.name for p in (folder / "figures").glob("*.png")} == {"released.png", "trained.png"}

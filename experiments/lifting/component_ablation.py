@@ -1,4 +1,4 @@
-"""Step: Deep-MDS with one part after another replaced by a better one, down to the limit.
+"""Step: Deep-MDS with one part after another replaced by a better one, down to the lower bound.
 
 It uses the test faces of the paper's protocol and several seeds of training. Each row differs in
 one thing from the row that its title names. Dissimilarity matrices go through the method's
@@ -26,7 +26,7 @@ from experiments.lifting.contenders import lower_bound
 from experiments.lifting.pair_nets import dissimilarities
 from experiments.lifting.train import LIFTING
 from experiments.lifting.train_pairs import autoencoder, views_of_pairs
-from experiments.lifting.variants import STEPS, VARIANTS, anatomy_file
+from experiments.lifting.variants import STEPS, VARIANTS, component_file
 from experiments.lifting.views import Views
 from experiments.methods import load, predict
 from experiments.progress import Bar
@@ -57,7 +57,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
     """Yield each step with dissimilarities and its matrices `(n, L, L)`, of a seed."""
     train = load_faces(run, "train")
     for name, variant in VARIANTS.items():
-        net = keras.saving.load_model(anatomy_file(run, name, seed), compile=False)
+        net = keras.saving.load_model(component_file(run, name, seed), compile=False)
         encoder = autoencoder(run, variant.frontal, variant.schedule)
         yield name, dissimilarities(net, views_of_pairs(variant, test, encoder), test.views)
         if name == "cosine":
@@ -71,7 +71,7 @@ def matrices(run: Run, test: Faces, seed: int) -> Iterator[tuple[str, np.ndarray
             net = recalibrate_batchnorm(net, np.concatenate(pair_features(np.float32(pairs))))
             seen = views_of_pairs(variant, test, recalibrated.frontalise)
             yield "recalibrated", dissimilarities(net, seen, test.views)
-    lifter = LandmarkLifter.load(anatomy_file(run, LIFTING, seed))
+    lifter = LandmarkLifter.load(component_file(run, LIFTING, seed))
     yield "landmark_lifter", pairwise_distances(predict(lifter, test.views))
 
 
@@ -94,7 +94,7 @@ def measure(run: Run) -> pd.DataFrame:
 
     mean_shape = load(run, "mean_shape").predict(test.views)
     add("mean_shape", "none", run.seed, score(mean_shape, test).mse)
-    for seed in Bar(run.few_seeds, desc="anatomy", unit="seed"):
+    for seed in Bar(run.few_seeds, desc="component ablation", unit="seed"):
         for step, distances in matrices(run, test, seed):
             embedded(step, distances, seed)
     embedded("true_distances", pairwise_distances(test.shapes), run.seed)
@@ -105,7 +105,7 @@ def measure(run: Run) -> pd.DataFrame:
         sd_mm=np.zeros(len(test.views)),
         cameras=dataset.cameras,
     )
-    rng = np.random.default_rng([run.seed, Stream.ANATOMY_LIMIT])
+    rng = np.random.default_rng([run.seed, Stream.COMPONENT_BOUND])
     add("lower_bound", "none", run.seed, lower_bound(run, exact, rng))
     return pd.DataFrame(rows)
 
@@ -137,6 +137,8 @@ def main(run: Run) -> dict:
     rows = rows.set_index("step").loc[[*_DRAWN]].reset_index()
     rows["step"] = [textwrap.fill(_DRAWN[step], 11) for step in rows["step"]]
     panel = Panel(rows, "step")
-    figures = {"anatomy": error_lines([panel], unit=_UNIT, looks=EMBEDDINGS, log_y=False)}
+    figures = {
+        "component_ablation": error_lines([panel], unit=_UNIT, looks=EMBEDDINGS, log_y=False)
+    }
     tables = {"table": table, "seeds": errors}
-    return write_results(run, "lifting/anatomy", tables, cells, figures=figures)
+    return write_results(run, "lifting/component-ablation", tables, cells, figures=figures)

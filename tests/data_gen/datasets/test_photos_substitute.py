@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.datasets.photos_standin import PIXELS, PhotosStandin, Portraits
+from data_gen.datasets.photos_substitute import PIXELS, PhotosSubstitute, Portraits
 from data_gen.models.openhead import load_openhead
 from data_gen.views import Cameras, rotations
 from deepmds_keras.errors import InputError
@@ -18,7 +18,9 @@ RIGHT_EYE, LEFT_EYE = slice(36, 42), slice(42, 48)  # of iBUG's landmarks
 @functools.cache  # in the process that draws, since a scene takes seconds
 def source(kind):
     model = load_openhead()
-    return PhotosStandin(model, 100, (0, 11)) if kind == "standin" else Portraits(model, (0, 3))
+    return (
+        PhotosSubstitute(model, 100, (0, 11)) if kind == "substitute" else Portraits(model, (0, 3))
+    )
 
 
 def take(kind, *numbers):
@@ -35,7 +37,7 @@ def take_two_at_once(kind):
 
 @pytest.fixture(scope="module")
 def photos(apart):
-    return apart(take, "standin", N)
+    return apart(take, "substitute", N)
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +50,9 @@ def of(photos, name, scheme=None):
     return np.array([value[scheme] for value in values] if scheme else values)
 
 
-@pytest.mark.parametrize("kind", ["standin", "portraits"])
+@pytest.mark.parametrize("kind", ["substitute", "portraits"])
 def test_a_photo_is_the_same_whichever_others_are_drawn(apart, photos, portraits, kind):
-    first = photos if kind == "standin" else portraits
+    first = photos if kind == "substitute" else portraits
     again = apart(take_two_at_once, kind)
     assert [photo.name for photo in again] == ["000005.jpg", "000004.jpg", "000003.jpg"]
     for photo, other in zip(again, first[4:1:-1], strict=True):
@@ -90,10 +92,10 @@ def test_landmarks_are_those_of_the_neutral_face_and_pixels_those_seen_from_its_
         assert np.linalg.norm(scale * posed - seen, axis=1).max() < 0.06 * np.ptp(seen)
 
 
-@pytest.mark.parametrize("kind", ["standin", "portraits"])
+@pytest.mark.parametrize("kind", ["substitute", "portraits"])
 def test_eyes_are_dark_where_the_landmarks_are(photos, portraits, kind):
     darker = []
-    for photo in photos if kind == "standin" else portraits:
+    for photo in photos if kind == "substitute" else portraits:
         grey, at = photo.image.mean(2), np.rint(photo.pixels["ibug68"] - 0.5).astype(int)
         x, y = np.rint(at[RIGHT_EYE if photo.yaw > 0 else LEFT_EYE].mean(0)).astype(int)
         nose_x, nose_y = at[29]
@@ -113,4 +115,4 @@ def test_a_model_without_the_landmarks_is_refused():
     model = load_openhead()
     bare = replace(model, name="bare", landmarks={"ibug68": model.landmarks["ibug68"]})
     with pytest.raises(InputError, match=r"bare must have the landmarks bfm72. Received \['ibug68"):
-        PhotosStandin(bare, 1, [0])
+        PhotosSubstitute(bare, 1, [0])

@@ -26,13 +26,13 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen
 from experiments.progress import Bar
+from experiments.released_weights.bfm_mean import SCHEME, about_mean
+from experiments.released_weights.train import trained_file, trainings
 from experiments.run import AUTHORS_FILES, Run
 from experiments.scoring.numbers import power, rounded
 from experiments.scoring.scores import Scores, score
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
-from experiments.witness.bfm_mean import SCHEME, about_mean
-from experiments.witness.train import trained_file, trainings
 
 SCALES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.75, 2.0)
 VIEWS = {"released": "views of the released code", "paper": "views as in the text"}
@@ -57,16 +57,16 @@ def main(run: Run) -> dict:
     populations = [*faces_by_scale(run)]
     released = pd.DataFrame(
         row
-        for population in Bar(populations, desc="witness")
+        for population in Bar(populations, desc="released weights")
         for views in VIEWS
         for row in measure(run, networks, views, *population)
     )
-    tables, figures, folder = {"released": released}, {}, run.experiment_results("witness")
+    tables, figures, folder = {"released": released}, {}, run.experiment_results("released-weights")
     if run.model in OPEN:
         trained = pd.concat([pd.read_csv(trained_file(run, name)) for name in trainings(run)])
         tables["trained"] = trained
-        figures = {"witness": draw_released(released), "trained": draw_trained(trained)}
-        folder = run.shared_results / "witness"
+        figures = {"released": draw_released(released), "trained": draw_trained(trained)}
+        folder = run.shared_results / "released-weights"
     return write_results(run, folder, tables, cells(released), figures=figures)
 
 
@@ -111,7 +111,7 @@ def measure(
     Yields:
         `sd_of, views, scale, answer, mse, low, high, depth_corr`.
     """
-    rng = np.random.default_rng([run.seed, Stream.WITNESS_FACES])
+    rng = np.random.default_rng([run.seed, Stream.RELEASED_WEIGHTS_FACES])
     n = run.preset.test_faces
     dataset = make_dataset(model, n + _CONSTANTS, rng, scheme=SCHEME, protocol=views)
     faces = as_seen(dataset)

@@ -1,4 +1,4 @@
-"""An open stand-in for the CASIA-3D scans: faces of a model, photographed and scanned."""
+"""An open substitute for the CASIA-3D scans: faces of a model, photographed and scanned."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Scan:
     pixels: np.ndarray | None = None
 
 
-class ScansStandin:
+class ScansSubstitute:
     """Subjects who hold one of six expressions a scan, their heads a little turned.
 
     Identity is standard normal and differs between subjects alone; pose, light, colours, noise and

@@ -14,9 +14,9 @@ from experiments import recipes
 from experiments.inputs import Faces, as_seen
 from experiments.methods import predict
 from experiments.records import resumable, write_csv
+from experiments.released_weights.bfm_mean import MEAN, SCHEME, about_mean
 from experiments.run import Run
 from experiments.streams import Stream
-from experiments.witness.bfm_mean import MEAN, SCHEME, about_mean
 
 SCALES = (0.8, 1.25, 2.0)
 
@@ -28,7 +28,7 @@ def trainings(run: Run) -> list[str]:
 
 def trained_file(run: Run, name: str) -> Path:
     """Table of a training: `scale, seed, method, mse, depth_corr`."""
-    return run.work / "witness" / f"{name}.csv"
+    return run.work / "released-weights" / f"{name}.csv"
 
 
 def main(run: Run, name: str) -> None:
@@ -39,9 +39,9 @@ def main(run: Run, name: str) -> None:
     scale, _, seed = name.partition("-seed")
     seeded = replace(run, seed=int(seed))
     model = about_mean(load_model(run.model, run.data, SCHEME), float(scale))
-    train = _faces(seeded, model, run.preset.train_faces, Stream.WITNESS_TRAINING)
-    test = _faces(seeded, model, run.preset.test_faces, Stream.WITNESS_FACES)
-    folder = resumable(run.work / "witness" / name, [MEAN])
+    train = _faces(seeded, model, run.preset.train_faces, Stream.RELEASED_WEIGHTS_TRAINING)
+    test = _faces(seeded, model, run.preset.test_faces, Stream.RELEASED_WEIGHTS_FACES)
+    folder = resumable(run.work / "released-weights" / name, [MEAN])
     data = train.views, train.shapes
     ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="auto", n_jobs=1)
     lifting = recipes.landmark_lifter(seeded)
