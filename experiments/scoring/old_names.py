@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NEW = {
+    "parameters-ours": "parameters-deep-mds",
     "ours_with_errors": "deep_mds_noise",
     "ours_stable": "deep_mds_cosine",
     "ours": "deep_mds",
