@@ -61,8 +61,8 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
         points = np.where(known[:, None], points, 0)
     views, middle, radius = standardise(points, known)
     x, y = views[:, 0], views[:, 1]
-    xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts
-                  for a, b in ((x, x), (y, y), (x, y)))  # fmt: skip
+    pairs = ((x, x), (y, y), (x, y))
+    xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts for a, b in pairs)
     _refuse(
         ~(xx * yy - xy * xy > _FLAT),
         f"views must have at least {LEAST_VISIBLE} visible landmarks that are not on one line",

@@ -107,8 +107,8 @@ class Tensor:
         if numbers:
             out = self.graph.add("Squeeze", out.example.squeeze(tuple(numbers)), out, numbers)
         example = self.example[index]
-        new = [i for i, part in enumerate(p for p in index if not isinstance(p, int))
-               if part is None]  # fmt: skip
+        left = [part for part in index if not isinstance(part, int)]
+        new = [i for i, part in enumerate(left) if part is None]
         return self.graph.add("Unsqueeze", example, out, new) if new else out
 
 

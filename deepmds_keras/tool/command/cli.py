@@ -130,9 +130,8 @@ def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
         return
     seen = [face for face in faces if not face.is_gap]
     gaps = len(faces) - len(seen)
-    yield f"{source}: {len(seen)} face{'s' * (len(seen) > 1)}" + (
-        f", {gaps} gap{'s' * (gaps > 1)}" if gaps else ""
-    )
+    counted = [_counted(len(seen), "face"), *([_counted(gaps, "gap")] if gaps else [])]
+    yield f"{source}: {', '.join(counted)}"
     for face in seen[:most]:
         yield f"  {face.name}: {face.angles}"
         yield from (f"    {note}" for note in face.notes)
@@ -146,11 +145,16 @@ def fault_of(source: Path, faces: list[Face]) -> str | None:
     if not faults:
         return None
     listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
+    listed += ["…"] if len(faults) > len(listed) else []
     return (
         f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
-        f"{', '.join(listed)}{', …' * (len(faults) > len(listed))}. "
+        f"{', '.join(listed)}. "
         f"The first {min(faults.items())[1]}"
     )
+
+
+def _counted(n: int, thing: str) -> str:
+    return f"{n} {thing}s" if n > 1 else f"{n} {thing}"
 
 
 def printable(text: str) -> str:

@@ -178,10 +178,9 @@ def _rows(
                 bins.append((f"{low} to {high}", (yaw >= low) & (yaw < high)))
             for name, some in bins:
                 if n := int(some.sum()):
-                    error = errors[some]
-                    yield dict(zip(_COLUMNS, (
-                        int(scored.sum()), method, name, n, error.mean(), error.std() / np.sqrt(n),
-                    ), strict=True))  # fmt: skip
+                    mean, error = errors[some].mean(), errors[some].std() / np.sqrt(n)
+                    row = (int(scored.sum()), method, name, n, mean, error)
+                    yield dict(zip(_COLUMNS, row, strict=True))
 
 
 def _csv(rows: list[dict]) -> str:

@@ -133,7 +133,8 @@ def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
             "std": None if face.std is None else _rounded(face.std),
             "residual": _rounded(face.residuals),
         }
-        yield f"{',' * (i > 0)}\n  {json.dumps(record, allow_nan=False)}"
+        yield ",\n  " if i else "\n  "
+        yield json.dumps(record, allow_nan=False)
     yield "\n ]\n}\n"
 
 
@@ -177,14 +178,14 @@ def ply_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> It
     """One face: its landmarks as vertices, or the triangles of the head."""
     vertices, comments = _vertices(faces, model, mesh)
     cells = surface_triangles() if mesh else np.empty((0, 3), int)
-    element = [f"element face {len(cells)}", "property list uchar int vertex_indices"] * mesh
+    triangles = [f"element face {len(cells)}", "property list uchar int vertex_indices"]
     header = [
         "ply",
         "format ascii 1.0",
         *(f"comment {line}" for line in comments),
         f"element vertex {len(vertices)}",
         *(f"property float {axis}" for axis in "xyz"),
-        *element,
+        *(triangles if mesh else ()),
         "end_header\n",
     ]
     text = "\n".join(header) + _rows("%.7g %.7g %.7g", vertices)

@@ -93,8 +93,10 @@ def run(
     named = [*zip(paths, name_sources(paths), strict=True)]
     todo = [pair for pair in named if overwrite or not _is_done(out, *pair)]
     if len(todo) < len(named):
-        print(f"{len(named) - len(todo)} of {len(named)} sources have a newer picture in "
-              f"{printable(str(out))} and are skipped; --overwrite does them again.")  # fmt: skip
+        print(
+            f"{len(named) - len(todo)} of {len(named)} sources have a newer picture in "
+            f"{printable(str(out))} and are skipped; --overwrite does them again."
+        )
     if not todo:
         return len(errors)
     usable = _usable(todo, settings)
@@ -221,9 +223,15 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
 
 
 def _process(
-    source: Path, name: str, *, folder: Path, formats: tuple[str, ...], view: bool, mesh: bool,
+    source: Path,
+    name: str,
+    *,
+    folder: Path,
+    formats: tuple[str, ...],
+    view: bool,
+    mesh: bool,
     **settings,
-) -> tuple[list[str], list[str], object]:  # fmt: skip
+) -> tuple[list[str], list[str], object]:
     """Write the files of a source into a folder.
 
     Returns:
@@ -254,16 +262,31 @@ def _process(
 
 
 def _detect(
-    source: Path, name: str, *, detector: str, landmarker: str | None, model: str | None,
-    smooth: float, every: int, y_up: bool, image_size: tuple[float, float] | None, jobs: int,
+    source: Path,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None,
+    model: str | None,
+    smooth: float,
+    every: int,
+    y_up: bool,
+    image_size: tuple[float, float] | None,
+    jobs: int,
     **_,
-) -> tuple[np.ndarray | None, Detections]:  # fmt: skip
+) -> tuple[np.ndarray | None, Detections]:
     """The photo, or None for other sources, and the landmarks of its faces."""
     if kind_of(source) == "video":
         return None, find_in_video(
-            source, name, detector=detector, landmarker=landmarker, model=model,
-            every=every, smooth=smooth, jobs=jobs,
-        )  # fmt: skip
+            source,
+            name,
+            detector=detector,
+            landmarker=landmarker,
+            model=model,
+            every=every,
+            smooth=smooth,
+            jobs=jobs,
+        )
     if kind_of(source) == "photo":
         photo = open_photo(source)
         detections = find_in_photo(
@@ -302,9 +325,15 @@ def _detect(
 
 
 def _pictures(
-    folder: Path, source: Path, name: str, faces: list[Face], photo: np.ndarray | None, view: bool,
-    mesh: bool, every: int,
-) -> dict[Path, Callable[[Path], None]]:  # fmt: skip
+    folder: Path,
+    source: Path,
+    name: str,
+    faces: list[Face],
+    photo: np.ndarray | None,
+    view: bool,
+    mesh: bool,
+    every: int,
+) -> dict[Path, Callable[[Path], None]]:
     """The page and the picture of a source, for a video another video, each with its writer."""
     shown = [face for face in faces if not face.is_gap]
     if video := faces[0].frame_ref is not None:

@@ -94,8 +94,7 @@ def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str
     """Photos by name, those of a folder before its subfolders'; appends to errors and skipped."""
 
     def unreadable(error: OSError) -> None:
-        errors.append(InputError(f"{error.filename} must be a folder that can be read. "
-                                 f"Received: {error.strerror}."))  # fmt: skip
+        errors.append(InputError(f"{error.filename} cannot be read: {error.strerror}."))
 
     photos, before = [], len(errors)
     for place, folders, files in os.walk(folder, onerror=unreadable):

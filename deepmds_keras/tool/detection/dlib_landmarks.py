@@ -101,13 +101,9 @@ class DlibLandmarks:
 
     def _boxes(self, image: np.ndarray, scale: float):
         """Rectangles around the faces of an image that is searched at another scale."""
-        size = tuple(round(scale * side) for side in image.shape[1::-1])
-        small = Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)
-        x, y = np.divide(image.shape[1::-1], size)
-        return [
-            self._rectangle(
-                *(round(by * getattr(box, side)())
-                  for by, side in ((x, "left"), (y, "top"), (x, "right"), (y, "bottom")))
-            )
-            for box in self._find_faces(np.array(small), 0)
-        ]  # fmt: skip
+        width, height = (round(scale * side) for side in image.shape[1::-1])
+        small = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+        x, y = np.divide(image.shape[1::-1], (width, height))
+        boxes = self._find_faces(np.array(small), 0)
+        sides = [(x * b.left(), y * b.top(), x * b.right(), y * b.bottom()) for b in boxes]
+        return [self._rectangle(*map(round, each)) for each in sides]

@@ -101,8 +101,10 @@ class Face:
     score: float | None = None
 
     def __repr__(self) -> str:
-        pose = self.angles + f", {len(self.notes)} notes" * bool(self.notes)
-        return f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {pose}>"
+        notes = f", {len(self.notes)} notes" if self.notes else ""
+        return (
+            f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {self.angles}{notes}>"
+        )
 
     @property
     def landmarks_3d(self) -> np.ndarray:

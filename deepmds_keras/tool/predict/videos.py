@@ -130,9 +130,12 @@ class Video:
 def portraits(faces: Sequence[Face], most: int) -> list[Face]:
     """The most frontal face of each track; of many tracks, the longest."""
     longest = sorted(_by_track(faces), key=len, reverse=True)[:most]
-    chosen = [min(seen, key=lambda face: np.hypot(face.pose.yaw, face.pose.pitch))
-              for seen in longest]  # fmt: skip
-    return sorted(chosen, key=lambda face: frame_of(face).track)
+
+    def turn(face: Face) -> float:
+        return float(np.hypot(face.pose.yaw, face.pose.pitch))
+
+    frontal = [min(seen, key=turn) for seen in longest]
+    return sorted(frontal, key=lambda face: frame_of(face).track)
 
 
 def read_stills(source: Path, faces: Sequence[Face], every: int) -> list[np.ndarray]:
@@ -153,10 +156,11 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
     for seen in tracks[:most]:
         first, last = frame_of(seen[0]), frame_of(seen[-1])
         yaws = [round(float(face.pose.yaw)) for face in seen]
-        noted = sum(bool(face.notes) for face in seen)
+        n_noted = sum(bool(face.notes) for face in seen)
+        noted = f", {n_noted} with notes" if n_noted else ""
         yield (
             f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
-            f"frames{f', {noted} with notes' * (noted > 0)}; yaw {min(yaws):+}° to "
+            f"frames{noted}; yaw {min(yaws):+}° to "
             f"{max(yaws):+}°"
         )
     if len(tracks) > most:
@@ -187,11 +191,11 @@ def write_landmark_video(path: Path, source: Path, faces: Sequence[Face], every:
         for frame in bar:
             if stream is None:
                 height, width = frame.image.shape[:2]
-                scale = min(1, _SIDE / max(width, height))
+                half = min(1, _SIDE / max(width, height)) / 2
                 stream = output.add_stream("libx264", rate=30, options=_H264)
                 # Colour is stored per two by two pixels.
-                stream.width, stream.height = (max(2, 2 * round(scale * side / 2))
-                                               for side in (width, height))  # fmt: skip
+                stream.width = max(2, 2 * round(half * width))
+                stream.height = max(2, 2 * round(half * height))
                 stream.pix_fmt, stream.codec_context.time_base = "yuv420p", _TICK
             size = stream.width, stream.height
             drawn = av.VideoFrame.from_image(_drawn(frame.image, size, shown.get(frame.index, [])))

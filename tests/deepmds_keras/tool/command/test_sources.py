@@ -63,7 +63,7 @@ def test_a_subfolder_that_cannot_be_read_is_named(tmp_path, monkeypatch, listed)
     if listed:
         assert skipped == {"no file": 1} and not errors
     else:
-        assert str(errors[0]).startswith(f"{tmp_path / 'within'} must be a folder that can be read")
+        assert str(errors[0]).startswith(f"{tmp_path / 'within'} cannot be read: ")
 
 
 def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
