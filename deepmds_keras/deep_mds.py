@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import KW_ONLY, asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import keras
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from deepmds_keras import networks, training, weights
-from deepmds_keras.embedding import embed
+from deepmds_keras import networks, weights
+from deepmds_keras.embedding import SOLVERS, embed
 from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.orientation import front_landmark, resolve_orientation
@@ -20,8 +21,21 @@ from deepmds_keras.geometry.units import centre, normalise
 from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_views
 from deepmds_keras.metrics import explained_share
-from deepmds_keras.proximities import proximities
-from deepmds_keras.validation import check_faces, check_fitted, check_views_and_shapes
+from deepmds_keras.proximities import VARIANTS, proximities
+from deepmds_keras.training import (
+    SCHEDULES,
+    Recipe,
+    restore_network,
+    train_autoencoder,
+    train_dissimilarity_net,
+)
+from deepmds_keras.validation import (
+    check_faces,
+    check_fitted,
+    check_n_landmarks,
+    check_views_and_shapes,
+    check_whole,
+)
 
 _NETWORKS = ("autoencoder", "dissimilarity_net")
 _FACES_PER_CHUNK = 64
@@ -61,9 +75,9 @@ class DeepMDS(BaseEstimator):
     Examples:
         >>> from deepmds_keras import DeepMDS, LandmarkLifter
         >>> face = LandmarkLifter.pretrained("ibug51").weights_["mean"].T  # (51, 3): a mean face
-        >>> shapes = DeepMDS.pretrained("deepmds-ibug51").predict(face[:, :2])  # y up
-        >>> shapes.shape
-        (1, 51, 3)
+        >>> shape = DeepMDS.pretrained("deepmds-ibug51").predict(face[:, :2])  # y up
+        >>> shape.shape
+        (51, 3)
     """
 
     n_landmarks: int = 72
@@ -75,7 +89,7 @@ class DeepMDS(BaseEstimator):
     dissimilarity_epochs: int = 30
     dissimilarity_steps: int = 1000
     seed: int = 0
-    solver: str = "auto"
+    solver: str = "sklearn"
     n_jobs: int | None = None
 
     def fit(
@@ -94,28 +108,32 @@ class DeepMDS(BaseEstimator):
             shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale.
             checkpoint: Folder to which each network is written after every epoch, see
                 `checkpoint_files`. An interrupted fit resumes from there, and a network that
-                another fit has trained in the same way is only read.
+                another fit has trained on the same data in the same way is only read.
             progress: Called after every epoch with the network's name and its losses.
 
         Raises:
-            InputError: Wrong number of landmarks, unequal numbers of faces, NaN or infinity, or a
-                checkpoint of another run.
+            InputError: A parameter out of range, wrong number of landmarks, unequal numbers of
+                faces, NaN or infinity, or a checkpoint of other data or parameters.
         """
+        self._check_parameters()
         views, shapes = check_views_and_shapes(views, shapes)
         views, shapes = self._normalised(views), normalise(shapes)
-        files = {} if checkpoint is None else self._files(checkpoint)
         self.history_ = {}
 
-        def train(name, function, *faces):
-            options = {"seed": self.seed, "checkpoint": files.get(name)}
-            if progress is not None:
-                options["progress"] = functools.partial(progress, name)
-            network, self.history_[name] = function(*faces, self._recipe(name), **options)
-            setattr(self, f"{name}_", network)
-
-        train("autoencoder", training.train_autoencoder, views, shapes[..., :2])
-        function = functools.partial(training.train_dissimilarity_net, variant=self.variant)
-        train("dissimilarity_net", function, self.frontalise(views), shapes)
+        self.autoencoder_, self.history_["autoencoder"] = train_autoencoder(
+            views,
+            shapes[..., :2],
+            self._recipe("autoencoder"),
+            **self._training("autoencoder", checkpoint, progress),
+        )
+        frontal = self.frontalise(views)
+        self.dissimilarity_net_, self.history_["dissimilarity_net"] = train_dissimilarity_net(
+            frontal,
+            shapes,
+            self._recipe("dissimilarity_net"),
+            variant=self.variant,
+            **self._training("dissimilarity_net", checkpoint, progress),
+        )
         self.front_landmark_ = front_landmark(shapes)
         return self
 
@@ -133,7 +151,7 @@ class DeepMDS(BaseEstimator):
         self.history_ = {}
         for name, file in self._files(checkpoint).items():
             label = {"seed": self.seed, **asdict(self._recipe(name))}
-            self.history_[name] = training.restore_network(getattr(self, f"{name}_"), file, label)
+            self.history_[name] = restore_network(getattr(self, f"{name}_"), file, label)
         self.front_landmark_ = front_landmark(shapes)
         return self
 
@@ -157,14 +175,15 @@ class DeepMDS(BaseEstimator):
             progress: Called with the number of faces just embedded.
 
         Returns:
-            `(n, L, 3)` frontal shapes: +x to the subject's left, +y up, +z out of the face, in the
-            unit of `normalise`; true size cannot be seen in one view. x and y lie over
-            `frontalise(views)`, the mean of z is 0.
+            `(n, L, 3)` frontal shapes, or `(L, 3)` of a single view: +x to the subject's left, +y
+            up, +z out of the face, in the unit of `normalise`; true size cannot be seen in one
+            view. x and y lie over `frontalise(views)`, the mean of z is 0.
 
         Raises:
-            InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, or wrong
-                orientation.
+            InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, wrong
+                orientation, or a parameter out of range.
         """
+        self._check_parameters()
         if check_orientation:
             check_views(check_faces(views, "views", 2, self.n_landmarks))
         frontal = self.frontalise(views)
@@ -177,7 +196,8 @@ class DeepMDS(BaseEstimator):
                 n_jobs=self.n_jobs,
                 progress=progress,
             )
-        return resolve_orientation(shapes, frontal, self.front_landmark_)
+        shapes = resolve_orientation(shapes, frontal, self.front_landmark_)
+        return shapes[0] if np.ndim(views) == 2 else shapes
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
         """`metrics.explained_share` of the predicted and the true shapes, orientation unchecked."""
@@ -186,7 +206,7 @@ class DeepMDS(BaseEstimator):
     def frontalise(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 2)` x and y of the shape from the autoencoder; errors as for `predict`."""
         views = self._normalised(views)
-        flat = np.float32(views).reshape(len(views), -1)
+        flat = views.reshape(len(views), -1).astype(np.float32)
         return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
@@ -216,8 +236,8 @@ class DeepMDS(BaseEstimator):
         arrays, described = read_arrays(path)
         try:
             parameters = described["parameters"]
-            if parameters.get("solver") == "batched":  # its name until version 0.2
-                parameters["solver"] = "auto"
+            if parameters.get("solver") == "auto":  # in files of version 0.3
+                parameters["solver"] = "sklearn"
             model = cls(**parameters)
             model.front_landmark_ = range(model.n_landmarks)[described["front_landmark"]]
             model.history_ = described["history"]
@@ -268,7 +288,7 @@ class DeepMDS(BaseEstimator):
 
     def _matrices(self, frontal: np.ndarray) -> np.ndarray:
         network = self._trained("dissimilarity_net_")
-        points = np.float32(normalise(frontal))
+        points = normalise(frontal).astype(np.float32)
         first, second = np.triu_indices(self.n_landmarks)
         matrices = np.empty((len(points), self.n_landmarks, self.n_landmarks), np.float32)
         for start in range(0, len(points), _FACES_PER_CHUNK):
@@ -279,10 +299,27 @@ class DeepMDS(BaseEstimator):
             matrices[faces, first, second] = matrices[faces, second, first] = distances
         return matrices
 
-    def _recipe(self, network: str) -> training.Recipe:
+    def _recipe(self, network: str) -> Recipe:
         if network == "autoencoder":
-            return training.Recipe(self.autoencoder_epochs, schedule=self.schedule)
-        return training.Recipe(self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule)
+            return Recipe(self.autoencoder_epochs, schedule=self.schedule)
+        return Recipe(self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule)
+
+    def _training(
+        self, network: str, checkpoint: str | Path | None, progress: Callable | None
+    ) -> dict[str, Any]:
+        """Options of a network's training besides its recipe."""
+        file = None if checkpoint is None else self._files(checkpoint)[network]
+        report = None if progress is None else partial(progress, network)
+        return {"seed": self.seed, "checkpoint": file, "progress": report}
+
+    def _check_parameters(self) -> None:
+        check_n_landmarks(self.n_landmarks)
+        check_choice(self.variant, "variant", VARIANTS)
+        check_choice(self.schedule, "schedule", SCHEDULES)
+        check_choice(self.solver, "solver", SOLVERS)
+        for name in ("autoencoder_epochs", "dissimilarity_epochs", "dissimilarity_steps"):
+            check_whole(getattr(self, name), name)
+        check_whole(self.seed, "seed", 0)
 
     def _files(self, checkpoint: str | Path) -> dict[str, Path]:
         return weights.checkpoint_files(checkpoint, self.variant, self.schedule)

@@ -1,8 +1,7 @@
-"""Non-metric multidimensional scaling of dissimilarity matrices: distances in, 3D points out."""
+"""The paper's embedding: scikit-learn's non-metric MDS turns distances into 3D points."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -11,17 +10,20 @@ from sklearn.manifold import MDS
 
 from deepmds_keras.errors import InputError, check_choice, needs
 from deepmds_keras.geometry.classical_scaling import classical_scaling, with_signs
+from deepmds_keras.validation import as_numbers, check_number, check_whole
 
+SOLVERS = ("sklearn", "numba")
 # Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
 # largest distance, the matrix does not hold distances.
 _NEGATIVE_SHARE = 0.1
+_SMALLEST = 1e-12  # stands for a distance of 0 where the largest is 0.5 to 1
 
 
 def embed(
     dissimilarities: np.ndarray,
     n_components: int = 3,
     *,
-    solver: str = "auto",
+    solver: str = "sklearn",
     max_iter: int = 300,
     eps: float = 1e-6,
     n_jobs: int | None = None,
@@ -36,12 +38,12 @@ def embed(
     determine which of the two mirror images the face is, and neither does the result.
 
     Args:
-        dissimilarities: `(n, L, L)` or `(L, L)`, symmetric. The diagonal is ignored. Slightly
-            negative values, which a regression may give for near neighbours, lose their sign.
+        dissimilarities: `(n, L, L)` or `(L, L)`, symmetric, in any unit. The diagonal is ignored.
+            Slightly negative values, which a regression may give for near neighbours, lose their
+            sign; 0 is the smallest distance, not a missing one.
         n_components: Dimensions of the embedding.
-        solver: `"sklearn"`, scikit-learn's `MDS`; `"numba"`, which takes the same steps compiled
-            (extra `fast`), many times faster, see `compiled_mds`; or `"auto"`, numba if it is
-            installed and scikit-learn otherwise. Results agree to rounding.
+        solver: `"sklearn"`, scikit-learn's `MDS`, or `"numba"`, which takes the same steps compiled
+            (extra `fast`), many times faster, see `compiled_mds`. Results agree to rounding.
         max_iter: Maximum number of SMACOF iterations per face.
         eps: Relative decrease of stress at which to stop.
         n_jobs: Number of processes, or threads if the solver is compiled; None or 1 uses this one
@@ -50,22 +52,24 @@ def embed(
         return_stress: Whether to return stress-1 too.
 
     Returns:
-        `(n, L, n_components)` or `(L, n_components)`; with `return_stress` also `(n,)` stress-1.
+        `(n, L, n_components)` or `(L, n_components)`; with `return_stress` also stress-1, `(n,)` or
+        a number.
 
     Raises:
-        InputError: Not square, not symmetric, NaN or infinity, clearly negative, or all zero; or
-            an unknown solver or more dimensions than landmarks.
+        InputError: Not square, not symmetric, masked, NaN or infinity, clearly negative, or all
+            zero; or an unknown solver, a parameter out of range or more dimensions than landmarks.
         MissingPackageError: `"numba"` without numba.
     """
-    solve = _choose(solver)
+    solve, step, prefer = _choose(solver)
     matrices = check_dissimilarities(dissimilarities)
-    if not 1 <= n_components <= matrices.shape[-1]:
+    check_whole(n_components, "n_components")
+    if n_components > matrices.shape[-1]:
         raise InputError(
-            f"n_components must be 1 to {matrices.shape[-1]}, the number of landmarks. "
+            f"n_components must be at most {matrices.shape[-1]}, the number of landmarks. "
             f"Received {n_components}."
         )
-    # Compiled code releases the interpreter lock, so that threads do.
-    step, prefer = (32, None) if solve is sklearn_mds else (128, "threads")
+    check_whole(max_iter, "max_iter")
+    check_number(eps, "eps", zero=True)
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
         delayed(_embed_faces)(matrices[task], n_components, solve, max_iter, eps) for task in tasks
@@ -80,24 +84,30 @@ def embed(
     return (points, stress) if return_stress else points
 
 
-def _choose(solver: str) -> Callable:
-    """`sklearn_mds` or `compiled_mds`."""
-    check_choice(solver, "solver", ("auto", "numba", "sklearn"))
-    compiled = None if solver == "sklearn" else compiled_solver()
-    if solver == "numba" and compiled is None:
-        with needs('numba, which solver="numba" needs,', "fast"):
-            import numba  # noqa: F401
-    return compiled or sklearn_mds
+def sklearn_mds(
+    dissimilarities: np.ndarray,
+    start: np.ndarray,
+    max_iter: int = 300,
+    eps: float = 1e-6,
+    *,
+    metric: bool = False,
+) -> tuple[np.ndarray, float, int]:
+    """scikit-learn's `MDS` of one face, with the arguments and results of `compiled_mds`.
 
-
-@functools.cache
-def compiled_solver() -> Callable | None:
-    """Return `compiled_mds`, or None if numba, which takes a second, cannot be imported."""
-    try:
-        from deepmds_keras.compiled_mds import compiled_mds
-    except ImportError:
-        return None
-    return compiled_mds
+    `metric` fits the dissimilarities themselves, not only their order.
+    """
+    mds = MDS(
+        n_components=start.shape[1],
+        metric="precomputed",  # what the dissimilarities are
+        metric_mds=metric,  # the paper's is False: only the order counts; metric=False before 1.8
+        init="random",  # the points given to fit_transform
+        n_init=1,
+        max_iter=max_iter,
+        eps=eps,
+        normalized_stress=True,
+    )
+    points = mds.fit_transform(dissimilarities, init=start)
+    return points, mds.stress_, mds.n_iter_
 
 
 def metric_embed(dissimilarities: np.ndarray, n_jobs: int | None = None) -> np.ndarray:
@@ -115,16 +125,17 @@ def metric_embed(dissimilarities: np.ndarray, n_jobs: int | None = None) -> np.n
 
 def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     """Matrices as `embed` uses them: `(n, L, L)`, exactly symmetric, not negative, diagonal 0."""
-    matrices, shape = np.array(dissimilarities, float, ndmin=3), np.shape(dissimilarities)
+    matrices, shape = as_numbers(dissimilarities, "dissimilarities"), np.shape(dissimilarities)
     if len(shape) not in (2, 3) or 0 in shape or shape[-1] != shape[-2] or shape[-1] < 3:
         raise InputError(
             "dissimilarities must be square matrices (L, L) or (n, L, L) with L >= 3 and n > 0. "
             f"Received shape {shape}."
         )
-    if not np.isfinite(matrices).all():
-        raise InputError("dissimilarities must be finite. Received NaN or infinity.")
-    diagonal = np.arange(matrices.shape[1])
+    matrices = matrices.reshape(-1, *shape[-2:]).copy()
+    diagonal = np.arange(shape[-1])
     matrices[:, diagonal, diagonal] = 0
+    if not np.isfinite(matrices).all():
+        raise InputError("dissimilarities must be finite. Received NaN, infinity or masked values.")
     largest = np.abs(matrices).max((1, 2))
     if (largest == 0).any():
         raise InputError("dissimilarities must not all be zero off the diagonal. Received zeros.")
@@ -142,8 +153,13 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def _embed_faces(matrices, n_components, solve, max_iter, eps):
-    points, stress = classical_scaling(matrices, n_components), np.empty(len(matrices))
-    for face, matrix in enumerate(matrices):
+    # Solvers have constants in the unit of distances, and take 0 for missing. Powers of two scale
+    # without rounding.
+    exponents = np.frexp(matrices.max((1, 2)))[1]
+    scaled = np.ldexp(matrices, -exponents[:, None, None])
+    scaled[(scaled == 0) & ~np.eye(matrices.shape[1], dtype=bool)] = _SMALLEST
+    points, stress = classical_scaling(scaled, n_components), np.empty(len(matrices))
+    for face, matrix in enumerate(scaled):
         points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
     points -= points.mean(1, keepdims=True)
     points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)
@@ -161,16 +177,11 @@ def _scales(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nij->n", distances, matrices) / total
 
 
-def sklearn_mds(
-    dissimilarities: np.ndarray,
-    start: np.ndarray,
-    max_iter: int = 300,
-    eps: float = 1e-6,
-    *,
-    metric: bool = False,
-) -> tuple[np.ndarray, float, int]:
-    """`compiled_mds` by scikit-learn; `metric` fits the dissimilarities, not their order."""
-    options = {"metric": "precomputed", "init": "random", "normalized_stress": True, "n_init": 1}
-    scaling = MDS(start.shape[1], metric_mds=metric, max_iter=max_iter, eps=eps, **options)
-    points = scaling.fit_transform(dissimilarities, init=start)
-    return points, scaling.stress_, scaling.n_iter_
+def _choose(solver: str) -> tuple[Callable, int, str | None]:
+    """The function that embeds a face, faces per task, and whether tasks run in threads."""
+    check_choice(solver, "solver", SOLVERS)
+    if solver == "sklearn":
+        return sklearn_mds, 32, None
+    with needs('numba, which solver="numba" needs,', "fast"):
+        from deepmds_keras.compiled_mds import compiled_mds
+    return compiled_mds, 128, "threads"  # compiled code releases the interpreter lock

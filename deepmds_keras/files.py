@@ -63,8 +63,9 @@ def write_arrays(
 ) -> None:
     """Write arrays and a JSON description into one npz, and raise as `atomic_write` does."""
     save: Callable[..., None] = np.savez_compressed if compressed else np.savez
+    text = json.dumps(description, default=lambda number: number.item())  # NumPy's numbers
     with atomic_write(path) as file:
-        save(file, description=np.array(json.dumps(description)), **arrays)
+        save(file, description=np.array(text), **arrays)
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:

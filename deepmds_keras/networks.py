@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import functools
+import logging
 import math
-from collections.abc import Callable
 
 import keras
 import numpy as np
-import tensorflow as tf
 from keras import layers
 
 from deepmds_keras.errors import check_choice
 from deepmds_keras.proximities import VARIANTS
 from deepmds_keras.validation import check_n_landmarks
+
+check_choice(keras.backend.backend(), "KERAS_BACKEND", ("tensorflow", "jax"))
+FLOAT = "float32"  # whatever keras.json has: lower precision would change every result
+_UNITS = 20  # of each hidden layer of the dissimilarity net
+# TensorFlow advises against what it takes for one network traced again and again: it counts the
+# networks of a process together.
+logging.getLogger("tensorflow").addFilter(
+    lambda record: "triggered tf.function retracing" not in record.getMessage()
+)
 
 
 def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
@@ -34,18 +41,19 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
         InputError: The number of landmarks is not whole, or below 3.
     """
     check_n_landmarks(n_landmarks)
-    dense = dense_blocks(seed)
-    view = keras.Input((2 * n_landmarks,), name="view")
-    x = dense(dense(dense(view, 64, "encode_1"), 32, "encode_2"), 16, "encode_3")
-    x = dense(x, 16, "code", normalised=False)
-    x = dense(dense(x, 32, "decode_1"), 64, "decode_2")
-    frontal = dense(x, 2 * n_landmarks, "frontal")
+    first = 1000 * seed
+    view = keras.Input((2 * n_landmarks,), name="view", dtype=FLOAT)
+    x = dense_block(view, 64, "encode_1", seed=first)
+    x = dense_block(x, 32, "encode_2", seed=first + 1)
+    x = dense_block(x, 16, "encode_3", seed=first + 2)
+    x = dense_block(x, 16, "code", seed=first + 3, normalised=False)
+    x = dense_block(x, 32, "decode_1", seed=first + 4)
+    x = dense_block(x, 64, "decode_2", seed=first + 5)
+    frontal = dense_block(x, 2 * n_landmarks, "frontal", seed=first + 6)
     return keras.Model(view, frontal, name=f"autoencoder_{n_landmarks}")
 
 
-def build_dissimilarity_net(
-    variant: str = "paper", *, seed: int = 0, chain: tuple[int, int] | None = None
-) -> keras.Model:
+def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.Model:
     """The five-layer net that estimates the 3D distance of a pair of landmarks.
 
     Five hidden layers of 20 units with a skip connection, which the released code makes by
@@ -55,8 +63,6 @@ def build_dissimilarity_net(
         variant: `"paper"` (6 features, 2,443 trainable parameters of 2,645) or `"released"`
             (5 features, 2,423 of 2,625); see `pair_features`.
         seed: Seed of the initial weights.
-        chain: Number of hidden layers and units per layer of a net without skip connection, to
-            compare with the paper's; None builds the paper's.
 
     Returns:
         Model from `(P, F)` features to `(P, 1)` distances in the unit of `normalise`.
@@ -65,26 +71,39 @@ def build_dissimilarity_net(
         InputError: Unknown variant.
     """
     check_choice(variant, "variant", VARIANTS)
-    pair = keras.Input((VARIANTS[variant],), name="pair_features")
-    dense, name = dense_blocks(seed), f"dissimilarity_{variant}"
-    if chain is None:
-        return keras.Model(pair, distance_layers(dense, pair, 20), name=name)
-    x, (n_layers, units) = pair, chain
-    for k in range(1, n_layers + 1):
-        x = dense(x, units, f"hidden_{k}")
-    distance = dense(x, 1, "distance", activated=False)
-    return keras.Model(pair, distance, name=f"{name}_chain_{n_layers}x{units}")
+    pair = keras.Input((VARIANTS[variant],), name="pair_features", dtype=FLOAT)
+    distance = distance_layers(pair, _UNITS, seed=1000 * seed)
+    return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
 
 
-def distance_layers(dense: Callable, pair: keras.KerasTensor, units: int) -> keras.KerasTensor:
+def distance_layers(pair: keras.KerasTensor, units: int, *, seed: int) -> keras.KerasTensor:
     """Layers of the dissimilarity net: from `(P, F)` features of pairs to distances, `(P, 1)`."""
-    x = dense(pair, units, "hidden_1")
-    second = x = dense(x, units, "hidden_2")
-    x = dense(x, units, "hidden_3")
-    x = dense(x, units, "hidden_4")
-    x = layers.Concatenate(name="skip_connection")([second, x])
-    x = dense(x, units, "hidden_5")
-    return dense(x, 1, "distance", activated=False)
+    x = dense_block(pair, units, "hidden_1", seed=seed)
+    second = dense_block(x, units, "hidden_2", seed=seed + 1)
+    x = dense_block(second, units, "hidden_3", seed=seed + 2)
+    x = dense_block(x, units, "hidden_4", seed=seed + 3)
+    x = layers.Concatenate(name="skip_connection", dtype=FLOAT)([second, x])
+    x = dense_block(x, units, "hidden_5", seed=seed + 4)
+    return dense_block(x, 1, "distance", seed=seed + 5, activated=False)
+
+
+def dense_block(
+    x: keras.KerasTensor,
+    units: int,
+    name: str,
+    *,
+    seed: int,
+    activated: bool = True,
+    normalised: bool = True,
+) -> keras.KerasTensor:
+    """The trio of both networks: dense, LeakyReLU, batch normalisation; `seed` is of the kernel."""
+    initial = keras.initializers.GlorotUniform(seed=seed)
+    x = layers.Dense(units, kernel_initializer=initial, name=name, dtype=FLOAT)(x)
+    if activated:
+        x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu", dtype=FLOAT)(x)
+    if normalised:
+        x = layers.BatchNormalization(name=f"{name}_bn", dtype=FLOAT)(x)
+    return x
 
 
 def count_trainable(*networks: keras.Model) -> int:
@@ -92,39 +111,16 @@ def count_trainable(*networks: keras.Model) -> int:
     return sum(math.prod(weight.shape) for net in networks for weight in net.trainable_weights)
 
 
-def forward(network: Callable, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
+def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 1 << 15) -> np.ndarray:
     """Outputs `(n, d_out)` float32 of a network in inference mode.
 
-    A single batch goes through the network directly; for more, a graph is traced once for each
-    network, with the same outputs in half the time. `Model.predict` would also trace one for every
-    new shape, and wait for its data pipeline.
+    `Model.predict` would prepare a data pipeline, which takes longer than a few faces.
 
     Args:
-        network: Model with one input and one output, or a function with the same signature.
+        network: Model with one input and one output.
         inputs: `(n, …)`.
         batch_size: Rows at a time, which bounds the memory.
     """
-    outputs = functools.partial(network, training=False)
-    if len(inputs) > batch_size and isinstance(network, keras.Model):
-        if not hasattr(network, "inference_graph"):
-            rows = tf.TensorSpec((None, *network.input_shape[1:]), tf.float32)
-            network.inference_graph = tf.function(outputs, input_signature=[rows])
-        outputs, inputs = network.inference_graph, np.asarray(inputs, np.float32)
     batches = range(0, len(inputs), batch_size)
-    return np.concatenate([np.asarray(outputs(inputs[i : i + batch_size])) for i in batches])
-
-
-def dense_blocks(seed: int) -> Callable:
-    """The repeated trio dense → LeakyReLU → batch normalisation, each layer seeded in turn."""
-    seeds = iter(range(1000 * seed, 1000 * seed + 1000))
-
-    def dense(x, units: int, name: str, *, activated: bool = True, normalised: bool = True):
-        initial = keras.initializers.GlorotUniform(seed=next(seeds))
-        x = layers.Dense(units, kernel_initializer=initial, name=name)(x)
-        if activated:
-            x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu")(x)
-        if normalised:
-            x = layers.BatchNormalization(name=f"{name}_bn")(x)
-        return x
-
-    return dense
+    outputs = [network.predict_on_batch(inputs[i : i + batch_size]) for i in batches]
+    return np.concatenate(outputs)

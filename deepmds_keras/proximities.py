@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from deepmds_keras.errors import InputError, check_choice
@@ -35,18 +33,12 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
     return proximities(views[..., first, :], views[..., second, :], variant)
 
 
-def proximities(first: np.ndarray, second: np.ndarray, variant: str, xp: Any = np) -> np.ndarray:
-    """Features of the pairs `first[k], second[k]`, `(..., P, 2)` each: `(..., P, F)`.
-
-    Args:
-        first, second: float32 arrays of `xp`.
-        variant: As for `pair_features`.
-        xp: NumPy, or TensorFlow's namespace of the same functions, to work within a graph.
-    """
+def proximities(first: np.ndarray, second: np.ndarray, variant: str) -> np.ndarray:
+    """Features `(…, P, F)` of the pairs `first[k], second[k]`, float32 `(…, P, 2)` each."""
     check_choice(variant, "variant", VARIANTS)
-    difference = xp.abs(first - second)
+    difference = np.abs(first - second)
     product = first * second
     if variant == "paper":
-        return xp.concatenate([difference, product, xp.exp(-difference)], axis=-1)
-    distance = xp.sqrt(xp.sum(xp.square(difference), axis=-1, keepdims=True))
-    return xp.concatenate([product, xp.exp(-difference), distance], axis=-1)
+        return np.concatenate([difference, product, np.exp(-difference)], axis=-1)
+    distance = np.sqrt(np.sum(np.square(difference), axis=-1, keepdims=True))
+    return np.concatenate([product, np.exp(-difference), distance], axis=-1)

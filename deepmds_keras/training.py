@@ -10,8 +10,6 @@ from typing import Any
 
 import keras
 import numpy as np
-import tensorflow as tf
-import tensorflow.experimental.numpy as tnp
 
 from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_arrays
@@ -19,10 +17,16 @@ from deepmds_keras.geometry.units import normalise
 from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net, forward
 from deepmds_keras.proximities import proximities
 from deepmds_keras.streams import Stream
-from deepmds_keras.weights import read_checkpoint, set_network_arrays, write_checkpoint
+from deepmds_keras.weights import (
+    fingerprint,
+    read_checkpoint,
+    set_network_arrays,
+    write_checkpoint,
+)
 
+SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
-_DISSIMILARITY_CHECK_FACES = 50
+_CHECKED_FACES = 50
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class Recipe:
 
     def optimizer(self, steps_per_epoch: int) -> keras.optimizers.Optimizer:
         """Adam with the schedule over all epochs."""
-        check_choice(self.schedule, "schedule", ("constant", "cosine"))
+        check_choice(self.schedule, "schedule", SCHEDULES)
         rate = self.learning_rate
         if self.schedule == "cosine":
             rate = keras.optimizers.schedules.CosineDecay(rate, self.epochs * steps_per_epoch)
@@ -53,7 +57,7 @@ class Recipe:
 
 
 def train_autoencoder(
-    views: np.ndarray, frontal: np.ndarray, recipe: Recipe, *, seed: int = 0, **training
+    views: np.ndarray, frontal: np.ndarray, recipe: Recipe, *, seed: int = 0, **training: Any
 ) -> tuple[keras.Model, dict[str, list[float]]]:
     """Train the autoencoder from views to frontal views (paper, J_autoencoder).
 
@@ -68,21 +72,22 @@ def train_autoencoder(
         The network and its losses, as for `train_by_epoch`; `inference` is over the same faces.
     """
     n, n_landmarks = views.shape[:2]
-    views, frontal = (np.float32(points).reshape(n, -1) for points in (views, frontal))
+    inputs = np.asarray(views, np.float32).reshape(n, -1)
+    targets = np.asarray(frontal, np.float32).reshape(n, -1)
     size = min(recipe.batch_size, n)
     steps = recipe.steps_per_epoch or n // size
-    model = build_autoencoder(n_landmarks, seed=seed)
-    model.compile(recipe.optimizer(steps), "mse", steps_per_execution=steps_per_call(steps))
+    network = build_autoencoder(n_landmarks, seed=seed)
+    network.compile(recipe.optimizer(steps), "mse", steps_per_execution=steps_per_call(steps))
 
-    def batches(epoch: int) -> tf.data.Dataset:
-        faces = face_order(n, steps * size, seed, epoch).reshape(steps, size)
-        return tf.data.Dataset.from_tensor_slices((views[faces], frontal[faces]))
+    def mini_batches(epoch: int) -> dict[str, Any]:
+        faces = face_order(n, steps * size, seed, epoch)
+        return {"x": inputs[faces], "y": targets[faces], "batch_size": size}
 
     def inference() -> float:
-        return float(np.mean((forward(model, views) - frontal) ** 2))
+        return float(np.mean((forward(network, inputs) - targets) ** 2))
 
-    label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
-    return model, train_by_epoch(model, batches, label, inference, **training)
+    label = {"seed": seed, "data": fingerprint(inputs, targets), **asdict(recipe)}
+    return network, train_by_epoch(network, mini_batches, label, inference, **training)
 
 
 def train_dissimilarity_net(
@@ -91,10 +96,8 @@ def train_dissimilarity_net(
     recipe: Recipe,
     *,
     variant: str = "paper",
-    shuffled: bool = False,
-    chain: tuple[int, int] | None = None,
     seed: int = 0,
-    **training,
+    **training: Any,
 ) -> tuple[keras.Model, dict[str, list[float]]]:
     """Train the dissimilarity net, all pairs of one face a mini-batch (paper, J_Dissimilarity).
 
@@ -105,9 +108,7 @@ def train_dissimilarity_net(
         frontal: `(n, L, 2)` frontal views as the autoencoder predicts them; normalised here.
         shapes: `(n, L, 3)` normalised shapes, whose distances are the targets.
         recipe: Epochs, steps and schedule; a step is one face.
-        variant, chain: As for `build_dissimilarity_net`.
-        shuffled: Whether a mini-batch has the same number of pairs drawn from all faces instead
-            (the other scheme of the paper's "Ablation Study").
+        variant: As for `build_dissimilarity_net`.
         seed: Seed of the initial weights and of the order of the faces.
         training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
@@ -115,68 +116,61 @@ def train_dissimilarity_net(
         The network and its losses; `inference` is over a fixed choice of fifty faces.
     """
     n, n_landmarks = shapes.shape[:2]
-    frontal, shapes = np.float32(normalise(frontal)), np.float32(shapes)
+    frontal = np.asarray(normalise(frontal), np.float32)
+    shapes = np.asarray(shapes, np.float32)
     ends = np.triu_indices(n_landmarks, 1)
     if variant == "released":
-        ends = np.indices((n_landmarks, n_landmarks)).reshape(2, -1)
-    n_pairs, steps = len(ends[0]), recipe.steps_per_epoch or n
-    model = build_dissimilarity_net(variant, seed=seed, chain=chain)
-    # Most of a step is element-wise work on thousands of pairs, which XLA fuses.
-    calls = steps_per_call(steps)
-    model.compile(recipe.optimizer(steps), "mse", steps_per_execution=calls, jit_compile=True)
+        ends = tuple(np.indices((n_landmarks, n_landmarks)).reshape(2, -1))
+    steps = recipe.steps_per_epoch or n
+    network = build_dissimilarity_net(variant, seed=seed)
+    compiled = compiled_by_xla(network, recipe.optimizer(steps), steps)
 
-    def batches(epoch: int) -> tf.data.Dataset:
-        # Pairs are computed alongside the training, a few faces ahead: all would fill the memory.
-        if shuffled:
-            rng = np.random.default_rng([seed, Stream.SHUFFLED_PAIRS, epoch])
-            faces, drawn = (rng.integers(m, size=(steps, n_pairs)) for m in (n, n_pairs))
-            views, points = (
-                tuple(array[faces, end[drawn]] for end in ends) for array in (frontal, shapes)
-            )
-            data = tf.data.Dataset.from_tensor_slices((views, points))
-            data = data.map(lambda *pairs: features_and_distances(*pairs, variant, tnp))
-        else:
-            faces = face_order(n, steps, seed, epoch)
-            data = tf.data.Dataset.from_tensor_slices((frontal[faces], shapes[faces]))
-            data = data.map(lambda *face: pairs_of_faces(*face, ends, variant, tnp))
-        return data.prefetch(_STEPS_PER_CALL)
+    def mini_batches(epoch: int) -> dict[str, Any]:
+        faces = face_order(n, steps, seed, epoch)
+        features, distances = pairs_of_faces(frontal[faces], shapes[faces], ends, variant)
+        return {"x": features, "y": distances, "batch_size": len(ends[0])}
 
-    check = slice(_DISSIMILARITY_CHECK_FACES)
-    features, distances = pairs_of_faces(frontal[check], shapes[check], ends, variant)
-    features, distances = features.reshape(-1, features.shape[-1]), distances.reshape(-1, 1)
+    checked = slice(_CHECKED_FACES)
+    features, distances = pairs_of_faces(frontal[checked], shapes[checked], ends, variant)
 
     def inference() -> float:
-        return float(np.mean((forward(model, features) - distances) ** 2))
+        return float(np.mean((forward(network, features) - distances) ** 2))
 
-    label = {"network": model.name, "seed": seed, "faces": n, **asdict(recipe)}
-    if shuffled:
-        label["shuffled"] = True
-    return model, train_by_epoch(model, batches, label, inference, **training)
+    label = {"seed": seed, "data": fingerprint(frontal, shapes), **asdict(recipe)}
+    return network, train_by_epoch(compiled, mini_batches, label, inference, **training)
 
 
 def pairs_of_faces(
-    frontal: np.ndarray, shapes: np.ndarray, ends: tuple, variant: str, xp: Any = np
+    frontal: np.ndarray, shapes: np.ndarray, ends: tuple[np.ndarray, ...], variant: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Features `(…, P, F)` and distances `(…, P, 1)` of pairs of landmarks, for the net.
+    """Features `(n P, F)` and distances `(n P, 1)` of P pairs of each face, one after the other.
 
-    Views are `(…, L, 2)`, shapes `(…, L, 3)`. `ends` has two arrays `(P,)`: the numbers of the
-    first and of the second landmark of each pair. `variant` and `xp` are those of `proximities`.
+    Views are `(n, L, 2)`, shapes `(n, L, 3)`, float32. `ends` has the first and the second landmark
+    of each pair, `(P,)`.
     """
-    both = ([xp.take(a, landmarks, axis=-2) for landmarks in ends] for a in (frontal, shapes))
-    return features_and_distances(*both, variant, xp)
+    first, second = ends
+    features = proximities(frontal[:, first], frontal[:, second], variant)
+    distances = np.linalg.norm(shapes[:, first] - shapes[:, second], axis=-1)
+    return features.reshape(-1, features.shape[-1]), distances.reshape(-1, 1)
 
 
-def features_and_distances(
-    views: tuple, points: tuple, variant: str, xp: Any = np
-) -> tuple[np.ndarray, np.ndarray]:
-    """`pairs_of_faces` for landmarks that are already selected, as `(first, second)` each."""
-    squares = xp.square(points[0] - points[1])
-    return proximities(*views, variant, xp), xp.sqrt(xp.sum(squares, axis=-1, keepdims=True))
+def compiled_by_xla(
+    network: keras.Model, optimizer: keras.optimizers.Optimizer, steps: int
+) -> keras.Model:
+    """A model to train that has the layers of the network, which itself stays uncompiled.
+
+    Most of a step is element-wise work on thousands of pairs, which XLA fuses. In use it would
+    compile anew for every number of pairs.
+    """
+    model = keras.Model(network.inputs, network.outputs, name=network.name)
+    calls = steps_per_call(steps)
+    model.compile(optimizer, "mse", steps_per_execution=calls, jit_compile=True)
+    return model
 
 
 def train_by_epoch(
     model: keras.Model,
-    batches: Callable[[int], tf.data.Dataset],
+    mini_batches: Callable[[int], dict[str, Any]],
     label: dict,
     inference: Callable[[], float],
     checkpoint: str | Path | None = None,
@@ -189,8 +183,9 @@ def train_by_epoch(
 
     Args:
         model: Compiled model.
-        batches: Function from the number of an epoch to its mini-batches.
-        label: What identifies the run; a checkpoint of another run is refused.
+        mini_batches: From the number of an epoch to its data, as arguments of `model.fit`.
+        label: Parameters of the run and `fingerprint` of its data; a checkpoint of another run is
+            refused.
         inference: Computes the model's loss in inference mode, after an epoch.
         checkpoint: File to resume from, written after every epoch; None keeps no file.
         progress: Called after every epoch with its losses.
@@ -201,7 +196,8 @@ def train_by_epoch(
     Raises:
         InputError: The checkpoint is of another run, or damaged.
     """
-    history = {"train": [], "inference": []}
+    label = {"network": model.name, **label}
+    history: dict[str, list[float]] = {"train": [], "inference": []}
     if checkpoint is not None and os.path.exists(checkpoint):
         description = read_checkpoint(checkpoint, model)
         _check_run(checkpoint, description["label"], label)
@@ -209,7 +205,7 @@ def train_by_epoch(
     done = len(history["train"])
     for epoch in range(label["epochs"]):
         if epoch >= done:
-            fitted = model.fit(untuned(batches(epoch)), shuffle=False, verbose=0)
+            fitted = model.fit(**mini_batches(epoch), shuffle=False, verbose=0)
             history["train"].append(float(fitted.history["loss"][0]))
             history["inference"].append(inference())
             if checkpoint is not None:
@@ -248,22 +244,13 @@ def restore_network(
 
 
 def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
-    if received != needed:
+    other = [name for name in {**needed, **received} if received.get(name) != needed.get(name)]
+    if other:
+        has, wants = ({name: run.get(name) for name in other} for run in (received, needed))
         raise InputError(
             f"{checkpoint} is of another run; delete it to train again. "
-            f"Received {received}, needed {needed}."
+            f"Received {has}, needed {wants}."
         )
-
-
-def untuned(data: tf.data.Dataset) -> tf.data.Dataset:
-    """The same mini-batches, without TensorFlow's autotuning thread.
-
-    That thread doubles its sleep each time, and `fit` waits for it to wake: an epoch would take up
-    to twice as long.
-    """
-    options = tf.data.Options()
-    options.autotune.enabled = False
-    return data.with_options(options)
 
 
 def face_order(n_faces: int, n_wanted: int, seed: int, epoch: int) -> np.ndarray:

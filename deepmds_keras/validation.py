@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -94,12 +94,23 @@ def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.nd
     return points
 
 
-def check_n_landmarks(n_landmarks: int) -> None:
-    """Raise InputError unless the number of landmarks is whole and at least 3."""
-    if not isinstance(n_landmarks, Integral) or n_landmarks < 3:
-        raise InputError(
-            f"n_landmarks must be a whole number of at least 3. Received {n_landmarks!r}."
-        )
+def check_n_landmarks(n_landmarks: int, least: int = 3) -> None:
+    """Raise InputError unless the number of landmarks is whole and at least 3, or `least`."""
+    check_whole(n_landmarks, "n_landmarks", least)
+
+
+def check_whole(value: object, name: str, least: int = 1) -> None:
+    """Raise InputError unless a parameter is a whole number, NumPy's included, of at least that."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise InputError(f"{name} must be a whole number of at least {least}. Received {value!r}.")
+
+
+def check_number(value: object, name: str, *, zero: bool = False) -> None:
+    """Raise InputError unless a parameter is a finite positive number; `zero` may be allowed."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)
+    if not is_number or value < 0 or (value == 0 and not zero):
+        needed = "finite and not negative" if zero else "finite and positive"
+        raise InputError(f"{name} must be {needed}. Received {value!r}.")
 
 
 def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:

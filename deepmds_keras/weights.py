@@ -1,7 +1,8 @@
-"""Trained networks: their files, checkpoints, and the random streams that training draws from."""
+"""Trained networks: their files and checkpoints."""
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,18 @@ if TYPE_CHECKING:
     import keras
 
 PRETRAINED = Path(__file__).with_name("pretrained")
+_HASHED_ROWS = 1024  # at a time: images are read from files
+
+
+def fingerprint(*arrays: np.ndarray) -> str:
+    """Hash of arrays, or of what is indexed like one, by which a checkpoint knows its data."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        for start in range(0, len(array), _HASHED_ROWS):
+            rows = np.ascontiguousarray(array[start : start + _HASHED_ROWS])
+            digest.update(f"{rows.dtype} {rows.shape}".encode())
+            digest.update(rows)
+    return digest.hexdigest()
 
 
 def network_arrays(network: keras.Model) -> dict[str, np.ndarray]:

@@ -8,15 +8,14 @@ from typing import Self
 
 import keras
 import numpy as np
-import tensorflow as tf
 from keras import layers
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.networks import FLOAT, count_trainable, forward
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
-from deepmds_keras.validation import check_fitted
-from deepmds_keras.weights import read_keras2_weights
+from deepmds_keras.validation import check_fitted, check_number, check_whole
+from deepmds_keras.weights import fingerprint, read_keras2_weights
 
 
 class NetworkMethod(BaseEstimator):
@@ -56,15 +55,23 @@ class NetworkMethod(BaseEstimator):
     def _trained(self) -> keras.Model:
         return check_fitted(self, "network_", "fit or restore")
 
+    def _check_parameters(self) -> None:
+        for name, value in self.get_params().items():
+            if name in ("epochs", "steps_per_epoch", "batch_size", "units"):
+                check_whole(value, name)
+        check_whole(self.seed, "seed", 0)
+        check_number(self.learning_rate, "learning_rate")
+
     def _compiled(self, optimizer, loss, **options) -> keras.Model:
         network, calls = self._build(self.seed), steps_per_call(self.steps_per_epoch)
         network.compile(optimizer, loss, steps_per_execution=calls, **options)
         return network
 
-    def _train(self, network, batches, data: dict, inference, **training) -> Self:
-        """`train_by_epoch`; `data` describes the data in the label of the checkpoint."""
-        label = {"network": network.name, **data, **self._label()}
-        self.history_ = train_by_epoch(network, batches, label, inference, **training)
+    def _train(self, network, mini_batches, data: tuple, inference, **training) -> Self:
+        """`train_by_epoch`; the arrays of `data` identify the run, with the parameters."""
+        arrays = [value for value in self.get_params().values() if np.ndim(value)]
+        label = {**self._label(), "data": fingerprint(*data, *arrays)}
+        self.history_ = train_by_epoch(network, mini_batches, label, inference, **training)
         self.network_ = network
         return self
 
@@ -72,14 +79,14 @@ class NetworkMethod(BaseEstimator):
         """`_train` on `(n, …)` float32 arrays over all faces, with mean squared errors."""
         n, steps, batch = len(inputs), self.steps_per_epoch, self.batch_size
 
-        def batches(epoch: int) -> tf.data.Dataset:
-            faces = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
-            return tf.data.Dataset.from_tensor_slices((inputs[faces], targets[faces]))
+        def mini_batches(epoch: int) -> dict:
+            faces = face_order(n, steps * batch, self.seed, epoch)
+            return {"x": inputs[faces], "y": targets[faces], "batch_size": batch}
 
         def inference() -> float:
             return float(np.mean((forward(network, inputs) - targets) ** 2))
 
-        return self._train(network, batches, {"faces": n}, inference, **training)
+        return self._train(network, mini_batches, (inputs, targets), inference, **training)
 
     def _label(self) -> dict:
         """Everything that the network depends on besides arrays."""
@@ -103,14 +110,20 @@ def dense_network(
         standardised: Whether the numbers are first centred and divided by their s.d., in a layer
             `"standardised"` with their mean and variance as untrained weights.
     """
-    view = x = keras.Input((n_inputs,), name="view")
+    view = x = keras.Input((n_inputs,), name="view", dtype=FLOAT)
     if standardised:
         x = layers.BatchNormalization(
-            center=False, scale=False, epsilon=1e-8, trainable=False, name="standardised"
+            center=False,
+            scale=False,
+            epsilon=1e-8,
+            trainable=False,
+            name="standardised",
+            dtype=FLOAT,
         )(view)
     for number, (layer, (units, activation)) in enumerate(sizes.items()):
         initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        x = layers.Dense(units, activation, kernel_initializer=initial, name=layer)(x)
+        dense = layers.Dense(units, activation, kernel_initializer=initial, name=layer, dtype=FLOAT)
+        x = dense(x)
     return keras.Model(view, x, name=name)
 
 

@@ -11,9 +11,8 @@ IMAGE_SIZE = 96  # of a side of what MobileFace sees
 
 def forward_images(network, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
     """`networks.forward` for `(n, size, size, 3)` uint8 images, which it takes in [-1, 1]."""
-    from deepmds_keras.networks import forward
-
-    return forward(lambda batch, **mode: network(scale_images(batch), **mode), images, batch_size)
+    batches = (images[i : i + batch_size] for i in range(0, len(images), batch_size))
+    return np.concatenate([network.predict_on_batch(scale_images(batch)) for batch in batches])
 
 
 def scale_images(images: np.ndarray) -> np.ndarray:
@@ -37,9 +36,11 @@ def image_batches(images, targets: np.ndarray, rows: np.ndarray):
         lambda: ((images[batch], targets[batch]) for batch in rows), output_signature=signature
     )
     data = data.apply(tf.data.experimental.assert_cardinality(len(rows)))
-    return data.map(
-        lambda image, target: (tf.cast(image, tf.float32) / 127.5 - 1, target)
-    ).prefetch(8)
+    data = data.map(lambda image, target: (tf.cast(image, tf.float32) / 127.5 - 1, target))
+    # TensorFlow's autotuning thread doubles its sleep each time, and `fit` waits for it to wake.
+    options = tf.data.Options()
+    options.autotune.enabled = False
+    return data.prefetch(8).with_options(options)
 
 
 def check_images(images: np.ndarray, image_size: int) -> np.ndarray:

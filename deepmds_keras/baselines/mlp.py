@@ -59,6 +59,7 @@ class MLP(NetworkMethod):
             InputError: NaN, infinity, degenerate or another number of landmarks, or a checkpoint
                 of another run.
         """
+        self._check_parameters()
         views, shapes = check_views_and_shapes(views, shapes)
         check_faces(views, "views", 2, self.n_landmarks)
         views, shapes = _flat(views), np.float32(shapes).reshape(len(shapes), -1) / _UNIT

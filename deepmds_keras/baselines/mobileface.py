@@ -7,7 +7,6 @@ from dataclasses import KW_ONLY, dataclass
 
 import keras
 import numpy as np
-import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
@@ -72,6 +71,7 @@ class MobileFace(NetworkMethod):
         Raises:
             InputError: Unequal numbers, or a checkpoint of another run.
         """
+        self._check_parameters()
         n, n_coefficients = len(images), len(self.landmark_basis_times_sd)
         check_shape(coefficients, "coefficients", (n, n_coefficients))
         check_shape(self.shape_gram, "shape_gram", (n_coefficients, n_coefficients))
@@ -80,15 +80,15 @@ class MobileFace(NetworkMethod):
         recipe, loss = Recipe(self.epochs, steps, self.schedule, self.learning_rate), self._loss()
         network = self._compiled(recipe.optimizer(steps), loss)
 
-        def batches(epoch: int) -> tf.data.Dataset:
+        def mini_batches(epoch: int) -> dict:
             order = face_order(n, steps * batch, self.seed, epoch).reshape(steps, batch)
-            return image_batches(images, coefficients, order)
+            return {"x": image_batches(images, coefficients, order)}
 
         def inference() -> float:
             raw = forward_images(network, images[check], _IMAGES_PER_CALL)
             return float(np.mean(loss(coefficients[check], raw)))
 
-        return self._train(network, batches, {"faces": n}, inference, **training)
+        return self._train(network, mini_batches, (images, coefficients), inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: frontal.

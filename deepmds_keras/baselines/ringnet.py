@@ -89,6 +89,7 @@ class RingNet(NetworkMethod):
             InputError: Unequal numbers, fewer than two subjects or too few images of one for a
                 ring, bases of other landmarks, or a checkpoint of another run.
         """
+        self._check_parameters()
         landmarks, subjects = check_points(landmarks, "landmarks", 2), np.asarray(subjects)
         n_landmarks = len(self.landmark_mean)
         check_shape(landmarks, "landmarks", (len(images), n_landmarks, 2))
@@ -115,17 +116,17 @@ class RingNet(NetworkMethod):
         network = self._compiled(self._optimizer(), loss, jit_compile=False)
         dropouts = network.get_layer("regressor").dropouts
 
-        def batches(epoch: int) -> tf.data.Dataset:
+        def mini_batches(epoch: int) -> dict:
             for number, layer in enumerate(dropouts):  # as in an unbroken training
                 layer.seed_generator.state.assign([1000 * self.seed + number, epoch])
             rings = draw_rings(members, n_rings, self.ring_size, self.seed, epoch)
-            return image_batches(images, points, rings.reshape(steps, -1))
+            return {"x": image_batches(images, points, rings.reshape(steps, -1))}
 
         def inference() -> float:
             return float(loss.landmark_loss(points[check], forward_images(network, images[check])))
 
-        data = {"images": len(images), "subjects": len(members)}
-        return self._train(network, batches, data, inference, **training)
+        data = images, points, subjects
+        return self._train(network, mini_batches, data, inference, **training)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model, without the pose.

@@ -57,6 +57,7 @@ class Zhao(NetworkMethod):
             InputError: NaN, infinity, degenerate or another number of landmarks, another optimiser,
                 or a checkpoint of another run.
         """
+        self._check_parameters()
         check_choice(self.optimizer, "optimizer", ("adam", "rmsprop"))
         points = check_faces(points, "points", 3, self.n_landmarks)
         centred = points - points.mean(1, keepdims=True)

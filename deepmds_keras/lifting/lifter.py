@@ -21,7 +21,8 @@ from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE, Views, prepare_views
 from deepmds_keras.lifting.sampling import given_faces, read_faces, sampled_faces
 from deepmds_keras.lifting.unrolled_fit import UNIT, check_weights, initial_weights, lift
-from deepmds_keras.validation import check_fitted
+from deepmds_keras.validation import check_fitted, check_n_landmarks, check_number, check_whole
+from deepmds_keras.weights import fingerprint
 
 # Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view:
 # about 1 % of the distance between the outer corners of the eyes, for 51 or 72 landmarks.
@@ -136,7 +137,7 @@ class LandmarkLifter:
                 too few landmarks, an option out of range, or the checkpoint of another run.
         """
         with needs("Keras with TensorFlow, which train,", "keras"):
-            from deepmds_keras.lifting.trainer import Recipe, train_lifting_net
+            from deepmds_keras.lifting.trainer import train_lifting_net
 
         self._check_parameters()
         if callable(views):
@@ -153,8 +154,10 @@ class LandmarkLifter:
             initial_weights(faces.shapes, self.seed),
             faces.block,
             faces.held_out,
-            Recipe(self.steps, self.batch_size, self.learning_rate),
-            label={**self.get_params(), "faces": faces.number},
+            steps=self.steps,
+            batch_size=self.batch_size,
+            learning_rate=self.learning_rate,
+            label={**self.get_params(), "data": fingerprint(*faces.identified_by)},
             checkpoint=checkpoint,
             progress=progress,
         )
@@ -343,14 +346,12 @@ class LandmarkLifter:
         return Estimate(shapes[0], std[0], pose[0]) if of_one else Estimate(shapes, std, pose)
 
     def _check_parameters(self):
-        if self.n_landmarks < LEAST_VISIBLE:
-            raise InputError(
-                f"n_landmarks must be at least {LEAST_VISIBLE}. Received {self.n_landmarks}."
-            )
-        for name in ("steps", "batch_size", "learning_rate"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive. Received {getattr(self, name)}.")
-        if not 0 <= self.missing < 1:
-            raise InputError(f"missing must be in [0, 1). Received {self.missing}.")
-        if not 0 <= self.noise < np.inf:
-            raise InputError(f"noise must be finite and not negative. Received {self.noise}.")
+        check_n_landmarks(self.n_landmarks, LEAST_VISIBLE)
+        check_whole(self.steps, "steps")
+        check_whole(self.batch_size, "batch_size")
+        check_number(self.learning_rate, "learning_rate")
+        check_number(self.missing, "missing", zero=True)
+        if self.missing >= 1:
+            raise InputError(f"missing must be less than 1. Received {self.missing}.")
+        check_number(self.noise, "noise", zero=True)
+        check_whole(self.seed, "seed", 0)

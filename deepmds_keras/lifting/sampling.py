@@ -92,13 +92,14 @@ class Source(NamedTuple):
         shapes: `(n, 3, L)`, whose principal components initialise the network.
         held_out: Faces to check the network on, disturbed like those in training.
         block: Function of the number of a block and of faces that returns that many faces.
-        number: Number of faces in memory, None if they are sampled.
+        identified_by: Arrays by which a checkpoint knows the faces: all of them, or the first that
+            were sampled.
     """
 
     shapes: np.ndarray
     held_out: Faces
     block: Callable[[int, int], Faces]
-    number: int | None
+    identified_by: tuple[np.ndarray, ...]
 
 
 def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source:
@@ -116,7 +117,8 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
         rng = np.random.default_rng([seed, Stream.LIFTING_TRAINING, index])
         return disturb(training[face_order(len(training), n, seed, index)], missing, noise, rng)
 
-    return Source(training.shapes, disturb(checked, missing, noise, check_rng), block, len(faces))
+    held_out = disturb(checked, missing, noise, check_rng)
+    return Source(training.shapes, held_out, block, tuple(vars(faces).values()))
 
 
 def sampled_faces(
@@ -130,4 +132,5 @@ def sampled_faces(
 
     held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
     shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes
-    return Source(shapes, held_out, lambda index, n: draw(n, Stream.LIFTING_TRAINING, index), None)
+    first = (*vars(held_out).values(), shapes)
+    return Source(shapes, held_out, lambda index, n: draw(n, Stream.LIFTING_TRAINING, index), first)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import keras
 import numpy as np
-import tensorflow as tf
 from keras import layers, ops
 
 from deepmds_keras.lifting.sampling import Faces
 from deepmds_keras.lifting.unrolled_fit import UNIT, lift
+from deepmds_keras.networks import FLOAT
 from deepmds_keras.training import train_by_epoch
 
 STEPS_PER_BLOCK = 100  # after which the network is checked and a checkpoint is written
@@ -22,80 +22,71 @@ _SHARE_OF_SPREAD = 0.3
 _SHARE_OF_SHAPE = 1e5
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """Adam with a cosine schedule on clipped gradients.
-
-    Attributes:
-        steps: Total number of mini-batches.
-        batch_size: Faces per mini-batch.
-        learning_rate: Initial learning rate.
-    """
-
-    steps: int
-    batch_size: int = 128
-    learning_rate: float = 2e-3
-
-    @property
-    def blocks(self) -> list[int]:
-        """Number of steps in each block."""
-        whole, left = divmod(self.steps, STEPS_PER_BLOCK)
-        return [STEPS_PER_BLOCK] * whole + [left] * (left > 0)
-
-
 def train_lifting_net(
     initial: dict[str, np.ndarray],
     faces_of_block: Callable[[int, int], Faces],
     held_out: Faces,
-    recipe: Recipe,
     *,
+    steps: int,
+    batch_size: int,
+    learning_rate: float,
     label: dict,
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, list[float]]]:
-    """Train, and keep the weights that are best on held-out faces.
+    """Train with Adam, clipped gradients and a cosine schedule; keep the best weights.
 
     Args:
         initial: Weights as from `initial_weights`.
         faces_of_block: From the number of a block and of faces to that many training faces, which
             depend on the numbers alone.
         held_out: Faces that the network is checked on after each block.
-        recipe: Steps, batch size and learning rate.
-        label: What else identifies the run; the checkpoint of another run is refused.
+        steps: Total number of mini-batches.
+        batch_size: Faces per mini-batch.
+        learning_rate: Initial learning rate.
+        label: What identifies the run; the checkpoint of another run is refused.
         checkpoint, progress: As for `train_by_epoch`; a block counts as an epoch.
 
     Returns:
-        The best weights and, by block, the loss `train` during training and the mean squared error
-        `inference` on the held-out faces, in the unit of `normalise` squared.
+        The weights that are best on the held-out faces and, by block, the loss `train` during
+        training and the mean squared error `inference` on the held-out faces, in the unit of
+        `normalise` squared.
 
     Raises:
         InputError: The checkpoint is of another run, or damaged.
     """
     model = build_lifting_net(initial)
     network = model.get_layer("lifting")
-    schedule = keras.optimizers.schedules.CosineDecay(recipe.learning_rate, recipe.steps)
+    schedule = keras.optimizers.schedules.CosineDecay(learning_rate, steps)
     optimizer = keras.optimizers.Adam(schedule, global_clipnorm=1.0)
-    model.compile(optimizer, lifting_loss, jit_compile=recipe.steps >= _COMPILED_FROM)
+    # Uncompiled, JAX would run each operation of a step by itself.
+    compiled = steps >= _COMPILED_FROM or keras.backend.backend() == "jax"
+    model.compile(optimizer, lifting_loss, jit_compile=compiled)
+    blocks = block_sizes(steps)
 
-    def batches(block: int) -> tf.data.Dataset:
-        steps = recipe.blocks[block]
-        faces = faces_of_block(block, steps * recipe.batch_size)
-        arrays = (faces.views, faces.visible, faces.sd), faces.shapes
-        arrays = tf.nest.map_structure(lambda a: a.reshape(steps, -1, *a.shape[1:]), arrays)
-        return tf.data.Dataset.from_tensor_slices(arrays)
+    def mini_batches(block: int) -> dict[str, Any]:
+        faces = faces_of_block(block, blocks[block] * batch_size)
+        inputs = [faces.views, faces.visible, faces.sd]
+        return {"x": inputs, "y": faces.shapes, "batch_size": batch_size}
 
     def check() -> float:
         weights = {name: weight.numpy() for name, weight in network.arrays.items()}
         error = error_of(weights, held_out)
-        if error <= float(network.least_error):
+        if error <= float(network.least_error.numpy()):
             network.least_error.assign(error)
             for name, array in weights.items():
                 network.best[name].assign(array)
         return error
 
-    label = {**label, **asdict(recipe), "epochs": len(recipe.blocks)}
-    history = train_by_epoch(model, batches, label, check, checkpoint, progress)
+    label = {**label, "epochs": len(blocks)}
+    history = train_by_epoch(model, mini_batches, label, check, checkpoint, progress)
     return {name: weight.numpy() for name, weight in network.best.items()}, history
+
+
+def block_sizes(steps: int) -> list[int]:
+    """Number of steps in each block."""
+    whole, left = divmod(steps, STEPS_PER_BLOCK)
+    return [STEPS_PER_BLOCK] * whole + [left] * (left > 0)
 
 
 def error_of(weights, faces: Faces) -> float:
@@ -104,11 +95,12 @@ def error_of(weights, faces: Faces) -> float:
     return float(np.mean((shapes - faces.shapes) ** 2))
 
 
+@keras.saving.register_keras_serializable("deepmds_keras")
 class Lifting(layers.Layer):
-    """From views, visibility and the landmarks' errors to shapes and standard deviations.
+    """From views, visibility and the landmarks' noise to shapes and standard deviations.
 
     Args:
-        initial: Weights as from `initial_weights`.
+        shapes: Shape of each weight, by its name in `initial_weights`.
 
     Attributes:
         arrays: The weights by name.
@@ -116,20 +108,26 @@ class Lifting(layers.Layer):
             every checkpoint.
     """
 
-    def __init__(self, initial: dict[str, np.ndarray], **options):
-        super().__init__(**options)
-        self.arrays = {name: self._keep(name, array) for name, array in initial.items()}
-        self.best = {name: self._keep(f"best_{name}", initial[name], False) for name in initial}
-        self.least_error = self._keep("least_error", np.finfo(np.float32).max, False)
+    def __init__(self, shapes: dict[str, tuple[int, ...]], **options):
+        super().__init__(dtype=FLOAT, **options)
+        self.shapes = {name: tuple(shape) for name, shape in shapes.items()}
+        self.arrays, self.best = (
+            {
+                name: self.add_weight(shape, "zeros", name=f"{prefix}{name}", trainable=not prefix)
+                for name, shape in self.shapes.items()
+            }
+            for prefix in ("", "best_")
+        )
+        largest = keras.initializers.Constant(np.finfo(np.float32).max)
+        self.least_error = self.add_weight((), largest, name="least_error", trainable=False)
 
-    def _keep(self, name, array, trainable=True):
-        return self.add_weight(
-            np.shape(array), lambda *_, **__: ops.convert_to_tensor(array), name=name,
-            trainable=trainable,
-        )  # fmt: skip
+    def get_config(self) -> dict[str, Any]:
+        config = super().get_config()
+        del config["dtype"]
+        return {**config, "shapes": self.shapes}
 
     def compute_output_spec(self, views, visible, sd):
-        return keras.KerasTensor((None, 6, views.shape[2]), "float32")
+        return keras.KerasTensor((None, 6, views.shape[2]), FLOAT)
 
     def call(self, views, visible, sd):
         weights = {name: ops.convert_to_tensor(array) for name, array in self.arrays.items()}
@@ -143,10 +141,15 @@ def build_lifting_net(initial: dict[str, np.ndarray]) -> keras.Model:
     The output is that of `lift`: shapes, then logarithms of standard deviations.
     """
     n_landmarks = initial["mean"].shape[1]
-    shapes = {"views": (2, n_landmarks), "visible": (n_landmarks,), "sd": (n_landmarks,)}
-    inputs = [keras.Input(shape, name=name) for name, shape in shapes.items()]
-    outputs = Lifting(initial, name="lifting")(*inputs)
-    return keras.Model(inputs, outputs, name=f"lifting_{n_landmarks}")
+    views = keras.Input((2, n_landmarks), name="views", dtype=FLOAT)
+    visible = keras.Input((n_landmarks,), name="visible", dtype=FLOAT)
+    sd = keras.Input((n_landmarks,), name="sd", dtype=FLOAT)
+    layer = Lifting({name: array.shape for name, array in initial.items()}, name="lifting")
+    model = keras.Model([views, visible, sd], layer(views, visible, sd), name="lifting")
+    for name, array in initial.items():
+        layer.arrays[name].assign(array)
+        layer.best[name].assign(array)
+    return model
 
 
 def lifting_loss(truth, output):

@@ -17,19 +17,18 @@ import keras
 import numpy as np
 import pandas as pd
 import tensorflow as tf
-import tensorflow.experimental.numpy as tnp
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
 from deepmds_keras.deep_mds import DeepMDS
-from deepmds_keras.embedding import compiled_solver, embed
+from deepmds_keras.embedding import embed
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import build_dissimilarity_net
 from deepmds_keras.proximities import pair_features
 from deepmds_keras.tool.command.eos_fit import EosFit
-from deepmds_keras.training import Recipe, face_order, pairs_of_faces, steps_per_call, untuned
+from deepmds_keras.training import Recipe, compiled_by_xla, face_order, pairs_of_faces
 from experiments.bench import released_code as released
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look, save
@@ -40,7 +39,6 @@ from experiments.streams import Stream
 from experiments.tasks import single_threaded
 
 SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
-_AHEAD = 50  # faces, as in `train_dissimilarity_net`
 _LOOKS = {
     "released": Look("authors' implementation", "#777777", "s"),
     "deep_mds": Look("this package", "#D55E00", "o"),
@@ -89,7 +87,7 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
 
     faces = draw_faces(run.preset.bench_faces)
     shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
-    solvers = ("sklearn", "numba") if compiled_solver() else ("sklearn",)
+    solvers = ("sklearn", "numba")
     methods = {
         solver: DeepMDS.pretrained("deepmds-bfm72").set_params(n_jobs=1, solver=solver)
         for solver in solvers
@@ -158,19 +156,19 @@ def training(
     """
     faces = face_order(len(shapes), steps, 0, 0)
     frontal, shapes = np.float32(normalise(frontal))[faces], np.float32(shapes)[faces]
+    network, optimizer = build_dissimilarity_net(VARIANT), Recipe(1).optimizer(steps)
+    if way == "released":
+        network.compile(optimizer, "mse")
+        more = {"shuffle": False, "steps_per_epoch": steps, "verbose": 0}
+        return network, lambda: network.fit(released.training_batches(frontal, shapes), **more)
     ends = np.triu_indices(shapes.shape[1], 1)
-    options = {"steps_per_execution": steps_per_call(steps), "jit_compile": True}
-    network = build_dissimilarity_net(VARIANT)
-    network.compile(Recipe(1).optimizer(steps), "mse", **options if way == "deep_mds" else {})
+    model = compiled_by_xla(network, optimizer, steps)
 
-    def batches():
-        if way == "released":
-            return released.training_batches(frontal, shapes)
-        data = tf.data.Dataset.from_tensor_slices((frontal, shapes))
-        data = data.map(lambda *face: pairs_of_faces(*face, ends, VARIANT, tnp))
-        return untuned(data.prefetch(_AHEAD))
+    def epoch() -> None:
+        pairs = pairs_of_faces(frontal, shapes, ends, VARIANT)
+        model.fit(*pairs, batch_size=len(ends[0]), shuffle=False, verbose=0)
 
-    return network, lambda: network.fit(batches(), steps_per_epoch=steps, shuffle=False, verbose=0)
+    return network, epoch
 
 
 def with_ratios(rows: list[tuple]) -> pd.DataFrame:

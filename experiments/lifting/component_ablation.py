@@ -23,7 +23,6 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.contenders import lower_bound
-from experiments.lifting.pair_nets import dissimilarities
 from experiments.lifting.train import LIFTING
 from experiments.lifting.train_pairs import autoencoder, views_of_pairs
 from experiments.lifting.variants import STEPS, VARIANTS, component_file
@@ -34,6 +33,7 @@ from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.scoring.scores import score
 from experiments.streams import Stream
+from experiments.studies.pair_training import dissimilarities
 from experiments.studies.seed import recalibrate_batchnorm
 from experiments.studies.study_results import grid, mean_error, write_results
 
@@ -88,7 +88,7 @@ def measure(run: Run) -> pd.DataFrame:
 
     def embedded(step: str, distances: np.ndarray, seed: int) -> None:
         distances = np.abs(distances)  # as in `DeepMDS.predict`
-        shapes = embed(distances, solver="auto", n_jobs=run.jobs)
+        shapes = embed(distances, solver="numba", n_jobs=run.jobs)
         add(step, "non_metric", seed, score(shapes, test).mse)
         add(step, "metric", seed, score(metric_embed(distances, run.jobs), test).mse)
 

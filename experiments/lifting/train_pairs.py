@@ -15,13 +15,14 @@ from deepmds_keras.geometry.units import normalise
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe, train_autoencoder
 from experiments.inputs import Faces, load_faces
-from experiments.lifting.pair_nets import PairNet
+from experiments.lifting.pair_nets import build_pair_net
 from experiments.lifting.train import DEEP_MDS, LIFTING
 from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, component_file
 from experiments.methods import load
 from experiments.recipes import fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
+from experiments.studies.pair_training import PairNet
 
 _FROM_THE_SIDE = [2, 1]  # depth and y
 
@@ -43,9 +44,11 @@ def main(run: Run, name: str) -> None:
         network = fit(lifter, train.views, train.shapes, checkpoint=checkpoint)
     else:
         variant = VARIANTS[method]
-        net = PairNet(variant, preset.dissimilarity_epochs, preset.dissimilarity_steps, seed)
+        recipe = Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, variant.schedule)
+        net = build_pair_net(train.views.shape[1], variant, seed=seed)
         pairs = views_of_pairs(variant, train, autoencoder(run, variant.frontal, variant.schedule))
-        network = fit(net, pairs, train.views, train.shapes, checkpoint=checkpoint)
+        training = PairNet(net, recipe, seed, variant.shuffled)
+        network = fit(training, pairs, train.views, train.shapes, checkpoint=checkpoint).network
     network.save(component_file(run, method, seed))
 
 

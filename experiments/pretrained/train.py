@@ -85,7 +85,7 @@ def main(run: Run, name: str) -> None:
         model, n = load_model("openhead", None, scheme), run.preset.train_faces
         data = sample_photo_views(model, scheme, n, rng, detector_sd=DEEP_MDS[scheme])[:2]
         network = deep_mds(run, "paper", "cosine")
-        network.set_params(centre_views=True, solver="auto", n_jobs=None)
+        network.set_params(centre_views=True, solver="sklearn", n_jobs=None)
     network.set_params(n_landmarks=len(load_scheme(scheme)))
     fit(network, *data, checkpoint=checkpoint)
     network.history_ = {}  # the curves would take a good part of the file

@@ -81,7 +81,7 @@ def released_networks(run: Run) -> dict[str, DeepMDS]:
     autoencoder = Path(run.authors, AUTHORS_FILES["bfm"][0])
     nets = {name: Path(run.authors, file) for name, file in NETS.items()}
     return {
-        name: DeepMDS.from_released(autoencoder, net).set_params(n_jobs=run.jobs, solver="auto")
+        name: DeepMDS.from_released(autoencoder, net).set_params(n_jobs=run.jobs, solver="numba")
         for name, net in nets.items()
         if net.exists() or name == "released"
     }

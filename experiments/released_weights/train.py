@@ -43,7 +43,7 @@ def main(run: Run, name: str) -> None:
     test = _faces(seeded, model, run.preset.test_faces, Stream.RELEASED_WEIGHTS_FACES)
     folder = resumable(run.work / "released-weights" / name, [MEAN])
     data = train.views, train.shapes
-    ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="auto", n_jobs=1)
+    ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="numba", n_jobs=1)
     lifting = recipes.landmark_lifter(seeded)
     methods = {
         "mean_shape": recipes.mean_shape(seeded).fit(*data),

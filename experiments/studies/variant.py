@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from experiments.run import Run
 
 if TYPE_CHECKING:
+    import keras
+
     from deepmds_keras.deep_mds import DeepMDS
     from experiments.inputs import Faces
 
@@ -25,7 +27,8 @@ class Variant:
     Attributes:
         title: Title in tables and figures.
         schedule: Learning rate of both networks.
-        shuffled, chain: As for `train_dissimilarity_net`.
+        shuffled: As for `PairNet`.
+        chain: Number of hidden layers and units per layer of a net without skip connection.
         with_autoencoder: Whether the dissimilarity net sees frontal views or the input views.
     """
 
@@ -115,9 +118,11 @@ def train_variant(
 
     from deepmds_keras.deep_mds import DeepMDS
     from deepmds_keras.geometry.orientation import front_landmark
+    from deepmds_keras.geometry.units import normalise
     from deepmds_keras.networks import forward
-    from deepmds_keras.training import Recipe, train_autoencoder, train_dissimilarity_net
+    from deepmds_keras.training import Recipe, train_autoencoder
     from experiments.methods import load
+    from experiments.studies.pair_training import PairNet
 
     preset, flat = run.preset, faces.views.reshape(len(faces.views), -1)
     model = DeepMDS(faces.views.shape[1])
@@ -134,12 +139,25 @@ def train_variant(
         frontal = faces.shapes[..., :2]
         model.autoencoder_, _ = train_autoencoder(faces.views, frontal, recipe, seed=seed)
     recipe = Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, variant.schedule)
-    model.dissimilarity_net_, history = train_dissimilarity_net(
-        forward(model.autoencoder_, flat).reshape(faces.views.shape),
-        faces.shapes,
-        recipe,
-        shuffled=variant.shuffled,
-        chain=variant.chain,
-        seed=seed,
-    )
-    return model, history
+    frontal = normalise(forward(model.autoencoder_, flat).reshape(faces.views.shape))
+    training = PairNet(build_net(variant.chain, seed), recipe, seed, variant.shuffled)
+    training.fit(frontal, faces.views, faces.shapes)
+    model.dissimilarity_net_ = training.network
+    return model, training.history_
+
+
+def build_net(chain: tuple[int, int] | None, seed: int) -> keras.Model:
+    """The paper's dissimilarity net, or one of other hidden layers in a row."""
+    import keras
+
+    from deepmds_keras.networks import build_dissimilarity_net, dense_block
+    from deepmds_keras.proximities import VARIANTS
+
+    if chain is None:
+        return build_dissimilarity_net(seed=seed)
+    pair = x = keras.Input((VARIANTS["paper"],), name="pair_features")
+    n_layers, units = chain
+    for number in range(n_layers):
+        x = dense_block(x, units, f"hidden_{number + 1}", seed=1000 * seed + number)
+    distance = dense_block(x, 1, "distance", seed=1000 * seed + n_layers, activated=False)
+    return keras.Model(pair, distance, name=f"dissimilarity_chain_{n_layers}x{units}")

@@ -48,7 +48,7 @@ def test_shipped_weights_recover_unseen_faces_and_tell_them_apart(shipped, faces
     assert np.allclose(shapes[..., 2].mean(1), 0)
     assert (shapes[:, shipped.front_landmark_, 2] > 0.05).all()
     assert np.allclose(shapes[:4], shipped.predict(17 * faces.views[:4] + [400, -90]), atol=1e-3)
-    assert np.allclose(shapes[0], shipped.predict(faces.views[0])[0], atol=1e-4)
+    assert np.allclose(shapes[0], shipped.predict(faces.views[0]), atol=1e-4)
     matrices = shipped.dissimilarities(faces.views[:3])
     assert np.array_equal(matrices, np.swapaxes(matrices, 1, 2))
 
@@ -75,9 +75,9 @@ def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp
     assert np.array_equal(loaded.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
     assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
     arrays, described = read_arrays(tmp_path / "model.npz")
-    described["parameters"]["solver"] = "batched"  # of version 0.2
+    described["parameters"]["solver"] = "auto"  # of version 0.3
     write_arrays(tmp_path / "older.npz", arrays, described)
-    assert DeepMDS.load(tmp_path / "older.npz").solver == "auto"
+    assert DeepMDS.load(tmp_path / "older.npz").solver == "sklearn"
     for error in (NotFittedError, InputError):
         with pytest.raises(error, match="not trained: call fit, restore, load or pretrained"):
             copy.predict(shapes[:1, :, :2])
@@ -124,6 +124,35 @@ def test_only_what_this_model_would_have_trained_is_restored(small, parameters, 
     model, shapes, kept = small
     with pytest.raises(InputError, match=problem):
         clone(model).set_params(**parameters).restore(kept, shapes)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "needed"),
+    [
+        ("variant", "papr", "one of paper, released"),
+        ("solver", "nmba", "one of sklearn, numba"),
+        ("schedule", "linear", "one of constant, cosine"),
+        ("autoencoder_epochs", -1, "a whole number of at least 1"),
+        ("dissimilarity_epochs", 1.5, "a whole number of at least 1"),
+        ("dissimilarity_steps", "8", "a whole number of at least 1"),
+        ("seed", -1, "a whole number of at least 0"),
+        ("n_landmarks", True, "a whole number of at least 3"),
+    ],
+)
+def test_parameters_are_checked_before_any_training(small, parameter, value, needed):
+    _, shapes, _ = small
+    model, epochs = DeepMDS(8).set_params(**{parameter: value}), []
+    with pytest.raises(InputError, match=f"{parameter} must be {needed}. Received {value!r}"):
+        model.fit(shapes[..., :2], shapes, progress=lambda *report: epochs.append(report))
+    assert not epochs
+
+
+def test_parameters_of_numpy_as_a_grid_search_sets_them_are_saved(small, tmp_path):
+    model, shapes, _ = small
+    copy = clone(model).set_params(seed=np.int64(3))
+    copy.__dict__.update({k: v for k, v in vars(model).items() if k.endswith("_")})
+    copy.save(tmp_path / "model.npz")
+    assert DeepMDS.load(tmp_path / "model.npz").seed == 3
 
 
 def test_damaged_files_are_refused(small, tmp_path):

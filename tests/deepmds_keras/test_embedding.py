@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from deepmds_keras import DeepMDS, InputError, MissingPackageError, align, embed, embedding
+from deepmds_keras import DeepMDS, InputError, MissingPackageError, align, embed
 from deepmds_keras.embedding import sklearn_mds
 from deepmds_keras.geometry.classical_scaling import classical_scaling
 
@@ -95,7 +95,7 @@ def test_diagonal_and_slightly_negative_entries_do_no_harm():
 def test_bad_matrices_are_named(spoil, message):
     with pytest.raises(InputError, match=message):
         embed(spoil(noisy(clouds())))
-    with pytest.raises(InputError, match="n_components must be 1 to 30.* Received 31"):
+    with pytest.raises(InputError, match="n_components must be at most 30.* Received 31"):
         embed(noisy(clouds()), 31)
 
 
@@ -103,24 +103,38 @@ def test_bad_matrices_are_named(spoil, message):
 def without_numba(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
     monkeypatch.delitem(sys.modules, "deepmds_keras.compiled_mds", raising=False)
-    embedding.compiled_solver.cache_clear()
-    yield
-    embedding.compiled_solver.cache_clear()
 
 
-def test_without_numba_its_solver_is_refused_and_the_default_is_scikit_learns(without_numba):
+def test_without_numba_its_solver_is_refused(without_numba):
     matrices = noisy(clouds())
-    assert np.array_equal(embed(matrices), embed(matrices, solver="sklearn"))
     with pytest.raises(MissingPackageError, match=r"\.\[fast\]"):
         embed(matrices, solver="numba")
 
 
-def test_the_default_is_compiled():
+def test_the_default_is_the_papers_by_scikit_learn(without_numba):
     matrices = noisy(clouds())
-    assert DeepMDS.pretrained("deepmds-ibug51").solver == "auto"
-    assert np.array_equal(embed(matrices), embed(matrices, solver="numba"))
-    with pytest.raises(InputError, match="one of auto, numba, sklearn. Received 'new'"):
+    assert DeepMDS().solver == DeepMDS.pretrained("deepmds-ibug51").solver == "sklearn"
+    assert np.array_equal(embed(matrices), embed(matrices, solver="sklearn"))
+    with pytest.raises(InputError, match="one of sklearn, numba. Received 'new'"):
         embed(matrices, solver="new")
+
+
+@pytest.mark.parametrize("solver", ["sklearn", "numba"])
+def test_neither_the_unit_nor_a_distance_of_zero_changes_the_shape(solver):
+    shape = clouds(1)[0]
+    shape[1] = shape[0] + [1e-3, 0, 0]
+    (distances,) = noisy([shape], 0)
+    expected = embed(distances, solver=solver)
+    for unit in (1e-300, 1e-15, 1e-9, 1e9, 1e300):
+        points, stress = embed(unit * distances, solver=solver, return_stress=True)
+        assert np.abs(points / unit - expected).max() < 1e-9 and stress < 1e-6
+    distances[0, 1] = distances[1, 0] = 0  # not missing: the two landmarks coincide
+    points = embed(distances, solver=solver)
+    assert np.linalg.norm(points[0] - points[1]) < 0.01
+    hidden = np.ma.array(noisy(clouds(1))[0], mask=False)
+    hidden[3, 4] = hidden[4, 3] = np.ma.masked
+    with pytest.raises(InputError, match="NaN, infinity or masked"):
+        embed(hidden)
 
 
 # The compiled solver takes the steps of scikit-learn and stops at the same one.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from typing import ClassVar
@@ -69,6 +70,7 @@ class PaperNetworks:
             from deepmds_keras.deep_mds import DeepMDS
 
         self._networks, self._turn = DeepMDS.load(path), Lock()
+        self._networks.set_params(solver="numba" if find_spec("numba") else "sklearn")
         self.n_landmarks = self._networks.n_landmarks
         self.centred = self._networks.centre_views
 

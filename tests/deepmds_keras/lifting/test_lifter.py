@@ -284,10 +284,15 @@ def test_unusable_options_are_named(lifter, faces, options, message):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"n_landmarks": 5}, "n_landmarks must be at least 6"),
-        ({"steps": 0}, "steps must be positive"),
-        ({"missing": 1}, "missing must be in"),
-        ({"noise": -1}, "noise must be finite"),
+        ({"n_landmarks": 5}, "n_landmarks must be a whole number of at least 6"),
+        ({"steps": 0}, "steps must be a whole number of at least 1"),
+        ({"steps": 20.5}, "steps must be a whole number"),
+        ({"steps": "8"}, "steps must be a whole number"),
+        ({"batch_size": 0}, "batch_size must be a whole number"),
+        ({"learning_rate": np.nan}, "learning_rate must be finite and positive"),
+        ({"missing": 1}, "missing must be less than 1"),
+        ({"noise": -1}, "noise must be finite and not negative"),
+        ({"seed": 0.5}, "seed must be a whole number"),
     ],
 )
 def test_unusable_parameters_are_named(parameters, message):

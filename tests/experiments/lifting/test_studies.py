@@ -1,7 +1,6 @@
 """The studies: their tables from made-up errors, and each at the smallest size."""
 
 import shutil
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,18 +104,19 @@ def test_pairs_are_of_the_view_that_a_variant_names():
 
 
 @pytest.mark.parametrize("shuffled", [False, True])
-def test_mini_batches_are_of_one_face_or_of_all(shuffled, tmp_path, monkeypatch):
-    from experiments.lifting import pair_nets
+def test_mini_batches_are_of_one_face_or_of_all(shuffled, monkeypatch):
+    from deepmds_keras.networks import build_dissimilarity_net
+    from deepmds_keras.training import Recipe
+    from experiments.studies import pair_training
 
     shape = np.random.default_rng(0).random((6, 3))
     shapes, epochs = np.arange(1, 21)[:, None, None] * shape, []
     monkeypatch.setattr(
-        pair_nets, "train_by_epoch", lambda _, batches, *more: epochs.append([*batches(0)])
+        pair_training, "train_by_epoch", lambda _, batches, *more: epochs.append([*batches(0)["x"]])
     )
-    net = pair_nets.PairNet(replace(VARIANTS["cosine"], shuffled=shuffled), 1, 20, 0)
-    net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=tmp_path / "net.npz",
-            progress=print)  # fmt: skip
-    distances = np.array([batch[1].numpy().ravel() for batch in epochs[0]])
+    net = pair_training.PairNet(build_dissimilarity_net(), Recipe(1, 20), 0, shuffled)
+    net.fit(shapes[..., :2], shapes[..., :2], shapes)
+    distances = np.array([batch[1].ravel() for batch in epochs[0]])
     ratios = distances[:, :, None] / pdist(shape)  # at its own pair the number of the face
     off = np.abs(ratios - ratios.round())
     faces = np.take_along_axis(ratios, off.argmin(2)[..., None], 2)[..., 0].round()
@@ -128,13 +128,15 @@ def test_mini_batches_are_of_one_face_or_of_all(shuffled, tmp_path, monkeypatch)
 @pytest.mark.slow
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_a_pair_net_trains_and_leaves_its_checkpoint(shuffled, tmp_path):
-    from experiments.lifting.pair_nets import PairNet
+    from deepmds_keras.training import Recipe
+    from experiments.lifting.pair_nets import build_pair_net
+    from experiments.studies.pair_training import PairNet
 
     shapes, losses = np.random.default_rng(0).random((20, 6, 3)), []
-    net = PairNet(replace(VARIANTS["cosine"], shuffled=shuffled), 2, 10, 0)
-    net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=tmp_path / "net.npz",
-            progress=losses.append)  # fmt: skip
-    assert len(losses) == 2 and (tmp_path / "net.npz").exists()
+    net = PairNet(build_pair_net(6, VARIANTS["whole_view"]), Recipe(2, 10), 0, shuffled)
+    path = tmp_path / "net.npz"
+    net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=path, progress=losses.append)
+    assert len(losses) == 2 and path.exists()
 
 
 def test_components_are_those_of_the_shapes():

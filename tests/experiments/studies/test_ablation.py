@@ -8,15 +8,16 @@ import pytest
 import runs
 
 from deepmds_keras import normalise
-from deepmds_keras.networks import build_dissimilarity_net, count_trainable
-from deepmds_keras.training import Recipe, train_dissimilarity_net
+from deepmds_keras.networks import count_trainable
+from deepmds_keras.training import Recipe
 from experiments.inputs import Faces
 from experiments.presets import FULL, SMOKE, TINY
 from experiments.records import write_json
 from experiments.run import Run
 from experiments.studies import ablation
+from experiments.studies.pair_training import PairNet
 from experiments.studies.seeds import seed_statistics
-from experiments.studies.variant import VARIANTS, ablation_trainings, scores_file
+from experiments.studies.variant import VARIANTS, ablation_trainings, build_net, scores_file
 
 SIZE = SMOKE.training_sizes[0]
 
@@ -42,7 +43,9 @@ def test_shuffled_mini_batches_hold_pairs_of_many_faces():
     recipe = Recipe(8, 1, learning_rate=0.0)  # each epoch is one mini-batch, nothing is learnt
     same, shuffled, again, other = (
         np.array(
-            train_dissimilarity_net(views, shapes, recipe, shuffled=mixed, seed=seed)[1]["train"]
+            PairNet(build_net(None, seed), recipe, seed, mixed)
+            .fit(views, views, shapes)
+            .history_["train"]
         )
         for mixed, seed in ((False, 0), (True, 0), (True, 0), (True, 1))
     )
@@ -53,14 +56,14 @@ def test_shuffled_mini_batches_hold_pairs_of_many_faces():
 
 def test_net_without_the_skip_connection_has_fewer_parameters():
     chain = VARIANTS["no_skip_connection"].chain
-    with_it, without = (build_dissimilarity_net(chain=c).count_params() for c in (None, chain))
+    with_it, without = (build_net(c, 0).count_params() for c in (None, chain))
     assert with_it - without == 20 * 20, "the fifth layer sees the fourth alone"
 
 
 @pytest.mark.parametrize("name", [name for name in VARIANTS if "layers" in name])
 def test_nets_of_other_depths_have_as_many_parameters_as_the_paper_allows(name):
     n_layers, units = VARIANTS[name].chain
-    nets = (build_dissimilarity_net(chain=(n_layers, units + more)) for more in (0, 1))
+    nets = (build_net((n_layers, units + more), 0) for more in (0, 1))
     below, above = map(count_trainable, nets)
     assert below < 3000 <= above
 
