@@ -63,7 +63,7 @@ def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
 def test_every_condition_has_its_network_and_one_has_three_seeds():
     names = lifting_networks(Run("openhead", FULL), "hard")
     assert len({*names}) == len(names) == 4 + 5 + 2
-    assert sum(name.startswith("hard-lifting-hard_1-") for name in names) == 3
+    assert sum(name.startswith("hard-landmark_lifter-hard_1-") for name in names) == 3
 
 
 @pytest.mark.parametrize("name", VARIANTS)
