@@ -28,11 +28,11 @@ from threadpoolctl import threadpool_limits
 
 from deepmds_keras.errors import InputError, escape_unprintable
 from experiments.methods import METHODS
+from experiments.progress import PARENT, Progress
+from experiments.progress.step_names import in_words
 from experiments.records import environment, outside_files, write_manifest, write_record
 from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
-# Of the process of `make`: a step ends with it.
-PARENT = "EXPERIMENTS_PARENT"
 # Sums are split between threads: their last digits depend on this number, not on the machine's.
 _THREADS = 2
 # Several of these run at once: NumPy gets one thread, TensorFlow two as everywhere.
@@ -65,6 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         alone = onednn or values["step"] not in _TRAININGS
         prepare(onednn=onednn, threads=_THREADS if alone else 1)
         end_with_parent()
+        Progress.step = in_words(values["record"]) if values["record"] else values["step"]
         _run_step(module, run, values)
         sys.stdout.flush()
 
@@ -123,9 +124,9 @@ def _run_step(module: str, run: Run, values: dict) -> None:
 
 
 def _is_onednn(step: str, items: list[str]) -> bool:
-    """Whether a step trains or runs a method whose convolutions are oneDNN's."""
+    """Whether a step trains or runs a method whose convolutions are oneDNN's, or times all."""
     of_method = step in ("tracks.train", "tracks.predict") and items and items[0] in METHODS
-    return bool(of_method) and METHODS[items[0]].onednn
+    return step == "tracks.times" or bool(of_method) and METHODS[items[0]].onednn
 
 
 def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:

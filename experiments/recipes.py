@@ -15,7 +15,7 @@ from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import load_scheme
 from experiments.inputs import load_faces, load_images, load_landmark_model
-from experiments.progress import EpochBar
+from experiments.progress import Progress
 from experiments.run import AUTHORS_FILES, Run
 from experiments.streams import Stream
 
@@ -40,19 +40,19 @@ _RINGNET = (100, 50)  # identity and expression coefficients that the published 
 
 
 def fit(model, *data, **options):
-    """Call `model.fit(*data, **options)`, with a progress bar for each network that it trains."""
+    """Call `model.fit(*data, **options)`, with the progress of each network that it trains."""
     epochs = _epochs(model)
-    bars: dict[str, EpochBar] = {}
+    bars: dict[str, Progress] = {}
 
     def progress(*report) -> None:
         *names, losses = report  # only methods with several networks name them
         (name,) = names or epochs
         if name not in bars:
-            bars[name] = EpochBar(name, epochs[name])
-        if name == "RingNet":  # whose losses are no mean squares
-            bars[name].sums(losses)
-        else:
-            bars[name].losses(losses)
+            part = f"{name.replace('_', ' ')}: " if len(epochs) > 1 else ""
+            bars[name] = Progress(f"{part}epoch", epochs[name])
+        # Mean squares are shown as their roots; RingNet's losses are none.
+        power = 1 if name == "RingNet" else 0.5
+        bars[name].update(note=", ".join(f"{k} {v**power:.4f}" for k, v in losses.items()))
 
     model = model.fit(*data, progress=progress, **options)
     for bar in bars.values():

@@ -17,6 +17,7 @@ from experiments.audit.measure import Evidence
 from experiments.bench.released_code import released_views
 from experiments.inputs import Faces
 from experiments.methods import predict
+from experiments.progress import counted
 from experiments.scoring.scores import score
 from experiments.streams import Stream
 
@@ -47,7 +48,7 @@ def poses(evidence: Evidence) -> pd.DataFrame:
     faces = evidence.audited[:_FACES_SWEPT]
     landmarks, truth = evidence.landmarks[:_FACES_SWEPT], evidence.test[faces]
     rows = []
-    for sweep, values in SWEEPS.items():
+    for sweep, values in counted("sweep", SWEEPS.items(), len(SWEEPS)):
         views = sweep_views(landmarks, sweep)
         for method, model in models.items():
             mse = errors(model, views, truth)
@@ -65,7 +66,8 @@ def noise(evidence: Evidence) -> pd.DataFrame:
     draws = evidence.rng(Stream.AUDIT_NOISE).standard_normal((_NOISE_DRAWS, *views.shape))
     draws *= distances[:, None, None]
     rows = []
-    for method, model in _models(evidence, _NOISY).items():
+    models = _models(evidence, _NOISY)
+    for method, model in counted("method", models.items(), len(models)):
         for percent in NOISE_PERCENTS:
             noisy = views + percent / 100 * (draws if percent else draws[:1])
             mse = errors(model, normalise(noisy), truth).mean(0)

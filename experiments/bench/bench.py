@@ -32,6 +32,7 @@ from deepmds_keras.training import Recipe, compiled_by_xla, face_order, pairs_of
 from experiments.bench import released_code as released
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look, save
+from experiments.progress import counted
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
@@ -51,7 +52,9 @@ def main(run: Run) -> dict:
     tf.config.threading.set_intra_op_parallelism_threads(1)
     tf.config.threading.set_inter_op_parallelism_threads(1)
     with single_threaded():
-        table = with_ratios([(*task, seconds(run, call)) for *task, call in tasks(run)])
+        todo = [*tasks(run)]
+        measured = counted("measurement", todo, len(todo))
+        table = with_ratios([(*task, seconds(run, call)) for *task, call in measured])
     folder = run.shared_results / "bench"
     clear_results(folder)
     write_csv(folder / "bench.csv", table)

@@ -20,7 +20,7 @@ from deepmds_keras.files import atomic_write, read_arrays, write_arrays
 from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.tool.detection.dlib_landmarks import shared_detector
 from experiments.inputs import image_files, in_photos
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.run import Run
 from experiments.tasks import unordered
 
@@ -61,7 +61,7 @@ def find_faces(
     missing = [k for k in range(len(sizes)) if not _table_file(pieces, k).exists()]
     done = sum(sizes) - sum(sizes[k] for k in missing)
     tasks = ((run, pieces, k, source, fit) for k in missing)
-    with Bar(total=sum(sizes), initial=done, desc=f"{kind}s", unit=kind) as bar:
+    with Progress(kind, sum(sizes), done) as bar:
         for piece in unordered(run.jobs, _search_piece, tasks):
             bar.update(sizes[piece])
 

@@ -7,7 +7,7 @@ import numpy as np
 from data_gen.datasets.dataset import make_dataset, save_dataset
 from data_gen.models.registry import load_model
 from deepmds_keras.files import write_arrays
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.run import Run
 from experiments.streams import Stream
 
@@ -27,7 +27,7 @@ def main(run: Run) -> dict:
     streams = {"train": Stream.TRAIN_FACES, "test": Stream.TEST_FACES}
     for part, n in sizes.items():
         rng = np.random.default_rng([run.seed, streams[part]])
-        with Bar(total=n, desc=f"{part} faces", unit="face") as bar:
+        with Progress(f"{part} face", n) as bar:
             dataset = make_dataset(
                 model, n, rng, scheme=run.scheme, protocol=run.protocol, progress=bar.update
             )

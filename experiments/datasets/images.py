@@ -11,7 +11,7 @@ from data_gen.datasets.images import Scene, make_scene, render
 from data_gen.models.registry import load_model
 from deepmds_keras.baselines.images import IMAGE_SIZE
 from experiments.inputs import CROP_MARGIN, face_model, image_files
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.records import resumable
 from experiments.run import Run
 from experiments.streams import Stream
@@ -38,7 +38,7 @@ def make_images(run: Run, part: str, seed: tuple[int, ...]) -> dict[str, str]:
     missing = [file for file in range(len(faces)) if not files.paths(file)[0].exists()]
     done = len(files) - sum(len(faces[file]) for file in missing)
     tasks = ((run, part, file, seed) for file in missing)
-    with Bar(total=len(files), initial=done, desc=f"{part} images", unit="image") as bar:
+    with Progress(f"{part} image", len(files), done) as bar:
         for n in unordered(run.jobs, _make_file, tasks):
             bar.update(n)
     return files.checksums()

@@ -28,7 +28,7 @@ from experiments.lifting.train_pairs import autoencoder, views_of_pairs
 from experiments.lifting.variants import STEPS, VARIANTS, component_file
 from experiments.lifting.views import Views
 from experiments.methods import load, predict
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.scoring.scores import score
@@ -94,9 +94,12 @@ def measure(run: Run) -> pd.DataFrame:
 
     mean_shape = load(run, "mean_shape").predict(test.views)
     add("mean_shape", "none", run.seed, score(mean_shape, test).mse)
-    for seed in Bar(run.few_seeds, desc="component ablation", unit="seed"):
-        for step, distances in matrices(run, test, seed):
-            embedded(step, distances, seed)
+    of_a_seed = len(STEPS) - len(("mean_shape", "true_distances", "lower_bound"))
+    with Progress("matrices of distances", of_a_seed * len(run.few_seeds)) as progress:
+        for seed in run.few_seeds:
+            for step, distances in matrices(run, test, seed):
+                embedded(step, distances, seed)
+                progress.update()
     embedded("true_distances", pairwise_distances(test.shapes), run.seed)
     exact = Views(
         identity=dataset.identity,

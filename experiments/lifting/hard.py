@@ -16,7 +16,7 @@ from experiments.lifting.contenders import Contenders, lower_bound
 from experiments.lifting.train import DEEP_MDS, LIFTING, SEEDED, hard_file, hard_seeds, load_network
 from experiments.lifting.views import CONDITIONS, MOST_MISSING, Condition, Views, hard_views
 from experiments.methods import title
-from experiments.progress import Bar
+from experiments.progress import counted
 from experiments.run import Run
 from experiments.streams import Stream
 from experiments.studies.study_results import grid, write_results
@@ -136,7 +136,7 @@ def cells(table: pd.DataFrame) -> pd.DataFrame:
 
 def main(run: Run) -> dict:
     tasks = [(run, condition) for condition in CONDITIONS]
-    parts = Bar(unordered(run.jobs, measure, tasks), total=len(tasks), desc="conditions")
+    parts = counted("condition", unordered(run.jobs, measure, tasks), len(tasks))
     errors = pd.concat(parts)
     table, curves = summarise(errors), by_yaw(errors)
     rows = curves[curves["condition"] == SEEDED].rename(columns={"standard_error": "sem"})

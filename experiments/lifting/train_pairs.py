@@ -19,6 +19,7 @@ from experiments.lifting.pair_nets import build_pair_net
 from experiments.lifting.train import DEEP_MDS, LIFTING
 from experiments.lifting.variants import SIDE_AUTOENCODER, VARIANTS, Variant, component_file
 from experiments.methods import load
+from experiments.progress import Progress
 from experiments.recipes import fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
@@ -36,9 +37,11 @@ def main(run: Run, name: str) -> None:
     if method == SIDE_AUTOENCODER:
         recipe = Recipe(preset.autoencoder_epochs, schedule="cosine")
         target = train.shapes[..., _FROM_THE_SIDE]
-        network, _ = train_autoencoder(
-            train.views, target, recipe, seed=seed, checkpoint=checkpoint
-        )
+        with Progress("epoch", recipe.epochs) as progress:
+            network, _ = train_autoencoder(
+                train.views, target, recipe, seed=seed, checkpoint=checkpoint,
+                progress=lambda _: progress.update(),
+            )  # fmt: skip
     elif method == LIFTING:
         lifter = landmark_lifter(run).set_params(seed=seed)
         network = fit(lifter, train.views, train.shapes, checkpoint=checkpoint)

@@ -40,7 +40,7 @@ from experiments.lifting.train import (
     transfer_name,
 )
 from experiments.methods import title
-from experiments.progress import Bar
+from experiments.progress import counted
 from experiments.recipes import mlp
 from experiments.run import Run
 from experiments.scoring.numbers import power
@@ -186,7 +186,7 @@ def main(run: Run) -> dict:
         (run, faces, tested, noise)
         for faces in transfer_models(run) for tested in tests for noise in NOISES_MM
     ]  # fmt: skip
-    parts = Bar(unordered(run.jobs, measure, tasks), total=len(tasks), desc="transfer")
+    parts = counted("condition", unordered(run.jobs, measure, tasks), len(tasks))
     keys = ["trained", "tested", "noise_mm"]
     measured = {tuple(part[keys].iloc[0]): part for part in parts}
     table = pd.concat([measured[task[1:]] for task in tasks])

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_gen.models.registry import OPEN, load_model, open_models
+from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.tool.detection import DETECTORS
 from deepmds_keras.tool.detection.mediapipe_landmarks import landmarks51, shared_detector
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.run import Run
 from experiments.streams import Stream
 from experiments.tasks import unordered
@@ -34,8 +34,11 @@ def main(run: Run) -> dict:
     numbers = [range(i, min(i + _PER_TASK, n)) for i in range(0, n, _PER_TASK)]
     for model in models:
         tasks = [(run, model, each, detectors) for each in numbers]
-        drawn = unordered(run.jobs, _draw, tasks)
-        parts = dict(Bar(drawn, total=len(tasks), desc=f"portraits {model}"))
+        parts = {}
+        with Progress(f"{TITLES[model]}: photo", n) as progress:
+            for each, part in unordered(run.jobs, _draw, tasks):
+                parts[each] = part
+                progress.update(len(each))
         names = parts[numbers[0]]
         arrays = {name: np.concatenate([parts[each][name] for each in numbers]) for name in names}
         write_arrays(portraits_file(run, model), arrays, {})

@@ -24,6 +24,7 @@ from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.train import LIFTERS, NETWORKS, photo_faces, weights_file
+from experiments.progress import counted
 from experiments.recipes import mlp
 from experiments.run import Run
 from experiments.scoring.numbers import power
@@ -53,7 +54,7 @@ def trained(run: Run, scheme: str) -> Trained:
 def measure(run: Run) -> Iterator[dict]:
     """Rows of the table: each method, on each kind of landmarks of the photos of each model."""
     photos = {model: read_portraits(run, model) for model in open_models(run.data)[0]}
-    for scheme in LIFTERS:
+    for scheme in counted("scheme of landmarks", LIFTERS, len(LIFTERS)):
         for kind in ("exact", *SCHEMES):
             faces = {model: views_of(each, kind, scheme) for model, each in photos.items()}
             if any(each is None or each.detected.sum() < _FEWEST for each in faces.values()):

@@ -14,7 +14,7 @@ from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 from data_gen.build_openhead.components import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
-from data_gen.models.registry import TITLES, load_model, open_models
+from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from data_gen.views import (
     FIELD_OF_VIEW,
     PITCH,
@@ -24,9 +24,11 @@ from data_gen.views import (
     sample_expressive,
     sample_perspective_cameras,
 )
+from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
+from experiments.progress import counted
 from experiments.run import Run
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
@@ -38,10 +40,16 @@ _HALF = 127  # of a mask
 
 
 def main(run: Run) -> dict:
+    missing = open_models(run.data)[1]
+    if missing:
+        raise InputError(
+            f"DATA must be a folder with {', '.join(missing)}, see docs/data.md: the table has "
+            f"rows of both open face models. Received {run.data or 'nothing'}."
+        )
     write_surface(FILE)
     table = pd.DataFrame(
         {"faces": name} | row
-        for name in open_models(run.data)[0]
+        for name in counted("face model", OPEN, len(OPEN))
         for row in measure(load_model(name, run.data))
     )
     cells = table.assign(faces=table["faces"].map(TITLES)).set_index(["faces", "landmarks"])

@@ -25,7 +25,7 @@ from deepmds_keras.geometry.units import normalise
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen
-from experiments.progress import Bar
+from experiments.progress import counted
 from experiments.released_weights.bfm_mean import SCHEME, about_mean
 from experiments.released_weights.train import trained_file, trainings
 from experiments.run import AUTHORS_FILES, Run
@@ -57,7 +57,7 @@ def main(run: Run) -> dict:
     populations = [*faces_by_scale(run)]
     released = pd.DataFrame(
         row
-        for population in Bar(populations, desc="released weights")
+        for population in counted("population", populations, len(populations))
         for views in VIEWS
         for row in measure(run, networks, views, *population)
     )

@@ -19,7 +19,7 @@ from deepmds_keras.weights import checkpoint_files
 from experiments.figures.errors import error_distribution
 from experiments.inputs import as_seen
 from experiments.methods import DEEP_MDS, load, predict
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.records import resumable
 from experiments.run import Run
 from experiments.scoring.scores import score
@@ -55,7 +55,7 @@ def stream(run: Run) -> pd.DataFrame:
     tasks = [(run, folder / f"{k:05}-{size}.npz", k, size) for k, size in enumerate(sizes)]
     missing = [task for task in tasks if not task[1].exists()]
     done = n - sum(size for *_, size in missing)
-    with Bar(total=n, initial=done, desc="faces", unit="face") as bar:
+    with Progress("face", n, done) as bar:
         for size in unordered(run.jobs, write_shard, missing):
             bar.update(size)
     shards = [pd.DataFrame(read_arrays(path)[0]) for _, path, *_ in tasks]

@@ -122,6 +122,7 @@ def train_variant(
     from deepmds_keras.networks import forward
     from deepmds_keras.training import Recipe, train_autoencoder
     from experiments.methods import load
+    from experiments.progress import Progress
     from experiments.studies.pair_training import PairNet
 
     preset, flat = run.preset, faces.views.reshape(len(faces.views), -1)
@@ -137,11 +138,15 @@ def train_variant(
         steps = preset.train_faces // Recipe.batch_size
         recipe = Recipe(preset.autoencoder_epochs, steps, variant.schedule)
         frontal = faces.shapes[..., :2]
-        model.autoencoder_, _ = train_autoencoder(faces.views, frontal, recipe, seed=seed)
+        with Progress("autoencoder: epoch", recipe.epochs) as progress:
+            model.autoencoder_, _ = train_autoencoder(
+                faces.views, frontal, recipe, seed=seed, progress=lambda _: progress.update()
+            )
     recipe = Recipe(preset.dissimilarity_epochs, preset.dissimilarity_steps, variant.schedule)
     frontal = normalise(forward(model.autoencoder_, flat).reshape(faces.views.shape))
     training = PairNet(build_net(variant.chain, seed), recipe, seed, variant.shuffled)
-    training.fit(frontal, faces.views, faces.shapes)
+    with Progress("dissimilarity net: epoch", recipe.epochs) as progress:
+        training.fit(frontal, faces.views, faces.shapes, progress=lambda _: progress.update())
     model.dissimilarity_net_ = training.network
     return model, training.history_
 

@@ -11,10 +11,9 @@ from deepmds_keras.files import write_arrays
 from experiments.inputs import load_faces, load_images
 from experiments.method import Method
 from experiments.methods import load, method_of, predict, views_for
-from experiments.progress import Bar
+from experiments.progress import Progress
 from experiments.run import Run
 from experiments.tasks import unordered
-from experiments.tracks.times import prediction_times
 from experiments.tracks.train import limit_threads
 
 _FACES_PER_CHUNK = 250  # after which the progress bar moves
@@ -46,7 +45,7 @@ def shrunk(photos: ImageFiles) -> np.ndarray:
 
 def predictions(run: Run, method: Method, model, inputs) -> np.ndarray:
     """Shapes `(n, L, 3)` of a loaded method; NaN for a face that it does not find."""
-    with Bar(total=len(inputs), desc=method.id, unit="face") as bar:
+    with Progress("face", len(inputs)) as bar:
         if method.deep_mds:  # which shares the work itself
             return predict(model, inputs, progress=bar.update)
         chunks = [slice(k, k + _FACES_PER_CHUNK) for k in range(0, len(inputs), _FACES_PER_CHUNK)]
@@ -67,7 +66,7 @@ def _predict_chunk(model, number: int, inputs: np.ndarray) -> tuple[int, np.ndar
 
 
 def main(run: Run, method_id: str) -> dict:
-    """Write the method's shapes, and its cost unless `tracks.times` measures that."""
+    """Write the method's shapes, and the number of its parameters."""
     method = method_of(method_id)
     limit_threads(method)
     inputs = inputs_for(run, method)  # a damaged file is to be reported before long work
@@ -78,11 +77,6 @@ def main(run: Run, method_id: str) -> dict:
     described = {"method": method_id}
     if hasattr(model, "n_parameters"):
         described["n_parameters"] = int(model.n_parameters)
-    if method.switch:
-        (times,) = prediction_times(
-            [model], [inputs[: run.preset.timed_faces]], run.preset.timed_passes
-        )
-        described |= times
     arrays = {name: np.float32(array) for name, array in arrays.items()}
     write_arrays(run.prediction_file(method_id), arrays, described)
     return {"faces": len(inputs), "found": int(np.isfinite(arrays["shapes"]).all((1, 2)).sum())}

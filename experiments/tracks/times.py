@@ -1,4 +1,4 @@
-"""Step: times of the methods that see views, in turns, so that other load affects all alike."""
+"""Step: times of all methods, in turns, so that other load affects all alike; on one thread."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.inputs import load_faces
-from experiments.methods import METHODS, load, predict, views_for
+from experiments.methods import METHODS, load, predict
+from experiments.progress import counted
 from experiments.run import Run
 from experiments.tasks import single_threaded
+from experiments.tracks.predict import inputs_for
 
 
 def prediction_times(
@@ -35,7 +36,7 @@ def prediction_times(
             model.set_params(n_jobs=1)
     taken = np.empty((1 + passes, len(models)))
     with single_threaded():
-        for row in taken:
+        for row in counted("pass", taken, len(taken)):
             for k, (model, seen) in enumerate(zip(models, inputs, strict=True)):
                 start = time.perf_counter()
                 predict(model, seen)
@@ -51,8 +52,11 @@ def prediction_times(
 
 
 def main(run: Run, *methods: str) -> dict:
-    test = load_faces(run, "test")[: run.preset.timed_faces]
+    import tensorflow as tf
+
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    tf.config.threading.set_inter_op_parallelism_threads(1)
     models = [load(run, method) for method in methods]
-    views = [views_for(METHODS[method], test) for method in methods]
-    times = prediction_times(models, views, run.preset.timed_passes)
+    inputs = [inputs_for(run, METHODS[m])[: run.preset.timed_faces] for m in methods]
+    times = prediction_times(models, inputs, run.preset.timed_passes)
     return {"times": dict(zip(methods, times, strict=True))}

@@ -1,4 +1,4 @@
-"""What steps print besides their results: bars on a terminal, nothing of them in a log."""
+"""What steps print besides their results: bars on a terminal, lines under `make` and in a log."""
 
 import fcntl
 import os
@@ -7,31 +7,85 @@ import struct
 import subprocess
 import sys
 import termios
+from pathlib import Path
 
+import pytest
 import runs
 
+from experiments import progress
+from experiments.progress import Progress
+from experiments.progress.step_names import in_words
+
 _BARS = """
-from experiments.progress import Bar, EpochBar
-with Bar(total=3, desc="faces", unit="face", mininterval=0) as bar:
-    bar.update(3)
-with EpochBar("ours", 2) as bar:
-    bar.delay = 0
-    bar.losses({"train": 0.04})
+import time
+from experiments.progress import Progress
+with Progress("face", 3) as progress:
+    time.sleep(2.1)
+    progress.update(3)
 """
 
 
-def test_a_log_gets_no_bar():
-    done = subprocess.run([sys.executable, "-c", _BARS], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds of the clock of progress, to be set."""
+    seconds = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: seconds[0])
+    return seconds
 
 
-def test_a_terminal_gets_one():
+def test_a_log_gets_a_line_every_half_minute_with_the_time_left(clock, monkeypatch, capsys):
+    monkeypatch.setattr(Progress, "step", "train MobileFace")
+    shown = Progress("epoch", 60)
+    for clock[0] in range(20, 1201, 20):
+        shown.update()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "train MobileFace: epoch 2 of 60, about 19 min left"
+    assert len(lines) == 29 and lines[-1].endswith("epoch 58 of 60, about 40 s left")
+
+
+def test_what_an_earlier_run_has_done_takes_no_time(clock, capsys):
+    shown = Progress("autoencoder: epoch", 60)
+    for clock[0] in (0.01, 0.02, 60.0, 120.0):
+        shown.update(20 if clock[0] < 1 else 1)
+    assert capsys.readouterr().out.splitlines() == [
+        "autoencoder: epoch 41 of 60, about 19 min left",
+        "autoencoder: epoch 42 of 60, about 18 min left",
+    ]
+
+
+@pytest.mark.parametrize("under_make", [False, True])
+def test_a_terminal_gets_a_bar_unless_steps_share_it(under_make):
     terminal, child = pty.openpty()
     fcntl.ioctl(child, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    subprocess.run([sys.executable, "-c", _BARS], stderr=child, check=True)
+    environment = runs.ENVIRONMENT | ({progress.PARENT: "1@elsewhere"} if under_make else {})
+    subprocess.run([sys.executable, "-c", _BARS], stderr=child, check=True, env=environment)
+    os.write(child, b"end")
     os.close(child)
-    assert b"faces: 100%" in os.read(terminal, 10_000)
+    assert (b"face: 100%" in os.read(terminal, 10_000)) != under_make
     os.close(terminal)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(3, "10 s"), (84, "80 s"), (95, "2 min"), (5700, "1 h 35 min")]
+)
+def test_an_estimate_has_no_more_digits_than_it_knows(seconds, text):
+    assert progress.roughly(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ("bfm-full-paper-seed0/records/train-deep_mds_cosine.json",
+         "train Deep-MDS (cosine schedule)"),
+        ("bfm-full-paper-seed3/records/predict-deep_mds.json", "predict with Deep-MDS, seed 3"),
+        ("bfm-full-paper-seed0/records/variant-two_layers_cosine-seed4.json",
+         "train for the ablation: two layers cosine, seed 4"),
+        ("flame-full-paper-seed0-coma/records/scans.json",
+         "find landmarks in photos and on scans"),
+    ],
+)  # fmt: skip
+def test_a_step_has_the_name_that_readers_know(record, words):
+    assert in_words(Path(record)) == words
 
 
 def preview(folder, stdout, **variables):

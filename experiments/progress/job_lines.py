@@ -10,7 +10,8 @@ from pathlib import Path
 from statistics import median
 
 from deepmds_keras.errors import InputError, brief
-from experiments.progress import duration
+from experiments.progress import roughly
+from experiments.progress.step_names import in_words
 from experiments.records import MANIFEST, read_manifest, read_record, steps_of
 from experiments.scoring.old_names import new_name
 
@@ -26,7 +27,7 @@ class JobLines(logging.Handler):
     def __init__(self, workflow, seconds: dict[str, float]):
         super().__init__()
         self._workflow, self._seconds = workflow, seconds
-        self._jobs: dict[int, tuple[str, int]] = {}
+        self._jobs: dict[int, tuple[Path, int]] = {}
         self._left: set[int] = set()
         self._begun, self._failed = 0, False
 
@@ -34,17 +35,15 @@ class JobLines(logging.Handler):
         event = getattr(record, "event", None)
         if event == "run_info":
             jobs = (job for job in self._workflow.dag.needrun_jobs() if job.output)
-            self._jobs = {job.jobid: (Path(job.output[0]).stem, job.threads) for job in jobs}
+            self._jobs = {job.jobid: (Path(job.output[0]), job.threads) for job in jobs}
             self._left = {*self._jobs}
         elif event == "job_info" and record.jobid in self._jobs:
             self._begun += 1
             print(self._line(record.jobid), flush=True)
-            if self._workflow.dryrun:
-                self._left.discard(record.jobid)
         elif event == "job_finished":
             self._left.discard(record.job_id)
         elif event == "job_error" and record.rule_msg:  # of a cluster, whose logs have the reason
-            job = f"{self._jobs[record.jobid][0]}, job {record.aux.get('external_jobid')}"
+            job = f"{in_words(self._jobs[record.jobid][0])}, job {record.aux.get('external_jobid')}"
             print(f"error: {job}:", brief(record.rule_msg), *record.log, file=sys.stderr)
         elif event is None and record.levelno >= logging.ERROR:
             message = " ".join(record.getMessage().split())
@@ -54,17 +53,21 @@ class JobLines(logging.Handler):
                 print(f"error: {message}", file=sys.stderr)
 
     def _line(self, job: int) -> str:
-        """`Step 3 of 12: train-deep_mds, about 8 min left`."""
-        text = f"Step {self._begun} of {len(self._jobs)}: {self._jobs[job][0]}"
+        """`Step 3 of 12: train Deep-MDS, about 8 min left`; of a dry run, what the step takes."""
+        file = self._jobs[job][0]
+        text = f"Step {self._begun} of {len(self._jobs)}: {in_words(file)}"
+        if self._workflow.dryrun:
+            seconds = self._seconds.get(file.stem)
+            return text if seconds is None else f"{text}, about {roughly(seconds)}"
         known = [
-            self._seconds[name] * threads
-            for name, threads in (self._jobs[other] for other in self._left)
-            if name in self._seconds
+            self._seconds[file.stem] * threads
+            for file, threads in (self._jobs[other] for other in self._left)
+            if file.stem in self._seconds
         ]
         if not known:
             return text
-        more = " or more" if len(known) < len(self._left) else ""
-        return f"{text}, about {duration(sum(known) / self._workflow.cores)} left{more}"
+        about = "at least" if len(known) < len(self._left) else "about"
+        return f"{text}, {about} {roughly(sum(known) / self._workflow.cores)} left"
 
 
 def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
