@@ -9,63 +9,89 @@ TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench s
 .PHONY: help setup $(TARGETS) all-results dag docs pictures openhead real-faces surface footprint test nightly lint \
         clean
 
+# Variables: `make help` prints the lines with two signs.
+## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
 PYTHON ?= python3
 VENV ?= .venv
+## MODEL       face model: openhead, ict, bfm2009, bfm2017, bfm2019 or flame; DATA, its file or folder, or of data sets
 MODEL ?= openhead
 DATA ?=
+## PRESET      full, or smoke: everything at a small size, as a check
 PRESET ?= full
+## SEED        of everything random; SEEDS, how many the table of reproduce-bfm and make seeds have
 SEED ?= 0
 SEEDS ?=
+## PROTOCOL    how faces are projected: paper, released or posed
 PROTOCOL ?= paper
-AUTHORS ?=
+## EVALUATOR   how reproduce-bfm scores: paper or released
 EVALUATOR ?= paper
+## AUTHORS     folder of the authors' released weights
+AUTHORS ?=
+## MOBILEFACE  yes, cosine, paper or no; MEDIAPIPE: yes or no; RINGNET: yes, no or prefix of the licensed checkpoint
 MOBILEFACE ?= yes
+MEDIAPIPE ?= yes
+RINGNET ?= yes
+## COMA        folder of that data set; also CASIA (CASIA_INDEX, table of its scans), CELEBA, TF_FLAME
 COMA ?=
 CASIA ?=
 CASIA_INDEX ?=
 CELEBA ?=
 TF_FLAME ?=
+## SFM         folder share of eos, with the Surrey Face Model, for lifting and pretrained
 SFM ?=
-RINGNET ?= yes
-MEDIAPIPE ?= yes
-JOBS ?= -1
+## FACES       of stream; REAL, file of real-faces; TARGET, of dag
 FACES ?=
 REAL ?=
-DRY ?=
 TARGET ?= reproduce-bfm
-# Options of Snakemake, such as those of a cluster, see docs/large.md.
+## JOBS        processes, -1 for every core; DRY=1 says what would be done; SNAKEMAKE, its options (docs/large.md)
+JOBS ?= -1
+DRY ?=
 SNAKEMAKE ?=
 VARIABLES := MODEL DATA PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
              CASIA_INDEX CELEBA TF_FLAME SFM RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
+
+# A variable on the command line that its target does not read is a mistake, perhaps of spelling.
+$(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(VARIABLES)))
+READ_BY_check := $(filter-out JOBS DRY SNAKEMAKE,$(VARIABLES))
+READ_BY_dag := TARGET $(filter-out DRY SNAKEMAKE,$(VARIABLES))
+READ_BY_all-results := DATA AUTHORS SFM REAL
+READ_BY_real-faces := DATA REAL PRESET SEED
+READ_BY_surface := DATA
+ALWAYS := PYTHON VENV
+NAMES := $(ALWAYS) $(VARIABLES) REAL TARGET
+NEAREST = $(shell $(PYTHON) -c 'import difflib, sys; print(*difflib.get_close_matches(sys.argv[1], sys.argv[2:], 1, 0))' $(1) $(NAMES))
+GIVEN := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
+ifeq ($(MAKELEVEL),0)
+$(foreach name,$(filter-out $(NAMES),$(GIVEN)),$(error $(name) is no variable of this Makefile. \
+  The nearest is $(call NEAREST,$(name)); make help lists all))
+$(foreach target,$(MAKECMDGOALS),$(foreach name,$(filter-out $(ALWAYS) $(READ_BY_$(target)),$(GIVEN)),\
+  $(error make $(target) does not use $(name). It uses $(or $(READ_BY_$(target)),none but $(ALWAYS)))))
+endif
+ifneq ($(filter dag,$(MAKECMDGOALS)),)
+$(if $(filter $(TARGET),$(filter-out check,$(TARGETS))),,\
+  $(error TARGET must be one of $(filter-out check,$(TARGETS)). Received $(TARGET)))
+endif
 
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 VALUES := $(foreach name,$(VARIABLES),'$(name)=$(subst ','\'',$($(name)))')
 
 help: ## this text
-	@echo 'make TARGET [MODEL=openhead|ict|bfm2009|bfm2017|bfm2019] [DATA=path] [PRESET=full|smoke]'
-	@echo '            [SEED=0] [PROTOCOL=paper|released|posed] [AUTHORS=dir] [JOBS=-1] [PYTHON=python3]'
-	@echo '            [DRY=1: say what would be done] [SNAKEMAKE=options, such as those of a cluster]'
-	@echo '     dag: [TARGET=reproduce-bfm]   stream: [FACES=1000000]   seeds: [SEEDS=10]'
-	@echo '     reproduce-bfm: [EVALUATOR=paper|released] [MOBILEFACE=yes|paper|no]'
-	@echo '                    [SEEDS=10]'
-	@echo '     reproduce-celeba: [CELEBA=dir] [TF_FLAME=dir] [MOBILEFACE=yes|no] [RINGNET=yes|no]'
-	@echo '     all-results: DATA=ICT-FaceKit AUTHORS=dir SFM=dir REAL=npz'
-	@echo '     lifting, pretrained: [SFM=eos'\''s folder share, with the Surrey Face Model]'
-	@echo '     reproduce-flame: [MODEL=flame] [COMA=dir] [CASIA=dir] [CASIA_INDEX=csv]'
-	@echo '                      [MEDIAPIPE=yes|no] [RINGNET=yes|no|prefix of the licensed checkpoint]'
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+	@echo 'make TARGET [VARIABLE=value …]'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18 | sed 's/^/  /'
+	@sed -n 's/^## /  /p' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make the virtual environment in .venv
 $(READY): setup.cfg constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else \
 	  "Python 3.11 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
-	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,test]'
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
+	@echo 'Installing into $(VENV), which takes about a minute and a half.'
+	@$(PYTHON) -m venv $(VENV)
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,test]'
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the tests that need it will skip.'
-# Alone: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.
-	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
+# Without its dependencies: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
 	  || echo 'MediaPipe 0.10.21 has no wheel here (it has for Python 3.11 and 3.12 on x86-64 and' \
 	  'macOS): photos are read by dlib, and make reproduce-flame needs MEDIAPIPE=no.'
 	@touch $@
@@ -88,7 +114,7 @@ $(TARGETS): | $(READY)
 	@$(PY) -m experiments.make $@ $(VALUES)
 
 # What is done is skipped, so the same command goes on after a stop.
-GIVEN := AUTHORS=$(AUTHORS) SFM=$(SFM)
+LICENSED := AUTHORS=$(AUTHORS) SFM=$(SFM)
 all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	@for given in 'DATA=$(DATA)' 'AUTHORS=$(AUTHORS)' 'SFM=$(SFM)' 'REAL=$(REAL)'; do \
 	  [[ -e "$${given#*=}" && "$$given" != *' '* ]] || { \
@@ -99,11 +125,11 @@ all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
 	      'reproduce-bfm PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba ablation \
 	      'seeds SEEDS=10' 'audit SEEDS=10' 'lifting DATA=$(DATA)'; do \
-	    $(MAKE) --no-print-directory DATA= $$model $(GIVEN) $$target; \
+	    $(MAKE) --no-print-directory DATA= $$model $(LICENSED) $$target; \
 	  done; \
 	done; \
 	for target in pretrained 'real-faces REAL=$(REAL)' surface released-weights bench footprint; do \
-	  $(MAKE) --no-print-directory DATA=$(DATA) $(GIVEN) $$target; \
+	  $(MAKE) --no-print-directory DATA=$(DATA) $(LICENSED) $$target; \
 	done; \
 	for target in stream report 'report MODEL=ict DATA=$(DATA)' docs; do \
 	  $(MAKE) --no-print-directory DATA= $$target; \
@@ -122,7 +148,8 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 	$(PY) -m data_gen.build_openhead
 
 real-faces: | $(READY) ## what real photos tell about detectors: results/<model>/real/   [REAL=npz]
-	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)'
+	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)' --preset '$(PRESET)' \
+	  --seed '$(SEED)'
 
 surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
 	@$(PY) -m experiments pretrained.surface --data '$(DATA)'

@@ -23,8 +23,9 @@ from data_gen.models.registry import model_files
 from deepmds_keras.errors import InputError
 from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
 from experiments.__main__ import PARENT, one_line_errors, this_process
+from experiments.given import check_given
 from experiments.records import is_current, read_record
-from experiments.run import Run, check_weights, left_out, run_of_variables
+from experiments.run import Run, left_out, run_of_variables
 
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
@@ -42,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
     more = shlex.split(variables.pop("SNAKEMAKE", ""))
     with one_line_errors():
         run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
-        check_weights(run)
+        check_given(run)
         if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_face_mesh():
             raise InputError(
                 "MEDIAPIPE must be no where no MediaPipe with FaceMesh is installed, which is for "
@@ -57,6 +58,11 @@ def main(arguments: list[str] | None = None) -> None:
         if drawing:
             draw([*snakemake, "--dag"], Path(drawing))
             return
+        if target == "released-weights" and run.authors is None:
+            raise InputError(
+                "AUTHORS must be the folder of the authors' released weights, see docs/data.md. "
+                "Received nothing."
+            )
         if target == "check":
             from experiments.scoring.verdict import check
 
@@ -64,10 +70,11 @@ def main(arguments: list[str] | None = None) -> None:
             return
         words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
         with locked(run.build / run.model):
-            tidy(run)
             if dry:
-                _plan([*snakemake, "--dry-run"])
+                again = [str(path) for path in without_results(run)]
+                _plan([*snakemake, "--dry-run", *(["--forcerun", *again] if again else [])])
                 return
+            tidy(run)
             _run([*snakemake, "--quiet", "all"], " ".join(["make", target, *words]))
         if target.startswith("reproduce"):
             from experiments.scoring.tables import print_tables
@@ -86,9 +93,18 @@ def tidy(run: Run) -> None:
     for folder in (run.build / run.model, run.model_results):
         for path in folder.rglob(".*.partial"):
             path.unlink(missing_ok=True)
-    for path in (run.build / run.model).glob("*/records/*.json"):
-        if not is_current(read_record(path)):
-            path.unlink()
+    for path in without_results(run):
+        path.unlink()
+
+
+def without_results(run: Run) -> list[Path]:
+    """Records of steps whose results were deleted.
+
+    Raises:
+        InputError: A record is damaged.
+    """
+    records = (run.build / run.model).glob("*/records/*.json")
+    return [path for path in records if not is_current(read_record(path))]
 
 
 def draw(command: list[str], path: Path) -> None:
@@ -128,11 +144,15 @@ def _plan(command: list[str]) -> None:
 
 
 def _planned(command: list[str]) -> str:
-    """Output of a Snakemake command that runs no step; its errors are shown, and end this one."""
+    """Output of a Snakemake command that runs no step.
+
+    Raises:
+        InputError: It failed, such as for a target that there is not.
+    """
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        print(done.stderr, file=sys.stderr)
-        raise SystemExit(2)
+        reason = " ".join(done.stderr.removeprefix("Building DAG of jobs...").split())
+        raise InputError(f"Snakemake must be able to plan the steps. Received {reason}")
     return done.stdout
 
 

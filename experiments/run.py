@@ -169,7 +169,10 @@ class Run:
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser whose errors are one line, like all others."""
+    """Argument parser whose errors are one line, like all others; options are not abbreviated."""
+
+    def __init__(self, prog: str, **options):
+        super().__init__(prog, allow_abbrev=False, **options)
 
     def error(self, message: str):
         self.exit(2, f"error: {message}\n")
@@ -237,22 +240,6 @@ def run_of(values: dict) -> Run:
             f"Received {run.data}."
         )
     return run
-
-
-def check_weights(run: Run) -> None:
-    """Check that the authors' weights of the run's track and RingNet's are there, if given.
-
-    Raises:
-        InputError: They are not.
-    """
-    for name in AUTHORS_FILES[run.track] if run.authors else ():
-        if not Path(run.authors, name).is_file():
-            raise InputError(f"AUTHORS must be a folder with {name}. Received {run.authors}.")
-    if run.ringnet and not Path(f"{run.ringnet}.index").is_file():
-        raise InputError(
-            "RINGNET must be yes, no or the path of the licensed checkpoint without suffix, such "
-            f"as ring_6_68641. Received {run.ringnet}."
-        )
 
 
 def run_of_variables(variables: dict[str, str], track: str = "bfm") -> Run:
