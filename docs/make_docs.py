@@ -2,12 +2,14 @@
 
 A template is the page, with `{{ … }}` where a number or table of the results belongs:
 `docs/templates/docs/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where no unit is
-named.
+named. `{{ check(a < b) }}` stands in a sentence that says which of two errors is smaller: pages are
+not written once it is no longer so.
 """
 
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -22,14 +24,24 @@ from experiments.scoring.numbers import NOTHING, power
 from experiments.scoring.old_names import read_table
 
 ROOT = Path(__file__).parents[1]
+_OF_TEN_SEEDS = ("openhead/bfm", "ict/bfm")
 _DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
+class UntrueError(ValueError):
+    """A sentence of a page is not true of the results."""
+
+
 class Results:
-    """Numbers of a folder of results, as the pages have them."""
+    """Numbers of a folder of results, as the pages have them.
+
+    Attributes:
+        of_one_seed: Folders whose table has no seeds, where a page has the median of ten.
+    """
 
     def __init__(self, folder: Path):
         self._folder = folder
+        self.of_one_seed: set[str] = set()
 
     def csv(self, *names: str) -> pd.DataFrame:
         """Tables of results, one below the other; `model` is the first folder of each."""
@@ -38,11 +50,19 @@ class Results:
 
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""
-        return self.csv(f"{folder}/table.csv").query("metric == 'mse'").set_index("method")
+        rows = self.csv(f"{folder}/table.csv").query("metric == 'mse'").set_index("method")
+        if folder in _OF_TEN_SEEDS and "median" not in rows:
+            self.of_one_seed.add(folder)
+        return rows
 
-    def mse(self, folder: str, method: str, column: str = "mean", form: str = ".2f") -> str:
-        """The error of a method in one of the paper's tables."""
-        return f"{self.rows(folder).loc[method, column] / 1e-4:{form}}"
+    def error(self, folder: str, method: str) -> float:
+        """The error of a method: the median over seeds, or that of its only training."""
+        row = self.rows(folder).loc[method]
+        return row["mean"] if pd.isna(row.get("median")) else row["median"]
+
+    def mse(self, folder: str, method: str, form: str = ".2f") -> str:
+        """`error`, as text."""
+        return f"{self.error(folder, method) / 1e-4:{form}}"
 
     def seeds(self, folder: str, method: str = "deep_mds") -> str:
         """Median of the errors over seeds, and their range."""
@@ -94,6 +114,17 @@ def grid(rows: Iterable[Iterable[object]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
 
 
+def check(holds: bool) -> str:
+    """Nothing.
+
+    Raises:
+        UntrueError: What a sentence says does not hold.
+    """
+    if not holds:
+        raise UntrueError
+    return ""
+
+
 def words(share: str | float) -> str:
     """How many of ten a share is."""
     return _DIGITS[round(10 * float(share))]
@@ -126,29 +157,51 @@ def _error(row: pd.Series, unit: float) -> str:
     return _significant(row["mean"] / unit)
 
 
-def pages(root: Path = ROOT) -> dict[str, str]:
-    """Text of every page that has a template, by its path; `root` holds the folder of results."""
+def pages(results: Results) -> dict[str, str]:
+    """Text of every page that has a template, by its path.
+
+    Raises:
+        UntrueError: A sentence does not hold.
+    """
     environment = Environment(
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
         keep_trailing_newline=True, trim_blocks=True,
     )  # fmt: skip
-    results = Results(root / "results")
-    for name in ("csv", "rows", "mse", "seeds", "audit", "errors"):
+    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "errors"):
         environment.globals[name] = getattr(results, name)
-    environment.globals |= {"pivot": pivot, "span": span, "two": two, "words": words}
+    environment.globals |= {
+        "check": check,
+        "pivot": pivot,
+        "span": span,
+        "two": two,
+        "words": words,
+    }
     environment.globals |= {"title": title, "models": TITLES, "steps": STEPS}
     names = environment.list_templates()
     return {name.removesuffix(".j2"): environment.get_template(name).render() for name in names}
 
 
 def main() -> None:
+    results = Results(ROOT / "results")
     try:
-        written = pages()
+        written = pages(results)
+    except UntrueError as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = next(frame for frame in reversed(frames) if frame.filename.endswith(".j2"))
+        sys.exit(
+            f"error: {place.filename}:{place.lineno} must be true of results/. Received numbers of "
+            f"which it is not: {place.line}"
+        )
     except (KeyError, FileNotFoundError) as error:
         sys.exit(f"error: results/ must be those of make all-results. Missing: {error}.")
     for place, text in written.items():
         write_bytes(ROOT / place, text.encode())
         print(place)
+    for folder in sorted(results.of_one_seed):
+        print(
+            f"note: results/{folder} is of one seed. The pages now have its error where they had "
+            "the median over ten seeds (make reproduce-bfm SEEDS=10)."
+        )
 
 
 if __name__ == "__main__":

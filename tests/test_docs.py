@@ -24,14 +24,14 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.tool.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.training import Recipe
-from docs.make_docs import pages
+from docs.make_docs import Results, pages
 from experiments.presets import FULL, PRESETS
 from experiments.recipes import MOBILEFACE_FILES, MOBILEFACE_RATES, ZHAO_FILES
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
 FOLDER = committed().resolve()
 PAGES = [FOLDER / "README.md", *sorted((FOLDER / "docs").glob("*.md"))]
-TEXTS = pages(FOLDER)
+TEXTS = pages(Results(FOLDER / "results"))
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)

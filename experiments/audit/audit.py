@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import ChainMap
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import pandas as pd
@@ -19,6 +18,7 @@ from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
 from experiments.records import clear_results, write_csv, write_text
 from experiments.run import Run
+from experiments.scoring.intervals import Estimate
 from experiments.scoring.numbers import power, scientific
 from experiments.scoring.old_names import read_table
 
@@ -41,7 +41,14 @@ def main(run: Run, *topics: str) -> dict:
         write_csv(folder / f"{name}.csv", table)
     for name, figure in figures(curves).items():
         save(figure, folder / "figures", name, run.preset.caution)
-    counts = judge(run)["verdict"].value_counts()
+    numbers = numbers_table(run)
+    write_csv(folder / "numbers.csv", numbers)
+    if run.preset.caution:
+        print(f"No verdicts: {run.preset.caution}. Numbers and figures: {folder}/")
+        return {"results": [folder]}
+    claims = judge(numbers, run.model)
+    write_csv(folder / "claims.csv", claims)
+    counts = claims["verdict"].value_counts()
     print(f"\n{run.model}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}")
     print(f"{folder}/ and, of all face models, {combine(run.shared_results)}/")
     return {"results": [folder]}
@@ -58,25 +65,23 @@ def figures(curves: pd.DataFrame) -> dict[str, Figure]:
     return {"poses": error_lines(poses, n_columns=2), "noise": error_lines([noise])}
 
 
-def judge(run: Run) -> pd.DataFrame:
-    """Write `numbers.csv` and `claims.csv` of a face model, from its tables of results.
-
-    Returns:
-        The content of `claims.csv`: the verdict on each claim, and the number that decides it.
-    """
-    claims, by_claim = pd.read_csv(CLAIMS, dtype=str), numbers_of(Tables(run))
-    known = ChainMap(*by_claim.values())
-    numbers = pd.DataFrame(
+def numbers_table(run: Run) -> pd.DataFrame:
+    """The content of `numbers.csv`: what is known of a face model, from its tables of results."""
+    return pd.DataFrame(
         {"claim": claim, "number": name, "model": run.model, **asdict(estimate)}
-        for claim, estimates in by_claim.items()
+        for claim, estimates in numbers_of(Tables(run)).items()
         for name, estimate in estimates.items()
     ).dropna(subset="value")
+
+
+def judge(numbers: pd.DataFrame, model: str) -> pd.DataFrame:
+    """The content of `claims.csv`: the verdict on each claim, and the number that decides it."""
+    claims = pd.read_csv(CLAIMS, dtype=str)
+    columns = ["number", *(field.name for field in fields(Estimate))]
+    known = {name: Estimate(*row) for name, *row in numbers[columns].itertuples(index=False)}
     decided = [decide(conditions, known) for conditions in claims["supported_if"]]
-    claims[["model", "verdict", "number"]] = [(run.model, *decision) for decision in decided]
-    claims = claims.merge(numbers.drop(columns=["claim", "model"]), on="number", how="left")
-    for name, table in {"numbers": numbers, "claims": claims}.items():
-        write_csv(run.experiment_results("audit") / f"{name}.csv", table)
-    return claims
+    claims[["model", "verdict", "number"]] = [(model, *decision) for decision in decided]
+    return claims.merge(numbers[columns], on="number", how="left")
 
 
 def combine(root: Path) -> Path:
@@ -85,10 +90,10 @@ def combine(root: Path) -> Path:
     Returns:
         The folder, `results/audit`.
     """
-    claims, numbers = (
-        pd.concat(read_table(f) for m in TITLES if (f := root / m / "audit" / name).exists())
-        for name in ("claims.csv", "numbers.csv")
-    )
+    files = {model: root / model / "audit" / "numbers.csv" for model in TITLES}
+    of_models = {model: read_table(file) for model, file in files.items() if file.exists()}
+    claims = pd.concat(judge(table, model) for model, table in of_models.items())
+    numbers = pd.concat(of_models.values())
     numbers["text"] = numbers.apply(text_of, axis=1)
     page = Template(_PAGE.read_text(), trim_blocks=True, undefined=StrictUndefined).render(
         titles={model: title for model, title in TITLES.items() if model in {*claims["model"]}},

@@ -28,7 +28,8 @@ from experiments.scoring.intervals import (
 )
 from experiments.scoring.wilcoxon import wilcoxon_table
 
-SUPPORTED, NOT_SUPPORTED, NOT_TESTABLE = "supported", "not supported", "not testable here"
+SUPPORTED, REFUTED, UNDECIDED = "supported", "refuted", "undecided"
+NOT_TESTABLE = "not testable here"
 _CONDITION = re.compile(r"(\w+) ([<>=]) (-?[\d.e-]+)")
 _SIGNS = {"<": operator.lt, ">": operator.gt, "=": math.isclose}
 _COMPARED = ("zhao", "aldrian", "mobileface")
@@ -213,19 +214,21 @@ def conditions(text: str) -> list[tuple[str, str, float]]:
 def decide(supported_if: str, estimates: Mapping[str, Estimate]) -> tuple[str, str]:
     """Verdict, and the number that decides it.
 
-    A condition is met if the whole interval meets it. One that is not met decides; else one whose
-    number is missing.
+    A claim is refuted if one of its conditions is; else a missing number leaves it not testable;
+    else an interval on both sides of its bound leaves it undecided.
     """
-    met = [(name, _is_met(estimates.get(name), *of)) for name, *of in conditions(supported_if)]
-    for outcome, verdict in ((False, NOT_SUPPORTED), (None, NOT_TESTABLE)):
-        for name, is_met in met:
-            if is_met is outcome:
+    found = [(name, _verdict(estimates.get(name), *of)) for name, *of in conditions(supported_if)]
+    for verdict in (REFUTED, NOT_TESTABLE, UNDECIDED):
+        for name, of_condition in found:
+            if of_condition == verdict:
                 return verdict, name
-    return SUPPORTED, met[0][0]
+    return SUPPORTED, found[0][0]
 
 
-def _is_met(estimate: Estimate | None, sign: str, bound: float) -> bool | None:
-    """Whether an interval meets a condition; None where there is none."""
+def _verdict(estimate: Estimate | None, sign: str, bound: float) -> str:
+    """Verdict on one condition: the whole interval is to meet it, or to miss it."""
     if estimate is None or math.isnan(estimate.low + estimate.high):
-        return None
-    return all(_SIGNS[sign](end, bound) for end in (estimate.low, estimate.high))
+        return NOT_TESTABLE
+    met = {bool(_SIGNS[sign](end, bound)) for end in (estimate.low, estimate.high)}
+    straddles = len(met) == 2 or estimate.low < bound < estimate.high
+    return UNDECIDED if straddles else SUPPORTED if met == {True} else REFUTED

@@ -10,7 +10,14 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, rows_of_paper, title
-from experiments.records import write_csv, write_text
+from experiments.records import (
+    MANIFEST,
+    commits_of,
+    environment,
+    read_manifest,
+    write_csv,
+    write_text,
+)
 from experiments.run import Run
 from experiments.scoring.metrics import METRICS, metrics_of
 from experiments.scoring.published import published
@@ -164,7 +171,19 @@ def print_tables(run: Run) -> None:
         raise InputError(f"{path} must be there. Run make reproduce-{run.track}.")
     for folder in written:
         print(f"Tables, figures and manifest: {folder}/")
+        if (folder / MANIFEST).is_file():
+            _print_commit(folder)
     print(*verdict(run), sep="\n")
+
+
+def _print_commit(folder: Path) -> None:
+    """Say by which code a folder's results were made, if it is not that of now."""
+    made, now = commits_of(read_manifest(folder)), environment()["commit"]
+    if now and made != {now}:
+        print(
+            f"They were made at commit {', '.join(sorted(made)) or 'unknown'}; HEAD is {now}. What "
+            "is done is not done again, whatever has changed in the code: delete build/ for that."
+        )
 
 
 def _over_seeds(seeds: pd.DataFrame) -> pd.DataFrame:

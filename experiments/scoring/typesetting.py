@@ -124,7 +124,7 @@ def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
     shown = table[table["metric"].isin([metric.id for metric in metrics])]
     notes = shown.assign(note=shown["note"].fillna("").str.split("; ")).explode("note")
     for note, rows in notes[notes["note"] != ""].groupby("note", sort=False):
-        sentences.append(f"{', '.join(map(title, rows['method'].unique()))}: {note}.")
+        sentences.append(f"{'; '.join(map(title, rows['method'].unique()))}: {note}.")
     return sentences
 
 

@@ -39,6 +39,13 @@ def verdict(run: Run) -> list[str]:
     if committed is None:
         return [*lines, "There is no committed run to compare with."]
     there = _errors(committed)
+    if "median" in there and "median" not in rows:
+        lines.append(
+            f"These numbers are of seed {run.seed} alone. The committed table, and the pages, have "
+            f"the median over {there['n_seeds'].max():.0f} seeds: Deep-MDS "
+            f"{_cell(there, 'deep_mds', unit)} (make reproduce-{run.track} "
+            f"SEEDS={there['n_seeds'].max():.0f})."
+        )
     off = _differences(rows, there)
     if off.empty:
         return [*lines, f"This run agrees with the committed one{_not_compared(rows, there)}."]
@@ -73,8 +80,13 @@ def check(run: Run) -> None:
     """Report whether the table of a run matches the committed one; exit with status 1 if not.
 
     Raises:
-        InputError: One of the two does not exist, or they are the same file.
+        InputError: One of the two does not exist, they are the same file, or the run is small.
     """
+    if run.preset.caution:
+        raise InputError(
+            "PRESET must be full: no table of another size is committed to compare with. Received "
+            f"{run.preset.name}."
+        )
     fresh, committed = _fresh(run), _committed(run)
     if committed is None:
         raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")

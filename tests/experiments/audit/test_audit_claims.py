@@ -13,6 +13,7 @@ from experiments.audit import audit, claims
 from experiments.audit.claims import conditions, decide, numbers_of
 from experiments.audit.tables import Tables
 from experiments.presets import FULL
+from experiments.records import write_csv
 from experiments.run import Run
 from experiments.scoring.intervals import Estimate, point
 from experiments.scoring.old_names import read_table
@@ -25,12 +26,16 @@ MODELS = ("openhead", "ict")
     ("low", "high", "condition", "verdict"),
     [
         (0.8, 0.9, "a < 1", claims.SUPPORTED),
-        (0.8, 1.1, "a < 1", claims.NOT_SUPPORTED),
+        (0.8, 1.1, "a < 1", claims.UNDECIDED),
+        (1.1, 1.2, "a < 1", claims.REFUTED),
         (1.1, 1.2, "a > 1", claims.SUPPORTED),
-        (0.9, 1.2, "a > 1", claims.NOT_SUPPORTED),
+        (0.9, 1.2, "a > 1", claims.UNDECIDED),
+        (0.8, 1.0, "a > 1", claims.REFUTED),
         (2, 2, "a = 2", claims.SUPPORTED),
-        (2, 3, "a = 2", claims.NOT_SUPPORTED),
-        (np.float64(0.9), np.float64(1.2), "a < 1", claims.NOT_SUPPORTED),
+        (2, 3, "a = 2", claims.UNDECIDED),
+        (1, 3, "a = 2", claims.UNDECIDED),
+        (3, 4, "a = 2", claims.REFUTED),
+        (np.float64(0.9), np.float64(1.2), "a < 1", claims.UNDECIDED),
         (math.nan, math.nan, "a < 1", claims.NOT_TESTABLE),
     ],
 )
@@ -42,14 +47,18 @@ def test_the_whole_interval_is_to_meet_a_condition(low, high, condition, verdict
     ("text", "expected"),
     [
         ("a < 2; b < 2", (claims.SUPPORTED, "a")),
-        ("a < 2; b < 1", (claims.NOT_SUPPORTED, "b")),
-        ("a > 0; a < 0.5", (claims.NOT_SUPPORTED, "a")),
+        ("a < 2; b < 1", (claims.REFUTED, "b")),
+        ("a > 0; a < 0.5", (claims.REFUTED, "a")),
         ("a < 2; missing < 1", (claims.NOT_TESTABLE, "missing")),
-        ("missing < 1; a < 0.5", (claims.NOT_SUPPORTED, "a")),
+        ("missing < 1; a < 0.5", (claims.REFUTED, "a")),
+        ("open < 1; a < 2", (claims.UNDECIDED, "open")),
+        ("open < 1; a < 0.5", (claims.REFUTED, "a")),
+        ("open < 1; missing < 1", (claims.NOT_TESTABLE, "missing")),
     ],
 )
-def test_one_condition_that_is_not_met_decides_whatever_is_missing(text, expected):
-    assert decide(text, {"a": point(1), "b": point(1.5)}) == expected
+def test_a_condition_that_is_missed_decides_whatever_else_is_not_known(text, expected):
+    known = {"a": point(1), "b": point(1.5), "open": Estimate(1.0, 0.9, 1.1)}
+    assert decide(text, known) == expected
 
 
 @pytest.mark.parametrize("text", ["a", "a <", "a < b", "a <= 1", "a < 1, b < 2", ""])
@@ -76,6 +85,11 @@ def copied(tmp_path):
     return [Run(model, FULL, results=tmp_path) for model in MODELS]
 
 
+def judged(run):
+    """Verdicts by claim."""
+    return audit.judge(audit.numbers_table(run), run.model).set_index("id")
+
+
 def _other_files(folder, names):
     return [name for name in names if "." in name and not name.endswith(".csv")]
 
@@ -84,10 +98,10 @@ def test_committed_verdicts_are_those_of_the_committed_tables(copied):
     names = ("claims.csv", "numbers.csv")
     committed = {(m, n): read_table(RESULTS / m / "audit" / n) for m in MODELS for n in names}
     for run in copied:
-        audit.judge(run)
-        for name in names:
-            made = read_table(run.experiment_results("audit") / name)
-            pd.testing.assert_frame_equal(made, committed[run.model, name])
+        made = audit.numbers_table(run)
+        write_csv(run.experiment_results("audit") / "numbers.csv", made)
+        made = read_table(run.experiment_results("audit") / "numbers.csv")
+        pd.testing.assert_frame_equal(made, committed[run.model, "numbers.csv"])
     folder = audit.combine(copied[0].results)
     assert {path.name for path in folder.iterdir()} == {"claims.csv", "claims.md"}
     of_all_models = (read_table(where / "claims.csv") for where in (folder, RESULTS / "audit"))
@@ -99,8 +113,8 @@ def test_a_new_claim_is_a_row_of_the_table(copied, tmp_path, monkeypatch):
     file = tmp_path / "claims.csv"
     file.write_text(audit.CLAIMS.read_text() + row)
     monkeypatch.setattr(audit, "CLAIMS", file)
-    new = audit.judge(copied[0]).set_index("id").loc["new"]
-    assert (new["verdict"], new["number"]) == (claims.NOT_SUPPORTED, "deep_mds_over_mean_shape")
+    new = judged(copied[0]).loc["new"]
+    assert (new["verdict"], new["number"]) == (claims.REFUTED, "deep_mds_over_mean_shape")
     assert new["low"] > 1.2
     page = (audit.combine(copied[0].results) / "claims.md").read_text()
     assert "It is as good as the mean shape." in page
@@ -111,10 +125,10 @@ def test_what_was_not_run_is_not_testable(copied):
     run = copied[0]
     shutil.rmtree(run.experiment_results("seeds"))
     shutil.rmtree(run.experiment_results("ablation"))
-    verdicts = audit.judge(run).set_index("id")["verdict"]
+    verdicts = judged(run)["verdict"]
     for claim in ("bfm-rank", "trivial-case", "training-luck", "mini-batches", "five-layers"):
         assert verdicts[claim] == claims.NOT_TESTABLE
-    assert verdicts["celeba"] == claims.NOT_SUPPORTED
+    assert verdicts["celeba"] == claims.REFUTED
 
 
 def test_a_method_as_good_as_claimed_is_supported(copied):
@@ -124,7 +138,7 @@ def test_a_method_as_good_as_claimed_is_supported(copied):
     better = (table["method"] == "deep_mds") & (table["metric"] == "mse")
     table.loc[better, "value"] = 0.5e-4 + 1e-8 * table.loc[better, "seed"]
     table.to_csv(path, index=False)
-    verdicts = audit.judge(run).set_index("id")["verdict"]
+    verdicts = judged(run)["verdict"]
     assert verdicts["trivial-case"] == verdicts["training-luck"] == claims.SUPPORTED
 
 

@@ -13,7 +13,7 @@ from experiments.presets import FULL, SMOKE
 from experiments.run import Run
 from experiments.scoring.intervals import holm_adjusted
 from experiments.scoring.tables import summarise, wilcoxon_tests
-from experiments.scoring.typesetting import paper_layout
+from experiments.scoring.typesetting import paper_layout, remarks
 from experiments.scoring.verdict import check, verdict
 
 ERRORS = {
@@ -67,11 +67,13 @@ def test_a_run_ends_with_its_verdict(run):
     )
     assert compared == "This run agrees with the committed one."
     write(run, ERRORS | {"deep_mds": 3e-4})
-    assert verdict(run)[1].endswith("see make check: deep_mds.")
-    write(
-        run, {method: ERRORS[method] for method in ("mean_shape", "deep_mds_constant", "deep_mds")}
+    assert verdict(run)[2].endswith("see make check: deep_mds.")
+    assert verdict(run)[1] == (
+        "These numbers are of seed 0 alone. The committed table, and the pages, have the median "
+        "over 10 seeds: Deep-MDS 1.30 [0.90, 1.71] (make reproduce-bfm SEEDS=10)."
     )
-    assert verdict(run)[1].endswith("agrees with the committed one; not run here: landmark_lifter.")
+    write(run, {method: mse for method, mse in ERRORS.items() if method != "landmark_lifter"})
+    assert verdict(run)[2].endswith("agrees with the committed one; not run here: landmark_lifter.")
     small = replace(run, preset=SMOKE)
     write(small, ERRORS)
     assert "Not compared" in verdict(small)[1]
@@ -109,6 +111,19 @@ def test_check_needs_a_committed_table_and_a_fresh_one(run, tmp_path):
     write(run, ERRORS)
     with pytest.raises(InputError, match=r"must be in git's last commit"):
         check(run)
+
+
+def test_check_refuses_a_small_run(run):
+    small = replace(run, preset=SMOKE)
+    write(small, ERRORS)
+    with pytest.raises(InputError, match="PRESET must be full: .* Received smoke"):
+        check(small)
+
+
+def test_notes_name_methods_whose_titles_have_commas_apart():
+    notes = dict.fromkeys(("zhao_authors", "mean_shape"), "left out")
+    table = summarise(metrics_of(ERRORS), "bfm", notes, subset_size=2)
+    assert "Mean shape; Zhao et al., authors' training: left out." in remarks(table, "bfm", "latex")
 
 
 def test_tests_over_seeds_are_paired_and_corrected():
