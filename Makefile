@@ -164,10 +164,10 @@ test: | $(READY) ## the tests, except slow ones                (3 min)
 nightly: | $(READY) ## all tests, including kills, full disks, damaged files
 	KILLS=6 FUZZ=10 $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-lint: | $(READY) ## ruff, and mypy on the public interface
+lint: | $(READY) ## ruff, and mypy on the package and its interface
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m mypy --warn-unused-ignores tests/interface.py
+	$(PY) -m mypy --warn-unused-ignores deepmds_keras tests/interface.py
 
 clean: ## delete arrays and weights; results stay
 	rm -rf build .snakemake .pytest_cache .ruff_cache

@@ -219,7 +219,7 @@ class DeepMDS(BaseEstimator):
 
     def save(self, path: str | Path) -> None:
         """Write parameters and both networks to an `.npz`; errors are those of `atomic_write`."""
-        arrays = {}
+        arrays: dict[str, np.ndarray] = {}
         for name in _NETWORKS:
             held = weights.network_arrays(self._trained(f"{name}_"))
             arrays |= {f"{name}/{key}": array for key, array in held.items()}

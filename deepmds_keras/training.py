@@ -118,9 +118,10 @@ def train_dissimilarity_net(
     n, n_landmarks = shapes.shape[:2]
     frontal = np.asarray(normalise(frontal), np.float32)
     shapes = np.asarray(shapes, np.float32)
-    ends = np.triu_indices(n_landmarks, 1)
+    first, second = np.triu_indices(n_landmarks, 1)
     if variant == "released":
-        ends = tuple(np.indices((n_landmarks, n_landmarks)).reshape(2, -1))
+        first, second = np.indices((n_landmarks, n_landmarks)).reshape(2, -1)
+    ends = first, second
     steps = recipe.steps_per_epoch or n
     network = build_dissimilarity_net(variant, seed=seed)
     compiled = compiled_by_xla(network, recipe.optimizer(steps), steps)

@@ -107,8 +107,8 @@ def check_whole(value: object, name: str, least: int = 1) -> None:
 
 def check_number(value: object, name: str, *, zero: bool = False) -> None:
     """Raise InputError unless a parameter is a finite positive number; `zero` may be allowed."""
-    is_number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)
-    if not is_number or value < 0 or (value == 0 and not zero):
+    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else np.nan
+    if not (0 < number < np.inf or (zero and number == 0)):
         needed = "finite and not negative" if zero else "finite and positive"
         raise InputError(f"{name} must be {needed}. Received {value!r}.")
 

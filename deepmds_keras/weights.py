@@ -25,7 +25,7 @@ def fingerprint(*arrays: np.ndarray) -> str:
         for start in range(0, len(array), _HASHED_ROWS):
             rows = np.ascontiguousarray(array[start : start + _HASHED_ROWS])
             digest.update(f"{rows.dtype} {rows.shape}".encode())
-            digest.update(rows)
+            digest.update(rows.tobytes())
     return digest.hexdigest()
 
 
