@@ -77,6 +77,11 @@ class Results:
         value, low, high = (f"{row[key] / unit:{form}}" for key in ("value", "low", "high"))
         return f"{value} [{low}, {high}]" if interval else value
 
+    def verdicts(self, verdict: str) -> list[str]:
+        """Ids of the claims that have a verdict on all face models, in order."""
+        found = self.csv("audit/claims.csv").groupby("id")["verdict"].unique()
+        return sorted(found.index[[[*each] == [verdict] for each in found]])
+
     def errors(
         self, unit: float, paper: str, columns: Mapping[str, str], methods: Iterable[str]
     ) -> str:
@@ -167,7 +172,7 @@ def pages(results: Results) -> dict[str, str]:
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
         keep_trailing_newline=True, trim_blocks=True,
     )  # fmt: skip
-    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "errors"):
+    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "verdicts", "errors"):
         environment.globals[name] = getattr(results, name)
     environment.globals |= {
         "check": check,

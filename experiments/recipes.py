@@ -69,9 +69,9 @@ def _epochs(model) -> dict[str, int]:
         }
     if hasattr(model, "epochs"):
         return {type(model).__name__: model.epochs}
-    from deepmds_keras.lifting.trainer import Recipe
+    from deepmds_keras.lifting.trainer import block_sizes
 
-    return {"LandmarkLifter": len(Recipe(model.steps).blocks)}
+    return {"LandmarkLifter": len(block_sizes(model.steps))}
 
 
 # What methods are fitted to

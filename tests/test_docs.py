@@ -6,9 +6,11 @@ import hashlib
 import importlib
 import inspect
 import re
+import shutil
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 from places import ROOT, SHARED, committed
 
@@ -24,6 +26,7 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import count_trainable
 from deepmds_keras.tool.detection.dlib_landmarks import find_shape_predictor
 from deepmds_keras.training import Recipe
+from docs import make_docs
 from docs.make_docs import Results, pages
 from experiments.presets import FULL, PRESETS
 from experiments.recipes import MOBILEFACE_FILES, MOBILEFACE_RATES, ZHAO_FILES
@@ -37,6 +40,7 @@ each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 _MATH = re.compile(r"\$`[^`]*`\$")
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+_OF_SEEDS = ("median", "lowest", "highest")
 _OTHER_COMMANDS = ("apt ", "git ", "make ", "pip ", "python")
 _CHOICES = {"MODEL": MODELS, "PROTOCOL": PROTOCOLS, "EVALUATOR": EVALUATORS, "PRESET": PRESETS}
 
@@ -91,6 +95,41 @@ def names_in(path):
 @pytest.mark.parametrize("page", TEXTS)
 def test_make_docs_would_change_nothing(page):
     assert (FOLDER / page).read_text(encoding="utf-8") == TEXTS[page]
+
+
+@pytest.fixture
+def changed(tmp_path):
+    """Pages from a copy of the results, after a change of the main table of the open head."""
+    shutil.copytree(FOLDER / "results", tmp_path / "results")
+
+    def changed(change):
+        path = tmp_path / "results" / "openhead" / "bfm" / "table.csv"
+        change(pd.read_csv(path)).to_csv(path, index=False)
+        results = Results(tmp_path / "results")
+        return pages(results), results
+
+    return changed
+
+
+def test_a_run_of_one_seed_is_written_into_the_pages_and_named(changed):
+    one, results = changed(lambda table: table.drop(columns=["n_seeds", *_OF_SEEDS]))
+    assert results.of_one_seed == {"openhead/bfm"}
+    assert "ridge regression" in one["README.md"]
+
+
+def test_a_sentence_that_is_no_longer_true_is_named(changed, monkeypatch, tmp_path):
+    def mean_shape_is_worse(table):
+        of_mean = (table["method"] == "mean_shape") & (table["metric"] == "mse")
+        table.loc[of_mean, ["mean", *_OF_SEEDS]] *= 10
+        return table
+
+    with pytest.raises(make_docs.UntrueError):
+        changed(mean_shape_is_worse)
+    monkeypatch.setattr(make_docs, "ROOT", tmp_path)
+    shutil.copytree(ROOT / "docs" / "templates", tmp_path / "docs" / "templates")
+    with pytest.raises(SystemExit, match=r"README.md.j2:\d+ must be true .* is better"):
+        make_docs.main()
+    assert not (tmp_path / "README.md").exists()
 
 
 # Links, paths, names
