@@ -1,6 +1,9 @@
 """Numbers of a tiny run, kept in `golden.csv`: a move of code changes none of them.
 
-Those of trained networks depend on the processor, and are compared loosely. To record them again:
+Those of trained networks depend on the processor and its threads, and are compared loosely. Of
+Deep-MDS it is the losses in training: they differ by up to 3e-5, the errors on test faces by 9 %,
+since in three epochs the running statistics of batch normalisation come close to nothing. That it
+predicts as it did is seen with the shipped weights. To record the numbers again:
 `PYTHONPATH=. python tests/test_golden.py FOLDER`, where FOLDER holds `build` and `results` of
 `make reproduce-bfm PRESET=tiny`.
 """
@@ -11,29 +14,58 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import runs
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.models.openhead import load_openhead
+from deepmds_keras import DeepMDS, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.embedding import embed
+from deepmds_keras.files import read_arrays
+from deepmds_keras.geometry.alignment import is_mirrored
 from deepmds_keras.geometry.classical_scaling import pairwise_distances
 
 GOLDEN = Path(__file__).with_name("golden.csv")
 EXACT = ("mean_shape", "ridge", "aldrian", "aldrian_authors")
 METRICS = ("mse", "mse_mm2", "depth_corr", "depth_corr_across_faces", "reflection_rate")
+# Method → relative tolerance of its error; the largest difference between two processors was 2 %.
+CLOSE = {"ridge_roll_aligned": 1e-6, "zhao": 0.01, "landmark_lifter": 0.01}
+LOOSE = ("deep_mds_cosine", "mlp", "mobileface", "zhao_authors", "zhao_frontal", "zhao_evaluator")
+NETWORKS = CLOSE | dict.fromkeys(LOOSE, 0.2)
+SHIPPED = {"Deep-MDS": (DeepMDS, "deepmds-bfm72"), "lifter": (LandmarkLifter, "bfm72")}
+
+
+def of_tables(folder):
+    """Means of the metrics of all methods."""
+    table = pd.read_csv(runs.results(folder, "bfm") / "metrics.csv")
+    for (method, metric), value in table.groupby(["method", "metric"])["value"].mean().items():
+        if method in EXACT and metric in METRICS:
+            yield f"{method} {metric}", value, 1e-6
+        elif method in NETWORKS and metric == "mse":
+            yield f"{method} {metric}", value, NETWORKS[method]
+
+
+def of_trainings(folder):
+    """Losses of the networks in their last epoch, in training mode."""
+    for path in sorted((runs.work(folder, "bfm") / "networks").glob("*-*.npz")):
+        history = read_arrays(path)[1]["history"]
+        yield f"{path.stem} loss", history["train"][-1], 1e-3
+
+
+def of_shipped_weights(test):
+    """Errors of the weights that ship on the test faces; every face must stand the right way."""
+    truth = normalise(test.landmarks)
+    for name, (method, weights) in SHIPPED.items():
+        shapes = method.pretrained(weights).predict(test.views)
+        yield f"shipped {name} mse", metrics.mse(align(shapes, truth), truth).mean(), 1e-3
+        yield f"shipped {name} mirrored", is_mirrored(shapes, truth).mean(), 0
 
 
 def numbers(folder):
     """Table of `quantity, value, tolerance` (relative) of a tiny run."""
-    metrics = pd.read_csv(folder / "results/tiny/openhead/bfm/metrics.csv")
-    means = metrics[metrics["metric"].isin(METRICS)].groupby(["method", "metric"])["value"].mean()
-    rows = [
-        (f"{method} {metric}", value, 1e-6 if method in EXACT else 1.0)
-        for (method, metric), value in means.items()
-        if method in EXACT or metric in ("mse", "depth_corr")
-    ]
-    faces = load_dataset(folder / "build/openhead/bfm-tiny-paper-seed0/test.npz")
+    test = load_dataset(runs.work(folder, "bfm") / "test.npz")
+    rows = [*of_tables(folder), *of_trainings(folder), *of_shipped_weights(test)]
     for name in ("views", "landmarks", "identity"):
-        rows.append((f"mean size of {name}", np.abs(getattr(faces, name)).mean(dtype=float), 1e-6))
+        rows.append((f"mean size of {name}", np.abs(getattr(test, name)).mean(dtype=float), 1e-6))
     head = load_openhead()
     shape = head.mean[head.landmarks["bfm72"]][None]
     sizes = np.linalg.norm(embed(pairwise_distances(shape))[0], axis=1)
@@ -45,8 +77,12 @@ def test_a_tiny_run_has_the_numbers_that_it_had(whole_bfm):
     kept = pd.read_csv(GOLDEN).set_index("quantity")
     now = numbers(whole_bfm).set_index("quantity")["value"]
     assert {*kept.index} == {*now.index}
-    for quantity, (value, tolerance) in kept[["value", "tolerance"]].iterrows():
-        assert now[quantity] == pytest.approx(value, rel=tolerance, abs=1e-12), quantity
+    wrong = [
+        f"{quantity}: {now[quantity]:.9g}, not {value:.9g}"
+        for quantity, (value, tolerance) in kept[["value", "tolerance"]].iterrows()
+        if now[quantity] != pytest.approx(value, rel=tolerance, abs=1e-12)
+    ]
+    assert wrong == []
 
 
 if __name__ == "__main__":
