@@ -50,8 +50,8 @@ def predictions(run: Run, method: Method, model, inputs) -> np.ndarray:
             return predict(model, inputs, progress=bar.update)
         chunks = [slice(k, k + _FACES_PER_CHUNK) for k in range(0, len(inputs), _FACES_PER_CHUNK)]
         tasks = ((model, number, inputs[chunk]) for number, chunk in enumerate(chunks))
-        if method.one_by_one and len(chunks) > 1:
-            results = unordered(run.jobs, _predict_chunk, tasks)
+        if method.one_by_one:  # several threads would only wait for each other
+            results = unordered(run.jobs if len(chunks) > 1 else 1, _predict_chunk, tasks)
         else:  # done at once, or by networks, which stay in this process
             results = (_predict_chunk(*task) for task in tasks)
         shapes = {}

@@ -132,7 +132,7 @@ def test_19_of_20_near_frontal_scans_with_shoulders_are_registered():
     assert registered >= 19
 
 
-@pytest.mark.parametrize("shoulders", [False, True])
+@pytest.mark.parametrize("shoulders", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize(
     "angles", [(60, 0, 0), (-90, 0, 15), (0, 35, 0), (0, -35, 0), (45, -25, 0), (0, 0, 40)]
 )

@@ -12,9 +12,10 @@ def make_scans():
     from data_gen.datasets.scans_substitute import ScansSubstitute
 
     model = load_model("openhead", scheme="ibug51")
-    source, again = (ScansSubstitute(model, 3, 7, [0, 5]) for _ in range(2))
+    source = ScansSubstitute(model, 3, 7, [0, 5])
     counts = [source.scans_of(subject) for subject in range(3)]
-    return source.subject(0), again.subject(1), source.subject(1), counts
+    before = source.subject(1)
+    return source.subject(0), before, source.subject(1), counts
 
 
 @pytest.fixture(scope="module")

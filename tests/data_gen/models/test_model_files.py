@@ -237,22 +237,21 @@ def test_colours_of_ict_are_the_same_from_the_official_folder(tmp_path, monkeypa
     np.testing.assert_array_equal(*colours)
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("generic_neutral_mesh", "v 1 2 3\n" * N_VERTICES + "f 1 2 99999\n"),
-        ("generic_neutral_mesh", "v 1 2 3\n" * N_VERTICES + f"f 1 2 {10**30}\n"),
-        ("identity002", "v 1 2 3\n" * (N_VERTICES - 1)),
-        ("identity001", None),
-    ],
-)
-def test_a_malformed_folder_of_ict_is_refused(tmp_path, ict_arrays, name, text):
+def test_a_malformed_folder_of_ict_is_refused(tmp_path, ict_arrays):
     folder = write_ict_folder(tmp_path, ict_arrays)
-    (folder / f"{name}.obj").unlink()
-    if text is not None:
-        (folder / f"{name}.obj").write_text(text)
-    with pytest.raises(InputError, match=f"{folder}.*must"):
-        load_ict(folder)
+    vertices = "v 1 2 3\n" * N_VERTICES
+    for name, text in (
+        ("generic_neutral_mesh", f"{vertices}f 1 2 99999\n"),
+        ("generic_neutral_mesh", f"{vertices}f 1 2 {10**30}\n"),
+        ("identity002", vertices[8:]),
+        ("identity001", None),
+    ):
+        path = folder / f"{name}.obj"
+        whole = path.read_bytes()
+        path.unlink() if text is None else path.write_text(text)
+        with pytest.raises(InputError, match=f"{folder}.*must"):
+            load_ict(folder)
+        path.write_bytes(whole)
 
 
 @pytest.mark.parametrize(
