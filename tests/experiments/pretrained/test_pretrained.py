@@ -108,3 +108,9 @@ def test_every_scheme_is_measured_on_exact_landmarks_and_on_those_found(tmp_path
     n_photos = detection.groupby("detector")["n_photos"].sum()
     n_detectors = 1 + MEDIAPIPE
     assert n_photos.to_dict() == dict.fromkeys(["dlib", "mediapipe"][:n_detectors], 6)
+
+
+def test_half_a_table_of_heads_is_not_written(tmp_path):
+    done = runs.run("pretrained.surface", tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "DATA must be a folder with ict" in done.stderr and not [*tmp_path.iterdir()]

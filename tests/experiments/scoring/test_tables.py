@@ -7,9 +7,9 @@ import pytest
 from deepmds_keras.errors import InputError
 from experiments.presets import SMOKE
 from experiments.progress import duration
-from experiments.records import write_csv
+from experiments.records import write_csv, write_json
 from experiments.run import Run
-from experiments.scoring import parameters
+from experiments.scoring import parameters, tables
 from experiments.scoring.latex import plain_tabular, tex
 from experiments.scoring.metrics import metrics_of
 from experiments.scoring.numbers import as_quoted, plus_minus, scientific
@@ -149,6 +149,18 @@ def test_tables_of_a_run_are_printed_with_their_folders(table, tmp_path, capsys)
     assert shown.splitlines()[-4:-2] == [
         f"Tables, figures and manifest: {run.experiment_results(name)}/" for name in names
     ]
+
+
+@pytest.mark.parametrize(("made", "said"), [("abc", True), ("def", False)])
+def test_a_table_of_another_commit_is_printed_with_both(
+    table, tmp_path, capsys, monkeypatch, made, said
+):
+    run = Run("openhead", SMOKE, results=tmp_path)
+    write_csv(run.experiment_results("bfm") / "table.csv", table)
+    write_json(run.experiment_results("bfm") / "manifest.json", {"commit": made, "steps": [{}]})
+    monkeypatch.setattr(tables, "environment", lambda: {"commit": "def"})
+    print_tables(run)
+    assert ("They were made at commit abc; HEAD is def." in capsys.readouterr().out) == said
 
 
 @pytest.mark.parametrize(
