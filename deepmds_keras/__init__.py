@@ -7,7 +7,7 @@ TensorFlow nor scikit-learn, and none of them need be installed.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from deepmds_keras.errors import InputError, MissingPackageError, needs
+from deepmds_keras.errors import KERAS_BACKENDS, InputError, MissingPackageError, needs
 
 if TYPE_CHECKING:  # for editors and type checkers: the same names as below
     from deepmds_keras import baselines as baselines
@@ -63,7 +63,7 @@ def __getattr__(name):
     try:
         value = import_module(module)
     except ModuleNotFoundError as error:
-        if str(error.name).partition(".")[0] not in _KERAS:
+        if str(error.name).partition(".")[0] not in (*_KERAS, *KERAS_BACKENDS):
             raise
         with needs(f"What {name} needs", "keras"):
             raise

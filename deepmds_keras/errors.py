@@ -7,6 +7,7 @@ import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
+KERAS_BACKENDS = ("jax", "openvino", "torch")  # packages that Keras loads if it is told to
 _LONGEST = 200
 
 
@@ -54,6 +55,11 @@ def needs(package: str, extra: str) -> Iterator[None]:
     except MissingPackageError:  # its message already says what is missing
         raise
     except ImportError as error:
+        if error.name in KERAS_BACKENDS:
+            raise InputError(
+                "KERAS_BACKEND must be tensorflow, or jax where that is installed. "
+                f"Received {error.name}."
+            ) from None
         raise MissingPackageError(
             f"{package} must be installed: from the repository, pip install '.[{extra}]'. "
             f"Received: {error}."

@@ -14,7 +14,8 @@ from deepmds_keras.proximities import VARIANTS
 from deepmds_keras.validation import check_n_landmarks
 
 check_choice(keras.backend.backend(), "KERAS_BACKEND", ("tensorflow", "jax"))
-FLOAT = "float32"  # whatever keras.json has: lower precision would change every result
+# A lower precision would change every result without a word.
+check_choice(keras.config.dtype_policy().name, "dtype_policy of Keras (keras.json)", ("float32",))
 _UNITS = 20  # of each hidden layer of the dissimilarity net
 # TensorFlow advises against what it takes for one network traced again and again: it counts the
 # networks of a process together.
@@ -42,7 +43,7 @@ def build_autoencoder(n_landmarks: int = 72, *, seed: int = 0) -> keras.Model:
     """
     check_n_landmarks(n_landmarks)
     first = 1000 * seed
-    view = keras.Input((2 * n_landmarks,), name="view", dtype=FLOAT)
+    view = keras.Input((2 * n_landmarks,), name="view")
     x = dense_block(view, 64, "encode_1", seed=first)
     x = dense_block(x, 32, "encode_2", seed=first + 1)
     x = dense_block(x, 16, "encode_3", seed=first + 2)
@@ -71,7 +72,7 @@ def build_dissimilarity_net(variant: str = "paper", *, seed: int = 0) -> keras.M
         InputError: Unknown variant.
     """
     check_choice(variant, "variant", VARIANTS)
-    pair = keras.Input((VARIANTS[variant],), name="pair_features", dtype=FLOAT)
+    pair = keras.Input((VARIANTS[variant],), name="pair_features")
     distance = distance_layers(pair, _UNITS, seed=1000 * seed)
     return keras.Model(pair, distance, name=f"dissimilarity_{variant}")
 
@@ -82,7 +83,7 @@ def distance_layers(pair: keras.KerasTensor, units: int, *, seed: int) -> keras.
     second = dense_block(x, units, "hidden_2", seed=seed + 1)
     x = dense_block(second, units, "hidden_3", seed=seed + 2)
     x = dense_block(x, units, "hidden_4", seed=seed + 3)
-    x = layers.Concatenate(name="skip_connection", dtype=FLOAT)([second, x])
+    x = layers.Concatenate(name="skip_connection")([second, x])
     x = dense_block(x, units, "hidden_5", seed=seed + 4)
     return dense_block(x, 1, "distance", seed=seed + 5, activated=False)
 
@@ -98,11 +99,11 @@ def dense_block(
 ) -> keras.KerasTensor:
     """The trio of both networks: dense, LeakyReLU, batch normalisation; `seed` is of the kernel."""
     initial = keras.initializers.GlorotUniform(seed=seed)
-    x = layers.Dense(units, kernel_initializer=initial, name=name, dtype=FLOAT)(x)
+    x = layers.Dense(units, kernel_initializer=initial, name=name)(x)
     if activated:
-        x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu", dtype=FLOAT)(x)
+        x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu")(x)
     if normalised:
-        x = layers.BatchNormalization(name=f"{name}_bn", dtype=FLOAT)(x)
+        x = layers.BatchNormalization(name=f"{name}_bn")(x)
     return x
 
 

@@ -12,7 +12,7 @@ from keras import layers
 from sklearn.base import BaseEstimator
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.networks import FLOAT, count_trainable, forward
+from deepmds_keras.networks import count_trainable, forward
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
 from deepmds_keras.validation import check_fitted, check_number, check_whole
 from deepmds_keras.weights import fingerprint, read_keras2_weights
@@ -110,19 +110,14 @@ def dense_network(
         standardised: Whether the numbers are first centred and divided by their s.d., in a layer
             `"standardised"` with their mean and variance as untrained weights.
     """
-    view = x = keras.Input((n_inputs,), name="view", dtype=FLOAT)
+    view = x = keras.Input((n_inputs,), name="view")
     if standardised:
         x = layers.BatchNormalization(
-            center=False,
-            scale=False,
-            epsilon=1e-8,
-            trainable=False,
-            name="standardised",
-            dtype=FLOAT,
+            center=False, scale=False, epsilon=1e-8, trainable=False, name="standardised"
         )(view)
     for number, (layer, (units, activation)) in enumerate(sizes.items()):
         initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        dense = layers.Dense(units, activation, kernel_initializer=initial, name=layer, dtype=FLOAT)
+        dense = layers.Dense(units, activation, kernel_initializer=initial, name=layer)
         x = dense(x)
     return keras.Model(view, x, name=name)
 

@@ -12,7 +12,6 @@ from keras import layers, ops
 
 from deepmds_keras.lifting.sampling import Faces
 from deepmds_keras.lifting.unrolled_fit import UNIT, lift
-from deepmds_keras.networks import FLOAT
 from deepmds_keras.training import train_by_epoch
 
 STEPS_PER_BLOCK = 100  # after which the network is checked and a checkpoint is written
@@ -109,7 +108,7 @@ class Lifting(layers.Layer):
     """
 
     def __init__(self, shapes: dict[str, tuple[int, ...]], **options):
-        super().__init__(dtype=FLOAT, **options)
+        super().__init__(**options)
         self.shapes = {name: tuple(shape) for name, shape in shapes.items()}
         self.arrays, self.best = (
             {
@@ -122,12 +121,10 @@ class Lifting(layers.Layer):
         self.least_error = self.add_weight((), largest, name="least_error", trainable=False)
 
     def get_config(self) -> dict[str, Any]:
-        config = super().get_config()
-        del config["dtype"]
-        return {**config, "shapes": self.shapes}
+        return {**super().get_config(), "shapes": self.shapes}
 
     def compute_output_spec(self, views, visible, sd):
-        return keras.KerasTensor((None, 6, views.shape[2]), FLOAT)
+        return keras.KerasTensor((None, 6, views.shape[2]), "float32")
 
     def call(self, views, visible, sd):
         weights = {name: ops.convert_to_tensor(array) for name, array in self.arrays.items()}
@@ -141,9 +138,9 @@ def build_lifting_net(initial: dict[str, np.ndarray]) -> keras.Model:
     The output is that of `lift`: shapes, then logarithms of standard deviations.
     """
     n_landmarks = initial["mean"].shape[1]
-    views = keras.Input((2, n_landmarks), name="views", dtype=FLOAT)
-    visible = keras.Input((n_landmarks,), name="visible", dtype=FLOAT)
-    sd = keras.Input((n_landmarks,), name="sd", dtype=FLOAT)
+    views = keras.Input((2, n_landmarks), name="views")
+    visible = keras.Input((n_landmarks,), name="visible")
+    sd = keras.Input((n_landmarks,), name="sd")
     layer = Lifting({name: array.shape for name, array in initial.items()}, name="lifting")
     model = keras.Model([views, visible, sd], layer(views, visible, sd), name="lifting")
     for name, array in initial.items():

@@ -1,6 +1,8 @@
 """The networks train behind either backend of Keras, and the same weights give the same shapes."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 
@@ -35,6 +37,23 @@ assert errors[-1] < errors[0], errors
 
 np.save(file, DeepMDS.pretrained("deepmds-ibug51").predict(views[:8]))
 """
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"backend": "openvino"}, "KERAS_BACKEND must be .*tensorflow.* Received .?openvino"),
+        ({"floatx": "float16"}, r"keras.json\) must be one of float32. Received 'float16'"),
+    ],
+)
+def test_other_settings_of_keras_are_refused_by_name(setting, message, tmp_path):
+    (tmp_path / "keras.json").write_text(json.dumps(setting))
+    environment = {k: v for k, v in os.environ.items() if k != "KERAS_BACKEND"}
+    environment |= {"KERAS_HOME": str(tmp_path)}
+    words = [sys.executable, "-c", "from deepmds_keras import DeepMDS"]
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert re.search(f"InputError: .*{message}", done.stderr), done.stderr
 
 
 @pytest.mark.slow

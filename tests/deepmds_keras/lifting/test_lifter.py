@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 
+import keras
 import numpy as np
 import pytest
 from places import ROOT, SHARED
@@ -81,16 +82,22 @@ def test_the_prediction_is_in_the_unit_of_normalise_and_centred(lifter, faces):
     assert np.sqrt(np.mean((shapes - centre(normalise(faces[1]))) ** 2)) < 0.03
 
 
-def test_numpy_and_keras_agree(lifter, faces):
+# Keras itself, of its own variables.
+@pytest.mark.filterwarnings("ignore:__array__ implementation")
+def test_numpy_and_keras_agree_and_keras_saves_the_network(lifter, faces, tmp_path):
     rng = np.random.default_rng(0)
     seen = disturb(read_faces(*faces, 0.005, L), missing=0.3, noise=0.05, rng=rng)
     assert 0.8 < seen.visible.mean() < 0.9
     inputs = seen.views, seen.visible, seen.sd
     numpy_output = lift(np, lifter.weights_, *inputs)
-    keras_output = np.asarray(build_lifting_net(lifter.weights_)(inputs))
+    network = build_lifting_net(lifter.weights_)
+    keras_output = np.asarray(network(inputs))
     assert numpy_output.shapes.dtype == numpy_output.log_sd.dtype == np.float32
     assert np.abs(numpy_output.shapes - keras_output[:, :3]).max() < 1e-5
     assert np.abs(numpy_output.log_sd - keras_output[:, 3:]).max() < 1e-3
+    network.save(tmp_path / "net.keras")
+    loaded = keras.saving.load_model(tmp_path / "net.keras")
+    assert np.array_equal(loaded(inputs), keras_output)
 
 
 def test_posterior_steps_find_coefficients_and_camera_of_exact_views():
