@@ -253,7 +253,7 @@ _ROWS = (
         description="the paper's method: six pair features, constant learning rate",
         colour="#D55E00", marker="o", gallery=True, mapped=_ALL,
     ),
-    # The autoencoder does not see pair features: it is that of `ours`, in one file.
+    # The autoencoder does not see pair features: it is that of `deep_mds`, in one file.
     _deep_mds(
         "released", "constant",
         id="deep_mds_released", title="Deep-MDS, released features",

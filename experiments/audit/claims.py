@@ -168,7 +168,7 @@ def numbers_of(t: Tables) -> dict[str, dict[str, Estimate]]:
 
 
 def _deep_mds_over(t: Tables, method: str, experiment: str) -> Estimate:
-    """Ratio of the MSEs of ours and another method on the same samplings."""
+    """Ratio of the MSEs of Deep-MDS and another method on the same samplings."""
     return over_samplings(t.samplings("deep_mds", experiment) / t.samplings(method, experiment))
 
 
