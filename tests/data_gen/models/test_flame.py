@@ -175,16 +175,10 @@ def test_the_linear_jaw_misses_the_true_one_by_half_the_angle(
 @pytest.mark.parametrize(
     ("key", "change", "message"),
     [
-        ("v_template", None, "v_template .* no such key"),
-        ("v_template", lambda a: a[:-1], "59"),
         ("v_template", lambda a: a * 1000, "v_template must be a head in metres"),
-        ("v_template", lambda a: np.where(a > 0.05, np.nan, a), "finite"),
         ("shapedirs", lambda a: a[..., :300], r"shapedirs are numbers \(60, 3, 400\)"),
-        ("posedirs", lambda a: {"a": 1}, "posedirs"),
         ("weights", lambda a: a * 2, "weights must not be negative, and sum to 1"),
-        ("J_regressor", lambda a: csc_matrix((10**12, V)), "J_regressor"),
         ("f", lambda a: a + 1, "triangles must number 60 vertices from 0"),
-        ("f", lambda a: a.astype(float), "triangles must be .*integers"),
         ("kintree_table", lambda a: a[:, [0, 2, 1, 3, 4]], "kintree_table must give"),
         ("bs_style", lambda a: Calls(os.mkdir, "harm"), "mkdir.*nothing was run"),
     ],

@@ -130,11 +130,9 @@ def test_bfm2009_has_the_landmarks_of_the_table(tmp_path):
 @pytest.mark.parametrize(
     ("key", "change"),
     [
-        ("shapeEV", lambda a: np.array([{"a": 1}], object)),
         ("texEV", lambda a: a[:-1]),
         ("tl", lambda a: a - 1),
         ("tl", lambda a: a + 1),
-        ("tl", lambda a: a[:0]),
     ],
 )
 def test_sizes_of_bfm2009_that_disagree_are_refused(tmp_path, mat_arrays, key, change):
@@ -172,12 +170,10 @@ def test_bfm2017_may_lack_landmarks_colours_and_expressions(tmp_path, h5_arrays)
 @pytest.mark.parametrize(
     ("key", "change"),
     [
-        ("shape/model/mean", lambda a: "text"),
         ("shape/model/pcaVariance", lambda a: -a),
         ("shape/representer/cells", lambda a: a + 1),
         ("shape/representer/points", lambda a: a[:, 1:]),
         ("metadata/landmarks/json", lambda a: re.sub(r"\[.*?]", "[NaN, 0, 0]", a)),
-        ("color/model/pcaVariance", lambda a: a[:0]),
     ],
 )
 def test_bad_contents_of_bfm2017_are_refused(tmp_path, h5_arrays, key, change):
