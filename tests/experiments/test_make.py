@@ -104,7 +104,7 @@ def test_a_second_call_prints_the_table_and_does_nothing(copy):
 )  # fmt: skip
 def test_another_variable_runs_what_depends_on_it(whole_bfm, variables, expected):
     planned = names(runs.plan("reproduce-bfm", whole_bfm, *variables))
-    assert sorted(name.split(" mean_shape linear")[0] for name in planned) == sorted(expected)
+    assert sorted(name.split(" mean_shape ridge")[0] for name in planned) == sorted(expected)
 
 
 @pytest.mark.slow
