@@ -200,7 +200,9 @@ def table_of(folder, study):
 
 @pytest.mark.slow
 def test_every_method_is_above_the_limit(folder):
-    table = table_of(folder, "hard").query("metric == 'times_limit' and method != 'limit'")
+    table = table_of(folder, "hard").query(
+        "metric == 'times_lower_bound' and method != 'lower_bound'"
+    )
     assert (table["mean"] > 1).all() and len(table) == 6 * 7 + 4 + 7
 
 
