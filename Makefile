@@ -5,9 +5,8 @@ SHELL := bash
 .DEFAULT_GOAL := help
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
-           pretrained lifting released-weights check report
-.PHONY: help setup $(TARGETS) all-results dag docs pictures openhead real-faces surface footprint test nightly lint \
-        clean
+           pretrained lifting released-weights real-faces surface footprint check report
+.PHONY: help setup $(TARGETS) all-results dag docs pictures openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
@@ -48,17 +47,18 @@ JOBS ?= -1
 DRY ?=
 SNAKEMAKE ?=
 VARIABLES := MODEL DATA PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
-             CASIA_INDEX CELEBA TF_FLAME SFM RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
+             CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
 
 # A variable on the command line that its target does not read is a mistake, perhaps of spelling.
-$(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(VARIABLES)))
-READ_BY_check := $(filter-out JOBS DRY SNAKEMAKE,$(VARIABLES))
+$(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL,$(VARIABLES))))
+READ_BY_check := $(filter-out REAL JOBS DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_dag := TARGET $(filter-out DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_all-results := DATA AUTHORS SFM REAL
 READ_BY_real-faces := DATA REAL PRESET SEED
 READ_BY_surface := DATA
+READ_BY_footprint :=
 ALWAYS := PYTHON VENV
-NAMES := $(ALWAYS) $(VARIABLES) REAL TARGET
+NAMES := $(ALWAYS) $(VARIABLES) TARGET
 NEAREST = $(shell $(PYTHON) -c 'import difflib, sys; print(*difflib.get_close_matches(sys.argv[1], sys.argv[2:], 1, 0))' $(1) $(NAMES))
 GIVEN := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
 ifeq ($(MAKELEVEL),0)
@@ -108,6 +108,9 @@ seeds: ## ten seeds of Deep-MDS   (1 h)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
 released-weights: ## the released weights around the BFM's mean: results/released-weights/   [AUTHORS=dir]   (45 min)
+real-faces: ## what real photos tell about detectors: results/<model>/real/   [REAL=npz]
+surface: ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
+footprint: ## size, memory and time of an installation: results/footprint/   (2 min)
 check: ## compare results/<model>/bfm/table.csv with the committed one
 report: ## all results of the model on one page: results/<model>/report/report.md
 $(TARGETS): | $(READY)
@@ -146,16 +149,6 @@ pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead
-
-real-faces: | $(READY) ## what real photos tell about detectors: results/<model>/real/   [REAL=npz]
-	@$(PY) -m experiments pretrained.real_faces '$(REAL)' --data '$(DATA)' --preset '$(PRESET)' \
-	  --seed '$(SEED)'
-
-surface: | $(READY) ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
-	@$(PY) -m experiments pretrained.surface --data '$(DATA)'
-
-footprint: | $(READY) ## size, memory and time of an installation: results/footprint/   (2 min)
-	@$(PY) -m experiments bench.footprint
 
 # Two at a time: a step keeps about a core busy.
 test: | $(READY) ## the tests, except slow ones                (3 min)

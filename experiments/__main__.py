@@ -30,7 +30,13 @@ from deepmds_keras.errors import InputError, escape_unprintable
 from experiments.methods import METHODS
 from experiments.progress import PARENT, Progress
 from experiments.progress.step_names import in_words
-from experiments.records import environment, outside_files, write_manifest, write_record
+from experiments.records import (
+    environment,
+    outside_files,
+    publish,
+    write_manifest,
+    write_record,
+)
 from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
 # Sums are split between threads: their last digits depend on this number, not on the machine's.
@@ -94,13 +100,14 @@ def _step(module: str, *arguments):
 
 
 def _run_step(module: str, run: Run, values: dict) -> None:
-    """Run a step, then write its record and the manifests of its results."""
+    """Run a step, then write its record, and put its results with their manifests in place."""
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
     machine = environment()  # before the step, lest a commit made meanwhile is taken for its code
     step = _step(module, run, *values["items"])
     outcome = step(run, *values["items"]) or {}
     records = [path for path in values["inputs"] if path.parent.name == "records"]
-    outside = [p for p in values["inputs"] if p not in records and run.build not in p.parents]
+    outside = [p for p in values["inputs"] if not {run.build, run.results} & {*p.parents}]
+    folders = [Path(folder) for folder in outcome.pop("results", ())]
     record = {
         "name": values["record"].stem if values["record"] else values["step"],
         "step": " ".join([values["step"], *values["items"]]),
@@ -114,13 +121,17 @@ def _run_step(module: str, run: Run, values: dict) -> None:
         **machine,
         "inputs": outside_files(outside),
         "needs": [str(path) for path in dict.fromkeys(records)],
-        **{name: value for name, value in outcome.items() if name != "results"},
+        **outcome,
     }
     record = json.loads(json.dumps(record))  # as it will be read
-    folders = [Path(folder) for folder in outcome.get("results", ())]
-    record["results"] = {str(folder): sorted(write_manifest(folder, record)) for folder in folders}
+    for folder in folders:
+        write_manifest(folder, record)
     if values["record"] is not None:
         write_record(values["record"], record)
+    # Last, and not to be interrupted: Snakemake restores old results where a step has failed.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for folder in folders:
+        publish(folder)
 
 
 def _is_onednn(step: str, items: list[str]) -> bool:
@@ -222,5 +233,5 @@ def peak_memory_mb() -> int:
 if __name__ == "__main__":
     try:
         main()
-    finally:  # everything is written: a signal while Python ends may end it at once
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    finally:  # nothing is left to be cleaned up
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)

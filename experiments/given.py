@@ -26,9 +26,9 @@ def check_given(run: Run) -> None:
             f"as ring_6_68641. Received {run.ringnet}."
         )
     if run.sfm:
-        from deepmds_keras.tool.command.eos_fit import surrey_file
+        from deepmds_keras.tool.command.eos_fit import surrey_files
 
-        surrey_file(run.sfm)
+        surrey_files(run.sfm)
     if run.track == "flame":
         _check_meshes_and_scans(run)
     if run.track == "celeba" and run.celeba:

@@ -21,13 +21,15 @@ from experiments.run import Run
 # Photos of the FLAME track: RingNet's size, with room for the whole face.
 CROP_SIZE, CROP_MARGIN = 224, 2.0
 # Steps that write images, and their checksums into their record, by track and part.
-_IMAGE_STEPS = {
+IMAGE_STEPS = {
     ("bfm", "train"): "images",
     ("bfm", "test"): "images",
     ("flame", "test"): "scans",
     ("flame", "rings"): "rings",
     ("celeba", "test"): "photos",
 }
+# Images that methods are trained on.
+TRAINING_IMAGES = {"bfm": "train", "flame": "rings"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +125,7 @@ def load_images(run: Run, part: str) -> ImageFiles:
         InputError: A file is missing or was changed.
     """
     files = image_files(run, part)
-    files.check(load_record(run, _IMAGE_STEPS[run.track, part])["checksums"][part])
+    files.check(load_record(run, IMAGE_STEPS[run.track, part])["checksums"][part])
     return files
 
 

@@ -24,16 +24,21 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
 from experiments.__main__ import PARENT, one_line_errors, this_process
 from experiments.given import check_given
-from experiments.records import is_current, read_record
-from experiments.run import Run, left_out, run_of_variables
+from experiments.run import left_out, run_of_variables
 
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
-_PATIENCE = 3  # seconds that steps have to end after Ctrl-C
 # Code is no trigger: a comment is no reason to train again.
 _OPTIONS = (
     "--rerun-triggers", "mtime", "params", "input", "--rerun-incomplete", "--nolock",
 )  # fmt: skip
+# What a target cannot do without, which is to be said before long work.
+_WEIGHTS = "the folder of the authors' released weights, see docs/data.md"
+_NEEDED = {
+    "released-weights": ("AUTHORS", _WEIGHTS),
+    "real-faces": ("REAL", "an npz file of arrays dlib and mediapipe"),
+}
+_PATIENCE = 3  # seconds that steps have to end after Ctrl-C
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -58,11 +63,8 @@ def main(arguments: list[str] | None = None) -> None:
         if drawing:
             draw([*snakemake, "--dag"], Path(drawing))
             return
-        if target == "released-weights" and run.authors is None:
-            raise InputError(
-                "AUTHORS must be the folder of the authors' released weights, see docs/data.md. "
-                "Received nothing."
-            )
+        if target in _NEEDED and getattr(run, (name := _NEEDED[target][0]).lower()) is None:
+            raise InputError(f"{name} must be {_NEEDED[target][1]}. Received nothing.")
         if target == "check":
             from experiments.scoring.verdict import check
 
@@ -71,40 +73,15 @@ def main(arguments: list[str] | None = None) -> None:
         words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
         with locked(run.build / run.model):
             if dry:
-                again = [str(path) for path in without_results(run)]
-                _plan([*snakemake, "--dry-run", *(["--forcerun", *again] if again else [])])
+                _plan([*snakemake, "--dry-run"])
                 return
-            tidy(run)
+            for path in (run.build / run.model).rglob(".*.partial"):  # of steps that were killed
+                path.unlink(missing_ok=True)
             _run([*snakemake, "--quiet", "all"], " ".join(["make", target, *words]))
         if target.startswith("reproduce"):
             from experiments.scoring.tables import print_tables
 
             print_tables(run)
-
-
-def tidy(run: Run) -> None:
-    """Delete half-written files of killed steps, and records whose results were deleted.
-
-    Snakemake then runs these steps again.
-
-    Raises:
-        InputError: A record is damaged.
-    """
-    for folder in (run.build / run.model, run.model_results):
-        for path in folder.rglob(".*.partial"):
-            path.unlink(missing_ok=True)
-    for path in without_results(run):
-        path.unlink()
-
-
-def without_results(run: Run) -> list[Path]:
-    """Records of steps whose results were deleted.
-
-    Raises:
-        InputError: A record is damaged.
-    """
-    records = (run.build / run.model).glob("*/records/*.json")
-    return [path for path in records if not is_current(read_record(path))]
 
 
 def draw(command: list[str], path: Path) -> None:

@@ -24,14 +24,16 @@ class Method:
         description: What it is, what it is trained on, and what it is tested on.
         paper: Its id in `results/published/published.csv`; None if the paper has no such row.
         tracks: Experiments whose tables include it.
-        inputs: What it sees of a test face: `"views"`, `"frontal views"`, `"images"` (renders of
-            the face) or `"photos"`.
+        inputs: What it sees of a test face: `"views"`, `"frontal views"` or `"images"`, renders or
+            photos. One that sees images is trained on images of the track's training faces.
+        image_size: Side of the square around a face that it sees, pixels; None takes images as
+            they are.
         build: Function of a run that returns the estimator: untrained, or ready if there is no
             `data`.
         data: Function of a run that returns the arguments of the estimator's `fit`. Without a
             `checkpoint` it is fitted whenever it is loaded, which takes seconds.
         checkpoint: Function of a run that returns the file, or folder, of the training, complete or
-            not; None if the run has nothing to train.
+            not. That of a method that sees images is alone in its folder.
         restore: Function of a run, the untrained estimator and the checkpoint that returns the
             trained one; None uses its `restore`.
         after: Method that must be trained before this one is trained or, without a training of its
@@ -39,10 +41,12 @@ class Method:
         switch: Variable of `make` that leaves it out with `no`.
         authors: Files of the authors' release that it needs, by track; they come with `AUTHORS=`.
         of_model: Face model without which it is left out.
+        reads_model: Whether `build` reads the face model.
         onednn: Whether it uses oneDNN's convolutions: a training step then takes three quarters of
             the time.
-        threads: TensorFlow's threads within an operation and between operations.
-        one_by_one: Whether each face is a separate fit, distributed over processes.
+        threads: TensorFlow's threads; None leaves them as they are in every step.
+        memory_mb: Memory for its training or prediction, with some to spare.
+        one_by_one: Whether each face is a separate fit.
         over_seeds: Whether it is trained from several seeds.
         note: Function of a run and `(n,)` bool, whether the method found each test face, that
             returns what a reader of the table must know.
@@ -64,16 +68,19 @@ class Method:
     paper: str | None = None
     tracks: tuple[str, ...] = ()
     inputs: str = "views"
+    image_size: int | None = None
     build: Callable[[Run], object] | None = None
     data: Callable[[Run], tuple] | None = None
-    checkpoint: Callable[[Run], Path | None] | None = None
+    checkpoint: Callable[[Run], Path] | None = None
     restore: Callable[[Run, object, Path], object] | None = None
     after: str | None = None
     switch: str | None = None
     authors: Mapping[str, tuple[str, ...]] | None = None
     of_model: str | None = None
+    reads_model: bool = False
     onednn: bool = False
-    threads: tuple[int, int] | None = None
+    threads: int | None = None
+    memory_mb: int = 2000
     one_by_one: bool = False
     over_seeds: bool = False
     note: Callable[[Run, np.ndarray], str] | None = None
@@ -93,6 +100,10 @@ class Method:
         if self.checkpoint is None:
             return None
         return self.after if self.data is None else self.id
+
+    @property
+    def sees_images(self) -> bool:
+        return self.inputs == "images"
 
     @property
     def absent(self) -> str:

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.units import normalise
 from experiments import recipes
-from experiments.inputs import Faces, load_landmark_model
+from experiments.inputs import CROP_SIZE, Faces, load_landmark_model
 from experiments.method import Method
 from experiments.run import AUTHORS_FILES, Run
 
@@ -54,8 +55,6 @@ def _mobileface_note(run: Run, detected: np.ndarray) -> str:
 
 
 def _ringnet_note(run: Run, detected: np.ndarray) -> str:
-    if run.ringnet is not None:
-        return ""
     steps = run.preset.ringnet_epochs * run.preset.ringnet_steps
     return (
         f"retrained, {steps:,} steps, from random weights on renders of the face model; the "
@@ -184,7 +183,7 @@ _ROWS = (
         id="aldrian_authors", title="Aldrian & Smith, authors' fit", paper="aldrian",
         tracks=("bfm", "celeba"),
         description="the same fit with the scaled coefficients of the released code",
-        build=recipes.aldrian_authors, one_by_one=True,
+        build=recipes.aldrian_authors, one_by_one=True, reads_model=True,
         colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
     ),
     Method(
@@ -192,20 +191,22 @@ _ROWS = (
         description="the same fit, given the noise that is best on the test faces: its own misfit",
         drawn=False,
     ),
-    # A layer of this net is too small to be shared between threads; two layers' gradients are not.
+    # A layer of this net is too small to be shared between threads.
     Method(
         id="mobileface", title="MobileFace", paper="mobileface", tracks=("bfm", "celeba"),
         description="MobileNet from an image to coefficients of the face model",
-        inputs="images", build=recipes.mobileface, data=recipes.mobileface_data,
+        inputs="images", image_size=IMAGE_SIZE,
+        build=recipes.mobileface, data=recipes.mobileface_data,
         checkpoint=recipes.mobileface_file, networks=recipes.mobileface_networks,
-        switch="MOBILEFACE", onednn=True, threads=(1, 2),
+        switch="MOBILEFACE", onednn=True, threads=1, memory_mb=3500,
         note=_mobileface_note, colour="#7B1FA2", marker="<", mapped=("celeba",),
         complexity="O(n k)",
     ),
     Method(
         id="mobileface_weights", title="MobileFace, authors' weights", tracks=("bfm", "celeba"),
         description="MobileFace with the authors' own weights, nothing trained here",
-        inputs="images", build=recipes.mobileface_weights, of_model="bfm2009",
+        inputs="images", image_size=IMAGE_SIZE,
+        build=recipes.mobileface_weights, of_model="bfm2009",
         authors=recipes.MOBILEFACE_FILES, switch="MOBILEFACE", onednn=True,
         colour="#B79BD0", marker="P", drawn=False, complexity="O(n k)",
     ),
@@ -229,22 +230,30 @@ _ROWS = (
     ),
     Method(
         id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
-        description="network from an image to coefficients of the face model, or of FLAME",
-        inputs="photos", build=recipes.ringnet, data=recipes.ringnet_data,
+        description="network from an image to coefficients of the face model",
+        inputs="images", image_size=IMAGE_SIZE,
+        build=recipes.ringnet, data=recipes.ringnet_data,
         checkpoint=recipes.ringnet_file, networks=recipes.ringnet_networks, switch="RINGNET",
-        onednn=True,
+        onednn=True, memory_mb=7000,
         note=_ringnet_note, colour="#5F6B7A", marker=">", gallery=True, complexity="O(1)",
+    ),
+    Method(
+        id="ringnet_licensed", title="RingNet, licensed", tracks=("flame",),
+        description="the published network, to coefficients of FLAME",
+        inputs="images", image_size=CROP_SIZE, build=recipes.ringnet_licensed, reads_model=True,
+        switch="RINGNET", onednn=True, memory_mb=5000,
+        colour="#9AA5B1", marker=">", gallery=True,
     ),
     Method(
         id="mediapipe", title="MediaPipe", paper="mediapipe", tracks=("flame",),
         description="pretrained face mesh of an image, by the authors' list of points",
-        inputs="photos", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
+        inputs="images", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
         note=_mediapipe_note, colour="#00727A", marker="H", pictured=False, complexity="O(1)",
     ),
     Method(
         id="mediapipe_corrected", title="MediaPipe, corrected list", tracks=("flame",),
         description="the same with the left brow's points where they should be",
-        inputs="photos", build=partial(recipes.MediaPipe, points="corrected"), switch="MEDIAPIPE",
+        inputs="images", build=partial(recipes.MediaPipe, points="corrected"), switch="MEDIAPIPE",
         note=_mediapipe_note, colour="#2AA198", marker="8", gallery=True, mapped=("flame",),
     ),
     _deep_mds(
@@ -287,7 +296,7 @@ _ROWS = (
         description="our method, not the paper's: a network that solves for camera and shape",
         build=recipes.landmark_lifter, data=recipes.faces,
         checkpoint=partial(Run.network_file, name="lifting-checkpoint"),
-        restore=recipes.load_landmark_lifter,
+        restore=recipes.load_landmark_lifter, memory_mb=2500,
         note=_landmark_lifter_note, colour="#E5097F", marker="d", gallery=True, mapped=_ALL,
         complexity="O(n)",
     ),
@@ -330,7 +339,11 @@ def rows_of_paper(paper_rows: Mapping[str, str] = {}) -> dict[str, str]:
 
 
 def methods_of(
-    track: str, *, authors: str | Path | None = None, model: str | None = None
+    track: str,
+    *,
+    authors: str | Path | None = None,
+    model: str | None = None,
+    ringnet: str | None = None,
 ) -> list[Method]:
     """Methods that predict on a track, in the order of the tables.
 
@@ -338,14 +351,22 @@ def methods_of(
         track: `"bfm"`, `"flame"` or `"celeba"`.
         authors: Folder of the authors' released weights, if it was given.
         model: Face model; None leaves out methods for a single one.
+        ringnet: Prefix of the licensed RingNet, if it was given; it takes the place of ours.
     """
 
     def is_given(method: Method) -> bool:
+        if method.id == _other_ringnet(ringnet):
+            return False
         files = method.authors[track] if method.authors else ()
         return not files or (authors and all(Path(authors, file).is_file() for file in files))
 
     methods = (m for m in METHODS.values() if track in m.tracks and m.of_model in (None, model))
     return [method for method in methods if is_given(method)]
+
+
+def _other_ringnet(ringnet: str | None) -> str:
+    """Of the two RingNets, the one that a run leaves out."""
+    return "ringnet" if ringnet else "ringnet_licensed"
 
 
 def train(run: Run, method_id: str):
@@ -379,8 +400,6 @@ def load(run: Run, method_id: str):
     if method.checkpoint is None:
         return model.fit(*method.data(run)) if method.data else model
     checkpoint = method.checkpoint(run)
-    if checkpoint is None:
-        return model
     try:
         if method.restore is None:
             return model.restore(checkpoint)
@@ -429,6 +448,6 @@ def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:
         if method.id in detected:
             note = method.note(run, detected[method.id]) if method.note else ""
             notes[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
-        elif run.track in method.tracks:
+        elif run.track in method.tracks and method.id != _other_ringnet(run.ringnet):
             notes[method.id] = method.absent
     return {method_id: note for method_id, note in notes.items() if note}

@@ -331,9 +331,6 @@ def mobileface_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Mod
 
 
 def ringnet(run: Run):
-    """The licensed RingNet if it was given, otherwise ours, untrained."""
-    if run.ringnet is not None:
-        return _licensed_ringnet(run)
     from deepmds_keras.baselines.ringnet import RingNet
 
     landmark_model, _ = read_arrays(run.work / "landmark_model.npz")
@@ -348,7 +345,8 @@ def ringnet(run: Run):
     )
 
 
-def _licensed_ringnet(run: Run):
+def ringnet_licensed(run: Run):
+    """The published network, whose checkpoint was given."""
     if run.data is None:
         raise InputError(
             "DATA= must be the folder of FLAME, on whose mesh the licensed RingNet has its "
@@ -372,8 +370,8 @@ def ringnet_data(run: Run) -> tuple:
     return images, images.landmarks(range(len(images))), subjects
 
 
-def ringnet_file(run: Run) -> Path | None:
-    return None if run.ringnet else run.work / "ringnet" / "ringnet.npz"
+def ringnet_file(run: Run) -> Path:
+    return run.work / "ringnet" / "ringnet.npz"
 
 
 def ringnet_networks(n_landmarks: int, n_coefficients: int) -> list[keras.Model]:

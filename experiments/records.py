@@ -6,6 +6,7 @@ files. The manifest of a folder of results lists the records of all steps behind
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import json
@@ -32,14 +33,21 @@ MANIFEST = "manifest.json"
 _ROOT = Path(__file__).parents[1]
 _PIECES = "pieces-of.json"
 _CHECKSUM = "sha256"
-# What runs write.
-_WRITTEN = (":!/results", ":!/deepmds_keras/pretrained")
+# What numbers depend on, but for files of the package that steps write: steps that read these name
+# them as inputs, whose hashes are in their manifests.
+_CODE = (
+    *("data_gen", "deepmds_keras", "experiments", "setup.cfg", "constraints.txt"),
+    *(":!deepmds_keras/pretrained", ":!deepmds_keras/landmarks/detectors.csv"),
+    ":!deepmds_keras/tool/predict/surface.npz",
+)
 _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
     "scikit-learn", "scipy", "snakemake", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
 # For other steps only, not for readers of the results.
-_INTERNAL = ("checksums", "rows", "results")
+_INTERNAL = ("checksums", "rows")
+# Of Linux's renameat2: paths are relative to the current folder; two names change places.
+_HERE, _EXCHANGE = -100, 2
 
 
 def write_json(path: Path, value: dict) -> None:
@@ -105,15 +113,6 @@ def steps_behind(record: dict) -> list[dict]:
     return [{k: v for k, v in step.items() if k not in _INTERNAL} for step in behind]
 
 
-def is_current(record: dict) -> bool:
-    """Whether all results of a step still exist."""
-    return all(
-        Path(folder, name).is_file()
-        for folder, names in record.get("results", {}).items()
-        for name in (MANIFEST, *names)
-    )
-
-
 def outside_files(paths: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by name."""
     return {path.name: sha256_of([path]) for path in paths}
@@ -134,28 +133,54 @@ def listing(folder: str | Path | None) -> str:
 # Results
 
 
-def clear_results(folder: Path) -> None:
-    """Delete the files that an earlier run wrote to a folder of results, as its manifest lists."""
-    try:
-        written = read_manifest(folder).get("files", ())
-    except InputError:
-        written = ()
-    (folder / MANIFEST).unlink(missing_ok=True)
-    for name, path in _results(folder).items():
-        if name in written:
-            path.unlink()
+def new_results(folder: Path) -> Path:
+    """Empty folder for the results of a step, beside those of an earlier run."""
+    new = _beside(folder)
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir(parents=True)
+    return new
 
 
-def write_manifest(folder: Path, record: dict) -> dict[str, str]:
-    """Write `manifest.json`: the steps behind the results, and hashes of what was written.
+def publish(folder: Path) -> None:
+    """Put new results in the place of earlier ones, all at once.
 
-    It is written last, and `clear_results` deletes it first, so that a folder with a manifest has
-    the files of one run.
-
-    Returns:
-        sha256 of each file, by its name in the folder.
+    A process that is killed at any moment leaves the whole folder of either run. Files that a user
+    added to the earlier one stay.
     """
-    files = {name: sha256_of([path]) for name, path in _results(folder).items()}
+    new = _beside(folder)
+    if folder.exists():
+        written = read_manifest(folder).get("files", ()) if (folder / MANIFEST).exists() else ()
+        for name, path in _results(folder).items():
+            if name not in written and not (new / name).exists():
+                (new / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(path, new / name)
+        _exchange(new, folder)
+        shutil.rmtree(new, ignore_errors=True)
+    else:
+        new.rename(folder)
+
+
+def _beside(folder: Path) -> Path:
+    return folder.with_name(f".{folder.name}.partial")
+
+
+def _exchange(new: Path, old: Path) -> None:
+    """Exchange two folders; where the system cannot, the old one is deleted, its manifest first."""
+    try:
+        exchange = ctypes.CDLL(None).renameat2
+    except AttributeError:  # not Linux
+        failed = True
+    else:
+        failed = exchange(_HERE, os.fsencode(new), _HERE, os.fsencode(old), _EXCHANGE)
+    if failed:
+        (old / MANIFEST).unlink(missing_ok=True)
+        shutil.rmtree(old)
+        new.rename(old)
+
+
+def write_manifest(folder: Path, record: dict) -> None:
+    """Write `manifest.json` of new results: the steps behind them, and hashes of their files."""
+    new = _beside(folder)
     steps = steps_behind(record)
     # What all steps have in common, such as the commit, is written once.
     shared = {k: v for k, v in steps[-1].items() if all(step.get(k) == v for step in steps[:-1])}
@@ -163,10 +188,15 @@ def write_manifest(folder: Path, record: dict) -> dict[str, str]:
     manifest = shared | {
         "published_sha256": sha256_of([_ROOT / "results/published/published.csv"]),
         "steps": [{k: v for k, v in step.items() if k not in shared} for step in steps],
-        "files": files,
+        "files": {name: sha256_of([path]) for name, path in _results(new).items()},
     }
-    write_json(folder / MANIFEST, manifest)
-    return files
+    write_json(new / MANIFEST, manifest)
+
+
+def manifests(folder: Path) -> list[Path]:
+    """Manifests of all results in a folder, but not of those that a killed step did not finish."""
+    paths = sorted(folder.rglob(MANIFEST))
+    return [path for path in paths if not path.parent.name.startswith(".")]
 
 
 def read_manifest(folder: Path) -> dict:
@@ -266,12 +296,12 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """Commit of the code, with a `+` if tracked files have changed, other than by runs."""
+    """Commit of the code, with a `+` if a file of it was changed or is new."""
     try:
         if git("rev-parse", "--show-prefix"):  # a repository of something else, around this folder
             return None
         commit = git("rev-parse", "--short=12", "HEAD")
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", *_WRITTEN)
+        changed = git("status", "--porcelain", "--untracked-files=all", "--", *_CODE)
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit + "+" * bool(changed)

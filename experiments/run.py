@@ -24,6 +24,7 @@ AUTHORS_FILES = {
     "celeba": _BFM_FILES,
     "flame": ("AE_occ2orth_FLAME.h5", "deep_dissim_from_2D_dist_pers_rem_proj.h5"),
 }
+SECOND_NET = "deep_dissim_ours2.h5"  # of the BFM track, which the paper does not mention
 # Data sets of each track, and the suffix of folders made from them.
 SUFFIXES = {
     "bfm": {},
@@ -65,6 +66,7 @@ class Run:
     evaluator: str = _option("how predictions are scored", "paper", choices=EVALUATORS)
     ringnet: str | None = _option("prefix of the licensed RingNet's checkpoint, to use that one")
     mobileface: str = _option("how MobileFace is trained", "cosine", choices=MOBILEFACES)
+    real: str | None = _option("npz of real faces, as two detectors find their landmarks")
     seeds: int | None = _option(
         "number of seeds whose range of errors the BFM table shows", type=int
     )
@@ -123,8 +125,6 @@ class Run:
 
     def prediction_file(self, method: str) -> Path:
         """File of a method's predictions for the test views, or photos."""
-        if method == "ringnet" and self.ringnet is not None:
-            method = "ringnet-licensed"
         return self.work / "predictions" / f"{method}.npz"
 
     @property
@@ -182,7 +182,8 @@ OPTIONS = {option.name: option for option in fields(Run) if option.metadata}
 # Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
 _SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
 _PATHS = (
-    *("data", "coma", "casia", "celeba", "tf_flame", "sfm", "casia_index", "authors", "ringnet"),
+    *("data", "coma", "casia", "celeba", "tf_flame", "sfm", "real", "casia_index", "authors"),
+    "ringnet",
 )
 
 
@@ -195,12 +196,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(flag, default=default, metavar=metavar, **option.metadata)
 
 
-def options_of(run: Run, without: Collection[str] = ()) -> list[str]:
-    """Command-line words that describe a run."""
+def options_of(run: Run, names: Collection[str] = OPTIONS) -> list[str]:
+    """Command-line words of some options of a run."""
     words = []
-    for name in OPTIONS:
+    for name in names:
         value = getattr(run, name)
-        if value is not None and name not in without:
+        if value is not None:
             text = value.name if isinstance(value, Preset) else str(value)
             words += [f"--{name.replace('_', '-')}", text]
     return words

@@ -16,6 +16,7 @@ import tempfile
 import threading
 import traceback
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from places import ROOT
@@ -36,6 +37,8 @@ _LIBRARIES = (
     "tensorflow", "keras", "h5py", "pandas", "joblib", "sklearn.manifold", "sklearn.linear_model",
     "scipy.stats", "matplotlib.pyplot", "PIL.Image",
 )  # fmt: skip
+_SYSTEM = ("/proc/", "/sys/", "/dev/", "/etc/", "/usr/", "/lib", os.path.expanduser("~/."))
+_LISTED = ("--coma", "--casia", "--celeba")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload([*_LIBRARIES])
 
@@ -59,7 +62,8 @@ def run(step: str, folder: Path, *arguments: str, command: str = "") -> Done:
     if "--preset" not in words:
         words += ["--preset", PRESET]
     if step in RENDERING:
-        called = [sys.executable, "-m", "experiments", *words]
+        called = [sys.executable, "-c", "import sys, runs; runs.call(sys.argv[1:])", *words]
+        environment |= {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
         done = subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True)
         return Done(done.returncode, done.stdout, done.stderr)
     with tempfile.TemporaryDirectory(prefix="step-") as texts:
@@ -147,6 +151,37 @@ def _with_preset(variables: tuple[str, ...]) -> tuple[str, ...]:
     return variables if named else (*variables, f"PRESET={PRESET}")
 
 
+def call(words: list[str]) -> None:
+    """Be `python -m experiments`, with the modules in `TEST_MODULES`.
+
+    A step that Snakemake would run may read nothing outside of the repository, of its folder and of
+    the system but what it was given as inputs.
+    """
+    from experiments.__main__ import main
+
+    sys.path += os.environ["PYTHONPATH"].split(os.pathsep)
+    for module in os.environ.get("TEST_MODULES", "").split():
+        import_module(module)
+    opened, written = set(), set()
+
+    def note(event: str, arguments: tuple) -> None:
+        if event == "open" and isinstance(arguments[0], str):
+            writes = arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+            (written if writes else opened).add(os.path.abspath(arguments[0]))
+
+    sys.addaudithook(note)
+    sys.argv = [str(ROOT / "experiments" / "__main__.py"), *words]
+    main(words)
+    if "--inputs" in words:
+        given = {os.path.abspath(word) for word in words[words.index("--inputs") + 1 :]}
+        # Of large data sets, the list of files is a parameter of the rule.
+        listed = [words[words.index(name) + 1] for name in _LISTED if name in words]
+        known = (*_SYSTEM, *listed, str(ROOT), os.getcwd(), sys.prefix, sys.base_prefix)
+        read = {path for path in opened - given - written if not path.startswith(known)}
+        read = {path for path in read if not path.endswith((".py", ".pyc"))}  # TensorFlow's own
+        assert not read, f"{words[0]} reads what its rule does not name: {read}"
+
+
 def _fork(words: list[str], folder: Path, paths: list[Path], environment: dict) -> None:
     """Be `python -m experiments`, in a process that was forked for it."""
     os.chdir(folder)
@@ -157,12 +192,9 @@ def _fork(words: list[str], folder: Path, paths: list[Path], environment: dict) 
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(file, number)
         os.close(file)
-    sys.argv = [str(ROOT / "experiments" / "__main__.py"), *words]
     status = 0
     try:
-        from experiments.__main__ import main
-
-        main(words)
+        call(words)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

@@ -148,6 +148,11 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     return sorted(file.glob("*.obj")) if file.is_dir() else [file]
 
 
+def open_model_files(path: str | Path | None) -> list[Path]:
+    """Files of all open models that are here."""
+    return [file for name in open_models(path)[0] for file in model_files(name, path)]
+
+
 def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
     """Of `OPEN`, the models that anybody may use, those with files here, and the others."""
     present = []

@@ -16,7 +16,7 @@ from experiments.audit.poses import TRAINED
 from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
-from experiments.records import clear_results, write_csv, write_text
+from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.intervals import Estimate
 from experiments.scoring.numbers import power, scientific
@@ -36,21 +36,21 @@ def main(run: Run, *topics: str) -> dict:
     tables = {topic: pd.read_csv(file) for topic, file in files.items()}
     curves = pd.concat([tables.pop("poses"), tables.pop("noise")], ignore_index=True)
     folder = run.experiment_results("audit")
-    clear_results(folder)
+    new = new_results(folder)
     for name, table in {"curves": curves, **tables}.items():
-        write_csv(folder / f"{name}.csv", table)
+        write_csv(new / f"{name}.csv", table)
     for name, figure in figures(curves).items():
-        save(figure, folder / "figures", name, run.preset.caution)
-    numbers = numbers_table(run)
-    write_csv(folder / "numbers.csv", numbers)
+        save(figure, new / "figures", name, run.preset.caution)
+    numbers = numbers_table(run, new)
+    write_csv(new / "numbers.csv", numbers)
     if run.preset.caution:
         print(f"No verdicts: {run.preset.caution}. Numbers and figures: {folder}/")
         return {"results": [folder]}
     claims = judge(numbers, run.model)
-    write_csv(folder / "claims.csv", claims)
+    write_csv(new / "claims.csv", claims)
     counts = claims["verdict"].value_counts()
     print(f"\n{run.model}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}")
-    print(f"{folder}/ and, of all face models, {combine(run.shared_results)}/")
+    print(f"{folder}/")
     return {"results": [folder]}
 
 
@@ -65,11 +65,16 @@ def figures(curves: pd.DataFrame) -> dict[str, Figure]:
     return {"poses": error_lines(poses, n_columns=2), "noise": error_lines([noise])}
 
 
-def numbers_table(run: Run) -> pd.DataFrame:
-    """The content of `numbers.csv`: what is known of a face model, from its tables of results."""
+def numbers_table(run: Run, folder: Path) -> pd.DataFrame:
+    """The content of `numbers.csv`: what is known of a face model, from its tables of results.
+
+    Args:
+        run: The run.
+        folder: Folder of the audit's own tables.
+    """
     return pd.DataFrame(
         {"claim": claim, "number": name, "model": run.model, **asdict(estimate)}
-        for claim, estimates in numbers_of(Tables(run)).items()
+        for claim, estimates in numbers_of(Tables(run, folder)).items()
         for name, estimate in estimates.items()
     ).dropna(subset="value")
 

@@ -24,12 +24,13 @@ TOPICS = dict.fromkeys(("poses", "noise", "perspective"), "poses") | dict.fromke
 )
 
 
-def main(run: Run, topic: str) -> dict:
+def main(run: Run, topic: str, *methods: str) -> dict:
+    """Measure a topic; `methods` have predicted the test faces."""
     if topic not in TOPICS:
         raise InputError(f"TOPIC must be one of {', '.join(TOPICS)}. Received {topic}.")
     measure = getattr(import_module(f"experiments.audit.{TOPICS[topic]}"), topic)
     with single_threaded():  # sums in one order on any machine
-        table = measure(Evidence(run))
+        table = measure(Evidence(run, methods))
     write_csv(run.work / "audit" / f"{topic}.csv", table)
     return {"audited_faces": run.preset.audited_faces}
 
@@ -38,16 +39,17 @@ class Evidence:
     """Test faces of the BFM track, some of them chosen, and what trained methods make of them.
 
     Attributes:
-        run: The run, whose methods are trained and have predicted the test faces.
+        run: The run, whose methods are trained.
+        methods: Ids of those that have predicted the test faces.
         test: All test faces, `n` of them.
         views, landmarks: Of the audited faces, in millimetres: `(m, L, 2)` and `(m, L, 3)`.
         audited: `(m,)` numbers of the audited faces, for measurements that take long.
         shapes: `(m, L, 3)` of the audited faces.
     """
 
-    def __init__(self, run: Run):
+    def __init__(self, run: Run, methods: tuple[str, ...]):
         dataset = load_dataset(run.work / "test.npz")
-        self.run, self.test = run, as_seen(dataset)
+        self.run, self.methods, self.test = run, methods, as_seen(dataset)
         n, rng = len(self.test.views), self.rng(Stream.AUDITED_FACES)
         self.audited = np.sort(rng.choice(n, min(run.preset.audited_faces, n), replace=False))
         self.views, self.landmarks, self.shapes = (

@@ -33,7 +33,7 @@ def bias(evidence: Evidence) -> pd.DataFrame:
     """
     truth = evidence.test.shapes.astype(float)
     mean = evidence.scores("mean_shape").aligned
-    methods = [method for method in _BIASED if evidence.run.prediction_file(method).exists()]
+    methods = [method for method in _BIASED if method in evidence.methods]
     rows = [bias_of(evidence.scores(method).aligned, mean, truth) for method in methods]
     return pd.DataFrame(rows, index=pd.Index(methods, name="method")).reset_index()
 

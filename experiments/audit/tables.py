@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,9 +14,15 @@ from experiments.scoring.old_names import read_table
 
 @dataclass(frozen=True)
 class Tables:
-    """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN."""
+    """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN.
+
+    Attributes:
+        run: The run.
+        audit: Folder of the audit's own tables, if these are not in the results yet.
+    """
 
     run: Run
+    audit: Path | None = None
 
     def values(self, experiment: str, name: str, of: str, **where) -> np.ndarray:
         """A column of a table in `results/<model>/<experiment>`; one NaN if it has no such row.
@@ -25,7 +32,9 @@ class Tables:
         """
         track = experiment.split("-")[0]
         run = self.run.on(track if track in SCHEMES else "bfm")
-        path = run.experiment_results(experiment) / f"{name}.csv"
+        is_audit = experiment == "audit" and self.audit is not None
+        folder = self.audit if is_audit else run.experiment_results(experiment)
+        path = folder / f"{name}.csv"
         if not path.exists():
             return np.array([np.nan])
         table = read_table(path)
@@ -33,7 +42,9 @@ class Tables:
             table = table[table[column].isin(np.atleast_1d(wanted))]
         return table[of].to_numpy() if len(table) else np.array([np.nan])
 
-    def samplings(self, method: str, experiment: str = "bfm", metric: str = "mse") -> np.ndarray:
+    def samplings(
+        self, method: str | list[str], experiment: str = "bfm", metric: str = "mse"
+    ) -> np.ndarray:
         """A method's means over random samplings of the test faces."""
         return self.values(experiment, "metrics", "value", method=method, metric=metric)
 

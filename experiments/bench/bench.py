@@ -33,7 +33,7 @@ from experiments.bench import released_code as released
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look, save
 from experiments.progress import counted
-from experiments.records import clear_results, write_csv, write_text
+from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
 from experiments.streams import Stream
@@ -56,14 +56,14 @@ def main(run: Run) -> dict:
         measured = counted("measurement", todo, len(todo))
         table = with_ratios([(*task, seconds(run, call)) for *task, call in measured])
     folder = run.shared_results / "bench"
-    clear_results(folder)
-    write_csv(folder / "bench.csv", table)
-    write_text(folder / "bench.tex", plain_tabular(table.drop(columns="seconds")))
+    new = new_results(folder)
+    write_csv(new / "bench.csv", table)
+    write_text(new / "bench.tex", plain_tabular(table.drop(columns="seconds")))
     parts = table[table["comparison"] == "parts"]
     parts = parts.rename(columns={"way": "method", "ms_per_face": "mean"})
     panel = Panel(parts, "part", "Part, on one core")
     figure = error_lines([panel], "Time per face", 1, "ms", looks=_LOOKS)
-    save(figure, folder / "figures", "bench", run.preset.caution)
+    save(figure, new / "figures", "bench", run.preset.caution)
     print(f"\n{table.to_string(index=False)}\n\n{folder}/")
     return {"results": [folder]}
 

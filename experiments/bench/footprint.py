@@ -19,7 +19,7 @@ import pandas as pd
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
-from experiments.records import clear_results, write_csv
+from experiments.records import new_results, write_csv
 from experiments.run import Run
 
 _ROOT = Path(__file__).parents[2]
@@ -51,8 +51,7 @@ def main(run: Run) -> dict:
             rows += [(extra, *row) for row in measure(extra, Path(environment))]
     table = pd.DataFrame(rows, columns=["extra", "measure", "value", "unit"])
     folder = run.shared_results / "footprint"
-    clear_results(folder)
-    write_csv(folder / "footprint.csv", table)
+    write_csv(new_results(folder) / "footprint.csv", table)
     print(table.to_string(index=False))
     return {"results": [folder]}
 

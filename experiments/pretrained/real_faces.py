@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from data_gen.models.registry import OPEN
+from data_gen.models.registry import OPEN, open_models
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
@@ -22,7 +22,7 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.detection import detector_sd, move, upright_axes
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
-from experiments.pretrained.portraits import portraits_file, read_portraits
+from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.pretrained import SCHEMES, errors_of
 from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.recipes import mlp
@@ -39,16 +39,15 @@ _EYES = ("right_eye_outer_corner", "left_eye_outer_corner")
 _STRENGTH = 6.0
 
 
-def main(run: Run, file: str) -> dict:
-    if not file:
+def main(run: Run) -> dict:
+    if run.real is None:
         raise InputError("REAL must be an npz file of arrays dlib and mediapipe. Received nothing.")
-    arrays = read_npz(file)
+    arrays = read_npz(run.real)
     if not {"dlib", "mediapipe"} <= {*arrays}:
-        raise InputError(f"{file} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
+        raise InputError(f"{run.real} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
-    drawn = all(portraits_file(run, model).exists() for model in OPEN)
-    if run.preset.name == "full" and drawn:
+    if run.preset.name == "full" and not open_models(run.data)[1]:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
     methods = _methods(run)
     table = pd.DataFrame(reliability(methods, faces))

@@ -12,7 +12,7 @@ from statistics import median
 from deepmds_keras.errors import InputError, brief
 from experiments.progress import roughly
 from experiments.progress.step_names import in_words
-from experiments.records import MANIFEST, read_manifest, read_record, steps_of
+from experiments.records import manifests, read_manifest, read_record, steps_of
 from experiments.scoring.old_names import new_name
 
 
@@ -83,6 +83,6 @@ def _steps(build: Path, results: Path) -> Iterable[dict]:
     for path in build.glob("*/*/records/*.json"):
         with suppress(InputError):  # a damaged one is for its readers to refuse
             yield read_record(path)
-    for path in results.glob(f"**/{MANIFEST}"):
+    for path in manifests(results):
         with suppress(InputError):
             yield from steps_of(read_manifest(path.parent))

@@ -28,7 +28,7 @@ from experiments.inputs import Faces, as_seen
 from experiments.progress import counted
 from experiments.released_weights.bfm_mean import SCHEME, about_mean
 from experiments.released_weights.train import trained_file, trainings
-from experiments.run import AUTHORS_FILES, Run
+from experiments.run import AUTHORS_FILES, SECOND_NET, Run
 from experiments.scoring.numbers import power, rounded
 from experiments.scoring.scores import Scores, score
 from experiments.streams import Stream
@@ -36,7 +36,7 @@ from experiments.studies.study_results import write_results
 
 SCALES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.75, 2.0)
 VIEWS = {"released": "views of the released code", "paper": "views as in the text"}
-NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": "deep_dissim_ours2.h5"}
+NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": SECOND_NET}
 PRINTED = {"printed": 1.4e-4, "printed_trivial": 2.9e-4}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {

@@ -16,7 +16,7 @@ from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS, title
 from experiments.progress import duration
-from experiments.records import MANIFEST, commits_of, read_manifest, steps_of, write_text
+from experiments.records import commits_of, manifests, read_manifest, steps_of, write_text
 from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
@@ -98,7 +98,7 @@ def load_results(folder: Path) -> list[Result]:
     Raises:
         InputError: There are none, or a manifest is damaged.
     """
-    folders = [path.parent for path in sorted(folder.rglob(MANIFEST))]
+    folders = [path.parent for path in manifests(folder)]
     if not folders:
         raise InputError(
             f"{folder} must hold results of experiments. Received none; run make reproduce-bfm "

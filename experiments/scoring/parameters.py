@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pandas as pd
 
 from experiments.inputs import load_landmark_model
@@ -70,9 +72,8 @@ def latex(table: pd.DataFrame) -> str:
     return tabular(cells.rename(columns=HEADS), "lrrrll" + 3 * "r", [_LEGEND])
 
 
-def write_parameter_table(run: Run, metrics: pd.DataFrame) -> None:
-    """Write `table.csv` and `table.tex` into `results/<model>/parameters`."""
-    folder = run.model_results / "parameters"
+def write_parameter_table(folder: Path, run: Run, metrics: pd.DataFrame) -> None:
+    """Write `table.csv` and `table.tex` into a folder."""
     table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table))

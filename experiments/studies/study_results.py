@@ -13,7 +13,7 @@ from scipy.stats import sem
 from data_gen.models.registry import TITLES
 from experiments.figures.style import save
 from experiments.methods import title
-from experiments.records import clear_results, write_csv, write_text
+from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
 from experiments.scoring.numbers import plus_minus, scientific
@@ -39,14 +39,14 @@ def write_results(
         notes: Lines below it.
     """
     folder = name if isinstance(name, Path) else run.experiment_results(name)
-    clear_results(folder)
+    new = new_results(folder)
     for table, rows in tables.items():
-        write_csv(folder / f"{table}.csv", rows)
+        write_csv(new / f"{table}.csv", rows)
     columns = "l" * cells.index.nlevels + "r" * cells.shape[1]
     cells = cells.reset_index()
-    write_text(folder / "table.tex", tabular(cells, columns, notes))
+    write_text(new / "table.tex", tabular(cells, columns, notes))
     for figure, drawn in figures.items():
-        save(drawn, folder / "figures", figure, run.preset.caution)
+        save(drawn, new / "figures", figure, run.preset.caution)
     shown = cells.to_string(index=False)
     print(f"\n{TITLES[run.model]}\n", shown, "", *notes, f"{folder}/", sep="\n")
     return {"results": [folder]}

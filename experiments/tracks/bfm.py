@@ -13,7 +13,7 @@ from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
 from experiments.inputs import Faces, load_faces
 from experiments.recipes import mobileface_file
-from experiments.records import clear_results
+from experiments.records import new_results
 from experiments.run import Run
 from experiments.scoring.numbers import turned
 from experiments.scoring.parameters import write_parameter_table
@@ -106,7 +106,6 @@ def main(run: Run, *methods: str) -> dict:
     folders = [evaluation.folder]
     if run.evaluator == "paper":  # other figures and tables do not depend on the evaluator
         draw(evaluation)
-        folders.append(run.model_results / "parameters")
-        clear_results(folders[-1])
-        write_parameter_table(run, evaluation.metrics)
+        folders.append(run.experiment_results("parameters"))
+        write_parameter_table(new_results(folders[-1]), run, evaluation.metrics)
     return {"methods": [*methods], "results": [str(folder) for folder in folders]}

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import map_npy
 from deepmds_keras.geometry.alignment import align
@@ -21,9 +20,9 @@ from deepmds_keras.tool.detection.dlib_landmarks import shared_detector
 from deepmds_keras.tool.detection.photos import open_photo
 from experiments.figures.qualitative import gallery
 from experiments.figures.style import save
-from experiments.inputs import CROP_MARGIN, CROP_SIZE, load_faces
+from experiments.inputs import CROP_MARGIN, load_faces
 from experiments.methods import METHODS, load, predict
-from experiments.records import clear_results
+from experiments.records import new_results
 from experiments.run import Run
 from experiments.streams import Stream
 from experiments.tracks.results import face_squares
@@ -86,14 +85,12 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
     return [images[k] for k in nearest], np.stack([landmarks[k] for k in nearest])
 
 
-def inputs_for(run: Run, method: str, images: list[np.ndarray], landmarks: np.ndarray):
+def inputs_for(method: str, images: list[np.ndarray], landmarks: np.ndarray):
     """Input of a method for the photos."""
-    if METHODS[method].inputs == "views":
+    if not METHODS[method].sees_images:
         return normalise(centre(landmarks * (1, -1)))
-    if method != "ringnet":
-        return images
-    size = IMAGE_SIZE if run.ringnet is None else CROP_SIZE
-    return face_squares(images, landmarks, size, CROP_MARGIN)[0]
+    size = METHODS[method].image_size
+    return images if size is None else face_squares(images, landmarks, size, CROP_MARGIN)[0]
 
 
 def upright(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
@@ -121,10 +118,9 @@ def main(run: Run, *methods: str) -> dict:
     order = sorted(methods, key=lambda method: METHODS[method].inputs)
     shapes = {}
     for method in order:
-        predicted = predict(load(run, method), inputs_for(run, method, images, landmarks))
+        predicted = predict(load(run, method), inputs_for(method, images, landmarks))
         shapes[method] = upright(predicted, mean)
     squares = face_squares(images, landmarks, _PHOTO, CROP_MARGIN)
-    clear_results(folder)
     figure = gallery(*squares, shapes, load_scheme(run.scheme))
-    save(figure, folder / "figures", "celeba_flame", run.preset.caution)
+    save(figure, new_results(folder) / "figures", "celeba_flame", run.preset.caution)
     return record | {"methods": order, "results": [str(folder)]}

@@ -41,7 +41,7 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:
     """Write the figures of the methods and of the test set."""
     run, of_images = evaluation.run, {}
-    if "ringnet" in evaluation.scores and run.ringnet is None:
+    if "ringnet" in evaluation.scores:
         # The other record, of the landmarks' error alone, is in another unit.
         history = read_arrays(ringnet_file(run))[1]["history"]
         of_images["ringnet"] = {"train": history["train"]}

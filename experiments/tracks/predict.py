@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
-from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.files import write_arrays
 from experiments.inputs import load_faces, load_images
 from experiments.method import Method
 from experiments.methods import load, method_of, predict, views_for
 from experiments.progress import Progress
 from experiments.run import Run
-from experiments.tasks import unordered
+from experiments.tasks import single_threaded
 from experiments.tracks.train import limit_threads
 
 _FACES_PER_CHUNK = 250  # after which the progress bar moves
+_COMPARED, _ROUNDING = 50, 1e-6  # shapes of both solvers of the embedding, and their difference
 
 
 def inputs_for(run: Run, method: Method) -> np.ndarray | ImageFiles:
@@ -25,15 +27,15 @@ def inputs_for(run: Run, method: Method) -> np.ndarray | ImageFiles:
     Raises:
         InputError: A file is missing or was changed.
     """
-    if method.inputs.endswith("views"):
+    if not method.sees_images:
         return views_for(method, load_faces(run, "test"))
     images = load_images(run, "test")
-    return shrunk(images) if method.id == "ringnet" and run.ringnet is None else images
+    return images if method.image_size in (None, images.size) else shrunk(images, method.image_size)
 
 
-def shrunk(photos: ImageFiles) -> np.ndarray:
-    """Photos at the size that our RingNet sees, `(n, 96, 96, 3)`."""
-    size = (IMAGE_SIZE, IMAGE_SIZE)
+def shrunk(photos: ImageFiles, side: int) -> np.ndarray:
+    """Photos at the size that a method sees, `(n, side, side, 3)`."""
+    size = (side, side)
     return np.stack(
         [
             np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.BOX))
@@ -43,26 +45,28 @@ def shrunk(photos: ImageFiles) -> np.ndarray:
     )
 
 
-def predictions(run: Run, method: Method, model, inputs) -> np.ndarray:
+def predictions(method: Method, model, inputs) -> np.ndarray:
     """Shapes `(n, L, 3)` of a loaded method; NaN for a face that it does not find."""
     with Progress("face", len(inputs)) as bar:
-        if method.deep_mds:  # which shares the work itself
+        if method.deep_mds:
             return predict(model, inputs, progress=bar.update)
-        chunks = [slice(k, k + _FACES_PER_CHUNK) for k in range(0, len(inputs), _FACES_PER_CHUNK)]
-        tasks = ((model, number, inputs[chunk]) for number, chunk in enumerate(chunks))
-        if method.one_by_one:  # several threads would only wait for each other
-            results = unordered(run.jobs if len(chunks) > 1 else 1, _predict_chunk, tasks)
-        else:  # done at once, or by networks, which stay in this process
-            results = (_predict_chunk(*task) for task in tasks)
-        shapes = {}
-        for number, shape in results:
-            shapes[number] = shape
-            bar.update(len(shape))
-    return np.concatenate([shapes[number] for number in range(len(chunks))])
+        shapes = []
+        # Several threads would only wait for each other in fits of one face.
+        with single_threaded() if method.one_by_one else nullcontext():
+            for start in range(0, len(inputs), _FACES_PER_CHUNK):
+                shapes.append(predict(model, inputs[start : start + _FACES_PER_CHUNK]))
+                bar.update(len(shapes[-1]))
+    return np.concatenate(shapes)
 
 
-def _predict_chunk(model, number: int, inputs: np.ndarray) -> tuple[int, np.ndarray]:
-    return number, predict(model, inputs)
+def compare_solvers(model, views: np.ndarray, shapes: np.ndarray) -> None:
+    """Check that the first shapes are those of scikit-learn's MDS, which takes eight times as long.
+
+    Raises:
+        AssertionError: They are not.
+    """
+    expected = predict(model.set_params(solver="sklearn"), views[:_COMPARED])
+    np.testing.assert_allclose(shapes[:_COMPARED], expected, atol=_ROUNDING)
 
 
 def main(run: Run, method_id: str) -> dict:
@@ -71,8 +75,11 @@ def main(run: Run, method_id: str) -> dict:
     limit_threads(method)
     inputs = inputs_for(run, method)  # a damaged file is to be reported before long work
     model = load(run, method_id)
-    arrays = {"shapes": predictions(run, method, model, inputs)}
     if method.deep_mds:
+        model.set_params(solver="numba", n_jobs=run.jobs)
+    arrays = {"shapes": predictions(method, model, inputs)}
+    if method.deep_mds:
+        compare_solvers(model, inputs, arrays["shapes"])
         arrays["frontal"] = model.frontalise(inputs)
     described = {"method": method_id}
     if hasattr(model, "n_parameters"):

@@ -22,7 +22,7 @@ from experiments.figures.qualitative import qualitative, renders
 from experiments.figures.summary import summary
 from experiments.inputs import Faces, image_files, load_faces
 from experiments.methods import CONSTANT, DEEP_MDS, METHODS, constant_answers, notes
-from experiments.records import clear_results, write_csv, write_text
+from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.scores import (
     Scores,
@@ -84,7 +84,12 @@ class Evaluation:
 
     @property
     def folder(self) -> Path:
+        """Folder of results."""
         return self.run.experiment_results(self.name)
+
+    @cached_property
+    def _new(self) -> Path:
+        return new_results(self.folder)
 
     @property
     def table_options(self) -> dict:
@@ -99,18 +104,17 @@ class Evaluation:
         }
 
     def write(self) -> None:
-        """Write `metrics.csv`, the tables and their figure, replacing those of an earlier run."""
-        values = per_face(self.scores)  # before the old results go: scoring may fail
-        clear_results(self.folder)
-        write_csv(self.folder / "metrics.csv", self.metrics)
-        table = write_tables(self.folder, self.metrics, per_face=values, **self.table_options)
+        """Write `metrics.csv`, the tables and their figure."""
+        write_csv(self._new / "metrics.csv", self.metrics)
+        values = per_face(self.scores)
+        table = write_tables(self._new, self.metrics, per_face=values, **self.table_options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
-        write_text(self.folder / "table_paper.tex", layout)
+        write_text(self._new / "table_paper.tex", layout)
         self.save(summary(table, self.run.track), "summary")
 
     def save(self, figure: Figure, name: str) -> None:
         """Write a figure."""
-        style.save(figure, self.folder / "figures", name, self.run.preset.caution)
+        style.save(figure, self._new / "figures", name, self.run.preset.caution)
 
     def draw_faces(
         self, name: str, faces: np.ndarray, titles: Sequence[str], photos: bool = False
@@ -197,13 +201,15 @@ def evaluate_both(
     test = load_faces(run, "test")
     shapes, descriptions = predicted_shapes(run, methods)
     shapes |= references
+    is_licensed = "ringnet_licensed" in shapes  # whose row the paper's is compared with
+    options = {"paper_rows": {"ringnet": "ringnet_licensed"}} if is_licensed else {}
     if "truth" not in table:
-        return [Evaluation(run, run.track, test, shapes, descriptions)]
+        return [Evaluation(run, run.track, test, shapes, descriptions, **options)]
     truth, landmarks = {"true_landmarks": table["truth"]}, {row: table["landmarks"]}
     true_test, name = test.with_truth(table["truth"]), f"{run.track}-true-landmarks"
     return [
-        Evaluation(run, run.track, test, shapes | truth, descriptions),
-        Evaluation(run, name, true_test, shapes | landmarks, descriptions),
+        Evaluation(run, run.track, test, shapes | truth, descriptions, **options),
+        Evaluation(run, name, true_test, shapes | landmarks, descriptions, **options),
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.method import Method
 from experiments.methods import method_of, train
 from experiments.records import load_record, resumable
@@ -14,9 +15,8 @@ def limit_threads(method: Method) -> None:
         return
     import tensorflow as tf
 
-    within, between = method.threads
-    tf.config.threading.set_intra_op_parallelism_threads(within)
-    tf.config.threading.set_inter_op_parallelism_threads(between)
+    tf.config.threading.set_intra_op_parallelism_threads(method.threads)
+    tf.config.threading.set_inter_op_parallelism_threads(method.threads)
 
 
 def keep_checkpoints(run: Run, method: Method) -> None:
@@ -24,15 +24,13 @@ def keep_checkpoints(run: Run, method: Method) -> None:
 
     Methods that see views have one folder, since some share a network.
     """
-    if method.inputs == "views":
+    if not method.sees_images:
         resumable(run.networks, [run.work / "train.npz"])
         return
-    step, part = ("rings", "rings") if method.inputs == "photos" else ("images", "train")
-    resumable(
-        method.checkpoint(run).parent,
-        [run.work / "landmark_model.npz"],
-        images=load_record(run, step)["checksums"][part],
-    )
+    part = TRAINING_IMAGES[run.track]
+    images = load_record(run, IMAGE_STEPS[run.track, part])["checksums"][part]
+    folder = method.checkpoint(run).parent
+    resumable(folder, [run.work / "landmark_model.npz"], images=images)
 
 
 def main(run: Run, method_id: str) -> dict:

@@ -1,46 +1,19 @@
-"""The registry of the methods: a row is all that a method needs, and loading one never trains."""
+"""The registry of the methods: loading one never trains, and it is run where its row says."""
 
 import shutil
 import subprocess
 import sys
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from deepmds_keras import InputError, align, normalise
 from deepmds_keras.geometry.units import rms_radius
 from experiments import recipes
 from experiments.inputs import load_faces
-from experiments.method import Method
 from experiments.methods import DEEP_MDS, METHODS, load, methods_of, predict
 from experiments.presets import TINY
 from experiments.run import AUTHORS_FILES, Run
-from experiments.tracks import bfm
-from experiments.tracks import predict as predict_step
-
-
-class Scaled:
-    """The mean shape, a little too large."""
-
-    n_parameters = 216
-
-    def __init__(self, run):
-        self.shape = 1.01 * load_faces(run, "train").shapes.mean(0)
-
-    def predict(self, views):
-        return self.shape[None].repeat(len(views), 0)
-
-
-MADE_UP = Method(
-    id="made_up",
-    title="Made up",
-    description="the mean shape, a little too large",
-    tracks=("bfm",),
-    build=Scaled,
-    mapped=("bfm",),
-    complexity="O(n)",
-)
 
 
 @pytest.fixture
@@ -49,22 +22,6 @@ def folder(whole_bfm, tmp_path, monkeypatch):
     shutil.copytree(whole_bfm / "build", tmp_path / "build")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def test_a_row_is_all_that_a_method_needs(folder, monkeypatch):
-    monkeypatch.setitem(METHODS, MADE_UP.id, MADE_UP)
-    run = Run(preset=TINY, jobs=1)
-    predict_step.main(run, MADE_UP.id)
-    bfm.main(run, "mean_shape", "zhao_frontal", "deep_mds", MADE_UP.id)
-    results = run.experiment_results("bfm")
-    for name in ("metrics.csv", "table.csv"):
-        rows = pd.read_csv(results / name).set_index(["method", "metric"]).sort_index()
-        column = "value" if name == "metrics.csv" else "mean"
-        scaled, mean = (rows.loc[(m, "mse"), column].mean() for m in ("made_up", "mean_shape"))
-        assert scaled == pytest.approx(mean, rel=1e-3), name  # the alignment takes the scale out
-    assert "Made up" in (results / "table.tex").read_text(encoding="utf-8")
-    parameters = pd.read_csv(run.experiment_results("parameters") / "table.csv")
-    assert parameters.set_index("method").loc["made_up", "trainable"] == 216
 
 
 def test_loading_never_trains(folder):

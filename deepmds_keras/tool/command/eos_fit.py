@@ -25,24 +25,25 @@ _TOPOLOGY, _CONTOUR = "sfm_3448_edge_topology.json", "sfm_model_contours.json"
 _IMAGE = 512  # width and height in pixels of the image for eos
 
 
-def surrey_file(path: str | Path) -> Path:
-    """File of the model: eos's folder `share` holds it, or it is the path itself.
+def surrey_files(path: str | Path) -> list[Path]:
+    """Files that eos reads, the model first: its folder `share` holds them, or that is the path.
 
     Raises:
-        InputError: A file that eos needs is missing.
+        InputError: One of them is missing.
     """
     folder = Path(path).parent if Path(path).is_file() else Path(path)
-    for name in (_FILE, _BLENDSHAPES, _MAPPING, _TOPOLOGY, _CONTOUR):
-        if not (folder / name).is_file():
-            raise InputError(f"{folder} must hold {name}, of eos's folder share. It does not.")
-    return folder / _FILE
+    files = [folder / name for name in (_FILE, _BLENDSHAPES, _MAPPING, _TOPOLOGY, _CONTOUR)]
+    for file in files:
+        if not file.is_file():
+            raise InputError(f"{folder} must hold {file.name}, of eos's folder share. It does not.")
+    return files
 
 
 def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
     """Read the Surrey model by eos.
 
     Args:
-        path: As for `surrey_file`.
+        path: As for `surrey_files`.
 
     Returns:
         The folder; shape model, blendshapes and landmark mapper, as eos reads them; and the
@@ -53,7 +54,7 @@ def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
     """
     with needs("eos-py", "eos"):
         from eos import core, morphablemodel
-    file = surrey_file(path)
+    file = surrey_files(path)[0]
     folder = file.parent
     try:
         shape = morphablemodel.load_model(str(file)).get_shape_model()

@@ -87,7 +87,8 @@ def copied(tmp_path):
 
 def judged(run):
     """Verdicts by claim."""
-    return audit.judge(audit.numbers_table(run), run.model).set_index("id")
+    numbers = audit.numbers_table(run, run.experiment_results("audit"))
+    return audit.judge(numbers, run.model).set_index("id")
 
 
 def _other_files(folder, names):
@@ -98,7 +99,7 @@ def test_committed_verdicts_are_those_of_the_committed_tables(copied):
     names = ("claims.csv", "numbers.csv")
     committed = {(m, n): read_table(RESULTS / m / "audit" / n) for m in MODELS for n in names}
     for run in copied:
-        made = audit.numbers_table(run)
+        made = audit.numbers_table(run, run.experiment_results("audit"))
         write_csv(run.experiment_results("audit") / "numbers.csv", made)
         made = read_table(run.experiment_results("audit") / "numbers.csv")
         pd.testing.assert_frame_equal(made, committed[run.model, "numbers.csv"])

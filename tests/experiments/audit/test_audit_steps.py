@@ -10,6 +10,7 @@ import runs
 from experiments.audit.audit import judge
 from experiments.audit.claims import NOT_TESTABLE, REFUTED
 from experiments.audit.measure import TOPICS
+from experiments.methods import methods_of
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.slow
 def audited(whole_bfm, tmp_path_factory):
     folder = shutil.copytree(whole_bfm, tmp_path_factory.mktemp("audit") / "whole")
     for topic in TOPICS:
-        runs.succeed("audit.measure", folder, topic)
+        runs.succeed("audit.measure", folder, topic, *(m.id for m in methods_of("bfm")))
     runs.succeed("audit.audit", folder, *TOPICS)
     return folder
 

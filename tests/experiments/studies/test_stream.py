@@ -23,14 +23,21 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def folder(whole_bfm, tmp_path_factory):
-    """A stream of 25 faces in three shards, by two processes."""
+    """A stream of 25 faces in three shards, in two parts."""
     folder = tmp_path_factory.mktemp("stream")
     source, target = (runs.work(place, "bfm") for place in (whole_bfm, folder))
     target.mkdir(parents=True)
     for name in ("train.npz", "networks", "records"):
         (target / name).symlink_to(source / name)
-    runs.succeed("studies.stream", folder, "--faces", "25", "--jobs", "2")
+    stream(folder, 25)
     return folder
+
+
+def stream(folder, n):
+    """Run both parts, and what gathers them."""
+    for part in ("0-20", f"20-{n}"):
+        runs.succeed("studies.stream_part", folder, part, "--faces", str(n))
+    runs.succeed("studies.stream", folder, "--faces", str(n))
 
 
 def table_of(folder):
@@ -60,17 +67,17 @@ def test_its_numbers_are_those_of_the_method_on_distinct_faces(folder):
         assert row.tolist() == pytest.approx(expected, rel=1e-4)
 
 
-def test_it_goes_on_where_it_was_by_any_number_of_processes(folder):
-    """One process writes the missing shard again, and more faces keep those that are there."""
+def test_it_goes_on_where_it_was(folder):
+    """A missing shard is written again, and more faces keep those that are there."""
     table, second = table_of(folder).read_bytes(), shards(folder)[1]
     errors, _ = read_arrays(second)
     second.unlink()
     kept = {path: path.stat().st_mtime_ns for path in shards(folder)}
-    runs.succeed("studies.stream", folder, "--faces", "25", "--jobs", "1")
+    stream(folder, 25)
     assert table_of(folder).read_bytes() == table
     for name, values in read_arrays(second)[0].items():
         np.testing.assert_array_equal(values, errors[name])
-    runs.succeed("studies.stream", folder, "--faces", "32", "--jobs", "1")
+    stream(folder, 32)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert len(shards(folder)) == 5  # the third is whole now, and has another name
     assert (pd.read_csv(table_of(folder))["n_faces"] == 32).all()
@@ -81,6 +88,6 @@ def test_shards_of_other_networks_are_not_used(folder, tmp_path):
     networks = runs.work(tmp_path, "bfm") / "networks"
     other, ours = (networks / f"dissimilarity-paper-{rate}.npz" for rate in ("cosine", "constant"))
     shutil.copy(other, ours)
-    done = runs.run("studies.stream", tmp_path, "--faces", "25")
+    done = runs.run("studies.stream_part", tmp_path, "0-25", "--faces", "25")
     assert done.returncode == 2 and "of another run" in done.stderr
     assert shards(tmp_path) == []

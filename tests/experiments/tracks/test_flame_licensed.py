@@ -150,14 +150,15 @@ def test_the_licensed_ringnet_is_run_on_the_photos(folder):
 
     prefix = folder / "ring_6_68641"
     write_checkpoint(prefix)
-    done = run("tracks.predict", folder, "ringnet", "--ringnet", str(prefix))
+    done = run("tracks.predict", folder, "ringnet_licensed", "--ringnet", str(prefix))
     assert done.returncode == 0, done.stderr
     work = work_of(folder)
-    with np.load(work / "predictions" / "ringnet-licensed.npz", allow_pickle=False) as file:
+    with np.load(work / "predictions" / "ringnet_licensed.npz", allow_pickle=False) as file:
         shapes = file["shapes"]
     assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)
     assert len(np.unique(shapes[:, 0, 0])) == len(shapes)
-    refused = run("tracks.predict", folder, "ringnet", "--ringnet", str(folder / "nothing"))
+    nothing = str(folder / "nothing")
+    refused = run("tracks.predict", folder, "ringnet_licensed", "--ringnet", nothing)
     assert refused.returncode == 2
     assert "nothing.meta does not exist" in refused.stderr.splitlines()[-1]
 

@@ -6,7 +6,7 @@ from places import SHARED
 
 from data_gen.views import project, sample_perspective_cameras
 from deepmds_keras import InputError, align
-from deepmds_keras.tool.command.eos_fit import NUMBERS, EosFit, surrey_file
+from deepmds_keras.tool.command.eos_fit import NUMBERS, EosFit, surrey_files
 from experiments.lifting.surrey import Surrey
 
 SFM = SHARED / "sfm"
@@ -14,7 +14,7 @@ SFM = SHARED / "sfm"
 
 def test_files_that_are_missing_are_named(tmp_path):
     with pytest.raises(InputError, match="must hold sfm_shape_3448.bin, of eos's folder share"):
-        surrey_file(tmp_path)
+        surrey_files(tmp_path)
 
 
 @pytest.mark.skipif(not SFM.is_dir(), reason="../shared/sfm is absent")

@@ -1,0 +1,73 @@
+"""Studies of the paper's method: seeds, ablation, many faces, speed."""
+
+from experiments.methods import METHODS
+from experiments.plan import seed_of
+from experiments.studies.stream_part import stream_parts
+from experiments.studies.variant import ablation_trainings
+
+
+rule seed:
+    input:
+        lambda w: plan.predictions(
+            "bfm", [m.id for m in METHODS.values() if m.over_seeds], seed_of(w)
+        )
+    output: "{work}/records/seed.json"
+    params: seed=seed_of
+    shell: step("studies.seed", seed="{params.seed}")
+
+
+rule seeds_table:
+    input: plan.begun, [record("bfm", "seed", seed) for seed in plan.seeds]
+    output:
+        record("bfm", "seeds"),
+        results("seeds", "table.csv", "metrics.csv", "table.tex", "figures/errors_by_seed.png"),
+    shell: step("studies.seeds", uses=["seeds"])
+
+
+rule variant:
+    input:
+        record("bfm", "faces"),
+        [record("bfm", f"train-{method}") for method in ("deep_mds", "deep_mds_cosine")],
+    output: f"{work('bfm')}/records/variant-{{variant}}-seed{{seed}}.json"
+    resources: mem_mb=2000
+    shell: step("studies.variant {wildcards.variant} {wildcards.seed}")
+
+
+rule ablation_table:
+    input:
+        plan.begun,
+        [record("bfm", f"variant-{name}-seed{seed}") for name, seed in ablation_trainings(RUN)],
+    output:
+        record("bfm", "ablation"),
+        results("ablation", "table.csv", "metrics.csv", "losses.csv", "curves.csv", "table.tex",
+                "figures/mini_batches.png", "figures/training_faces.png"),
+    shell: step("studies.ablation")
+
+
+rule stream_part:
+    input: plan.model, record("bfm", "train-deep_mds")
+    output: f"{work('bfm')}/records/stream-{{part}}.json"
+    resources: mem_mb=2000
+    shell: step("studies.stream_part {wildcards.part}", uses=["data", "faces"])
+
+
+rule stream_table:
+    input: plan.begun, [record("bfm", f"stream-{part}") for part in stream_parts(RUN)]
+    output: record("bfm", "stream"), results("stream", "table.csv", "table.tex", "figures/errors.png")
+    shell: step("studies.stream", uses=["faces"])
+
+
+rule speed:
+    input: plan.begun, plan.model, plan.surrey, plan.shipped
+    output:
+        record("bfm", "bench"),
+        results(plan.shared("bench"), "bench.csv", "bench.tex", "figures/bench.png"),
+    threads: workflow.cores
+    shell: step("bench.bench", uses=["data", "sfm"])
+
+
+rule installed:
+    input: plan.begun
+    output: record("bfm", "footprint"), results(plan.shared("footprint"), "footprint.csv")
+    threads: workflow.cores
+    shell: step("bench.footprint")
