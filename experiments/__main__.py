@@ -44,7 +44,7 @@ _THREADS = 2
 # Several of these run at once: NumPy gets one thread, TensorFlow two as everywhere.
 _TRAININGS = (
     *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train"),
-    *("studies.variant", "released_weights.train"),
+    *("studies.variant", "studies.stream_part", "released_weights.train"),
 )
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
