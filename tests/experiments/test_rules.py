@@ -104,6 +104,19 @@ def test_a_file_given_later_runs_the_steps_that_read_it_and_no_other(tmp_path):
     assert by_ict == {"portraits", "photo_network", "pretrained_weights", "pretrained"}
 
 
+def test_an_option_reaches_the_steps_that_use_it(tmp_path):
+    steps = runs.plan("reproduce-bfm", tmp_path, "SEEDS=2", "FACES=9")
+    names = ("--seeds", "--data", "--sfm", "--faces", "--mobileface")
+    options = {name: {words[0] for words in steps if name in words} for name in names}
+    assert options == {
+        "--seeds": {"tracks.bfm"},
+        "--data": set(),
+        "--sfm": set(),
+        "--faces": set(),
+        "--mobileface": {"tracks.train", "tracks.predict", "tracks.times", "tracks.bfm"},
+    }
+
+
 # Results appear whole.
 
 
