@@ -18,7 +18,7 @@ from experiments.lifting.train import transfer_faces
 from experiments.lifting.views import CONDITIONS, hard_views, training_views
 from experiments.presets import TINY
 from experiments.run import Run
-from experiments.studies import stream
+from experiments.studies import stream_part
 
 RUN = replace(Run(), preset=TINY)
 LEAST_MM = 0.3  # between two people, at the landmark where they differ most
@@ -40,13 +40,12 @@ def streamed():
         drawn.append(stream_make_dataset(*arguments, **options).identity)
         raise InterruptedError  # before anything is predicted
 
-    stream_make_dataset = stream.make_dataset
+    stream_make_dataset = stream_part.make_dataset
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stream, "_loaded", lambda run: (face_model(run), {}))
-        patch.setattr(stream, "make_dataset", make_dataset)
-        for shard in range(2):
+        patch.setattr(stream_part, "make_dataset", make_dataset)
+        for shard in stream_part.shards(RUN)[:2]:
             with pytest.raises(InterruptedError):
-                stream.write_shard(RUN, None, shard, TINY.faces_per_file)
+                stream_part.write_shard(RUN, shard, face_model(RUN), {})
     return drawn
 
 
