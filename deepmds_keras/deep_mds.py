@@ -35,6 +35,7 @@ from deepmds_keras.validation import (
     check_n_landmarks,
     check_views_and_shapes,
     check_whole,
+    of_one_or_many,
 )
 
 _NETWORKS = ("autoencoder", "dissimilarity_net")
@@ -197,7 +198,7 @@ class DeepMDS(BaseEstimator):
                 progress=progress,
             )
         shapes = resolve_orientation(shapes, frontal, self.front_landmark_)
-        return shapes[0] if np.ndim(views) == 2 else shapes
+        return of_one_or_many(shapes, views)
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
         """`metrics.explained_share` of the predicted and the true shapes, orientation unchecked."""
