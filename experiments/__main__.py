@@ -41,7 +41,7 @@ from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
 # Sums are split between threads: their last digits depend on this number, not on the machine's.
 _THREADS = 2
-# Several of these run at once: NumPy gets one thread, TensorFlow two as everywhere.
+# Several of these run at once, each with one thread: more would wait for each other.
 _TRAININGS = (
     *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train"),
     *("studies.variant", "studies.stream_part", "released_weights.train"),
@@ -147,7 +147,7 @@ def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if _XLA not in flags:
         os.environ["XLA_FLAGS"] = f"{_XLA} {flags}".strip()
-    os.environ["TF_NUM_INTRAOP_THREADS"] = str(_THREADS)
+    os.environ["TF_NUM_INTRAOP_THREADS"] = str(threads)
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(threads)
     threadpool_limits(threads)  # of libraries that are loaded already
     os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"

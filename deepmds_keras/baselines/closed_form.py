@@ -19,7 +19,7 @@ from deepmds_keras.validation import (
     of_one_or_many,
 )
 
-CHUNK = 256  # faces solved together: bounds the (faces, K, K) normal matrices to about 80 MB
+CHUNK = 256  # faces solved together: bounds the memory of their equations to about 80 MB
 _FLAT = 1e-5  # relative depth of a shape below which its affine camera is undetermined
 _AUTHORS_REGULARISATION = 1e-7
 _AUTHORS_ROUNDS = 50
@@ -169,13 +169,13 @@ class Aldrian(_ModelFit):
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive. Received {getattr(self, name)}.")
         noise = self.view_noise * np.ptp(views, axis=1).max(1)[:, None]
-        gram = gram_matrices(basis)
+        products = inner_products(basis)
         coefficients = np.zeros((len(views), len(basis)))
         moving = np.arange(len(views))
         for _ in range(self.max_iter):
             seen, before = views[moving], coefficients[moving]
             cameras = affine_cameras(seen, _shapes(before, mean, basis))
-            after = solve_shape(cameras, seen, mean, basis, 1 / noise[moving] ** 2, 1.0, gram)
+            after = solve_shape(cameras, seen, mean, basis, noise[moving] ** 2, products)
             coefficients[moving] = after
             moving = moving[np.abs(after - before).max(1) > self.tol]
             if not len(moving):
@@ -202,49 +202,65 @@ class AldrianAuthors(_ModelFit):
 
     def _solve(self, views, mean, basis):
         raw_basis = basis / self.sd[:, None, None]
-        gram = gram_matrices(raw_basis)
+        products = inner_products(raw_basis)
         c = np.zeros((len(views), len(basis)))
         for _ in range(_AUTHORS_ROUNDS):
             cameras = affine_cameras(views, _shapes(c, mean, basis))
-            c = solve_shape(cameras, views, mean, raw_basis, 1.0, _AUTHORS_REGULARISATION, gram)
+            c = solve_shape(cameras, views, mean, raw_basis, _AUTHORS_REGULARISATION, products)
             c = (c - c.mean(1, keepdims=True)) / c.std(1, ddof=1, keepdims=True)
         return c
 
 
-def gram_matrices(basis_times_sd: np.ndarray) -> np.ndarray:
-    """`(3, 3, K, K)` inner products of the components, one block per pair of axes.
+def inner_products(basis_times_sd: np.ndarray) -> np.ndarray:
+    """Inner products of the K components, or of the L landmarks, one block per pair of axes.
 
-    The normal matrix of any camera is a weighted sum of these nine, which saves projecting and
+    The matrix of any camera's equations is a weighted sum of these nine, which saves projecting and
     squaring the basis for each face.
+
+    Returns:
+        `(3, 3, K, K)`, or `(3, 3, L, L)` if a view has fewer coordinates than the model components.
     """
     axes = np.moveaxis(basis_times_sd, 2, 0)
+    _, k, n_landmarks = axes.shape
+    if 2 * n_landmarks < k:
+        axes = np.swapaxes(axes, 1, 2)
     return axes[:, None] @ np.swapaxes(axes, 1, 2)[None]
 
 
-def solve_shape(
-    camera, views, mean, basis_times_sd, inverse_variance, regularisation: float, gram
-) -> np.ndarray:
-    """Coefficients c, `(n, K)`, that minimise |Omega^(1/2) (A c + b)|^2 + lambda |c|^2.
+def solve_shape(camera, views, mean, basis_times_sd, variance, products) -> np.ndarray:
+    """Coefficients c, `(n, K)`, that minimise |A c - b|^2 + variance |c|^2.
 
-    A is the basis and b the mean seen through the camera, b less the view.
+    A is the basis and b the offset from the mean, both as the camera sees them. Of two equal
+    systems the smaller one is solved: (A^T A + variance I) c = A^T b, or c = A^T d with
+    (A A^T + variance I) d = b.
 
     Args:
         camera, views: `(n, 2, 4)` affine cameras and what they see, `(n, L, 2)`.
         mean, basis_times_sd: `(L, 3)` and `(K, L, 3)`.
-        inverse_variance: Diagonal of Omega: a number, or `(n, 1)` of each face.
-        regularisation: lambda.
-        gram: `gram_matrices(basis_times_sd)`.
+        variance: Of the noise of a coordinate: a number, or `(n, 1)` of each face.
+        products: `inner_products(basis_times_sd)`.
     """
-    n, k = len(views), len(basis_times_sd)
+    n, k, size = len(views), len(basis_times_sd), products.shape[-1]
     linear, shift = camera[..., :3], camera[..., 3]
-    weighted = np.broadcast_to(inverse_variance, (n, 2))[..., None] * linear
-    axis_weights = np.swapaxes(linear, 1, 2) @ weighted
-    normal = (axis_weights.reshape(n, 9) @ gram.reshape(9, k * k)).reshape(n, k, k)
-    normal[:, range(k), range(k)] += regularisation
-    residual = views - shift[:, None] - mean @ np.swapaxes(linear, 1, 2)
-    back_projected = (residual @ weighted).reshape(n, -1)
-    right = back_projected @ basis_times_sd.reshape(k, -1).T
-    return np.linalg.solve(normal, right[..., None])[..., 0]
+
+    def back_project(image):
+        return (image @ linear).reshape(n, -1) @ basis_times_sd.reshape(k, -1).T
+
+    def solve(matrices, right):
+        diagonal = range(matrices.shape[1])
+        matrices[:, diagonal, diagonal] += variance
+        return np.linalg.solve(matrices, right[..., None])[..., 0]
+
+    offset = views - shift[:, None] - mean @ np.swapaxes(linear, 1, 2)
+    if size == k:
+        weights = np.swapaxes(linear, 1, 2) @ linear
+        normal = weights.reshape(n, 9) @ products.reshape(9, -1)
+        return solve(normal.reshape(n, k, k), back_project(offset))
+    weights = linear[:, :, None, :, None] * linear[:, None, :, None, :]
+    seen = (weights.reshape(n, 4, 9) @ products.reshape(9, -1)).reshape(n, 2, 2, size, size)
+    seen = seen.swapaxes(2, 3).reshape(n, 2 * size, 2 * size)
+    trusted = solve(seen, np.swapaxes(offset, 1, 2).reshape(n, -1))
+    return back_project(np.swapaxes(trusted.reshape(n, 2, size), 1, 2))
 
 
 def _shapes(coefficients, mean, basis):

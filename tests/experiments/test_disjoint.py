@@ -74,7 +74,9 @@ def of_flame(whole_flame):
     return sets
 
 
-@pytest.mark.parametrize("track", ["bfm", "flame", "transfer"])
+@pytest.mark.parametrize(
+    "track", [*(pytest.param(t, marks=pytest.mark.slow) for t in ("bfm", "flame")), "transfer"]
+)
 def test_no_two_data_sets_share_a_person(request, track):
     if track == "bfm":
         sets = of_bfm(*map(request.getfixturevalue, ("whole_bfm", "whole_celeba", "streamed")))

@@ -95,19 +95,20 @@ def test_authors_fit_gives_every_face_coefficients_of_one_size(model, shapes):
     np.testing.assert_allclose(coefficients.std(1, ddof=1), 1, rtol=1e-6)
 
 
+@pytest.mark.parametrize("k", [K, 2 * L + 5])  # fewer and more than the coordinates of a view
 @pytest.mark.parametrize(("regularisation", "noise"), [(0.5, 1.0), (0.5, 5.0), (30.0, 5.0)])
-def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
+def test_shape_solve_agrees_with_eos(rng, regularisation, noise, k):
     """Eos is an independent implementation in C++."""
     eos = pytest.importorskip("eos", reason="needs eos-py", exc_type=ImportError)
-    mean, variances = rng.normal(0, 40, (L, 3)), np.linspace(30, 5, K) ** 2
-    basis = np.linalg.qr(rng.normal(size=(3 * L, K)))[0]
-    times_sd = (basis * np.sqrt(variances)).T.reshape(K, L, 3)
-    shapes = mean + np.tensordot(rng.standard_normal((4, K)), times_sd, 1)
+    mean, variances = rng.normal(0, 40, (L, 3)), np.linspace(30, 5, k) ** 2
+    basis = np.linalg.qr(rng.normal(size=(3 * L, k)))[0]
+    times_sd = (basis * np.sqrt(variances)).T.reshape(k, L, 3)
+    shapes = mean + np.tensordot(rng.standard_normal((4, k)), times_sd, 1)
     camera = np.array([[2.0, 0.1, -0.4, 250], [0.2, 1.9, 0.3, 240]])
     views = shapes @ camera[:, :3].T + camera[:, 3] + rng.normal(0, 2, (4, L, 2))
     cameras = affine_cameras(views, np.stack([mean] * 4))
-    known = views, mean, times_sd, 1 / noise**2, regularisation
-    ours = closed_form.solve_shape(cameras, *known, closed_form.gram_matrices(times_sd))
+    known = views, mean, times_sd, noise**2 * regularisation
+    ours = closed_form.solve_shape(cameras, *known, closed_form.inner_products(times_sd))
     pca = eos.morphablemodel.PcaModel(
         np.float32(mean.ravel()), np.float32(basis), np.float32(variances), [[0, 1, 2]]
     )
@@ -118,7 +119,7 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise):
             pca, np.float32(matrix), points, list(range(L)), np.float32([]), regularisation, None,
             noise, 0.0,
         )  # fmt: skip
-        np.testing.assert_allclose(coefficients, expected, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(coefficients, expected, rtol=1e-4, atol=5e-4)  # float32
 
 
 @pytest.mark.parametrize("method", [MeanShape(), RidgeRegression(alphas=(1e6,))])
