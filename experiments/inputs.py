@@ -136,7 +136,7 @@ def face_model(run: Run) -> MorphableModel:
     Raises:
         InputError: Its file is missing or damaged, or has no such landmarks.
     """
-    return load_model(run.model, run.data, run.scheme)
+    return load_model(run.model, run.data, run.scheme).scaled(run.bfm_scale)
 
 
 def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from data_gen.models.registry import model_files
+from data_gen.models.registry import MODELS, model_files
 from deepmds_keras.errors import InputError
 from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
 from experiments.__main__ import PARENT, one_line_errors, this_process
@@ -53,6 +53,12 @@ def main(arguments: list[str] | None = None) -> None:
             raise InputError(
                 "MEDIAPIPE must be no where no MediaPipe with FaceMesh is installed, which is for "
                 "Python 3.11 and 3.12 on x86-64 and macOS. Received yes."
+            )
+        draws = target == "reproduce-bfm" and "MOBILEFACE" not in left_out(variables)
+        if draws and MODELS[run.model].scheme:
+            raise InputError(
+                f"MOBILEFACE must be no with MODEL={run.model}, which has no mesh that could be "
+                "drawn. Received yes."
             )
         model_files(run.model, run.data)  # which says where to get what is missing
         snakemake = [

@@ -31,7 +31,7 @@ TABLES = (
 )
 # What steps read of the package that other steps may have written.
 DETECTORS = FOLDER / "detectors.csv"
-_ALWAYS = ("model", "preset", "protocol")
+_ALWAYS = ("model", "bfm_scale", "preset", "protocol")
 
 
 def memory_mb() -> int:

@@ -14,7 +14,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import load_scheme
-from experiments.inputs import load_faces, load_images, load_landmark_model
+from experiments.inputs import face_model, load_faces, load_images, load_landmark_model
 from experiments.progress import Progress
 from experiments.run import AUTHORS_FILES, Run
 from experiments.streams import Stream
@@ -131,14 +131,9 @@ def aldrian(run: Run):
 
 def aldrian_authors(run: Run):
     """The fit as the authors ran it, in micrometres, the unit of their face model."""
-    import numpy as np
-
-    from data_gen.models.registry import load_model
     from deepmds_keras.baselines.closed_form import AldrianAuthors
 
-    model = load_model(run.model, run.data)
-    # The basis is orthonormal over the mesh, so that a component's s.d. is the norm of its offsets.
-    sd = np.linalg.norm(model.identity_basis_times_sd.reshape(model.n_identity, -1), axis=1)
+    sd = face_model(run).component_sd
     mean, basis = load_landmark_model(run)
     return AldrianAuthors(1000 * mean, 1000 * basis, 1000 * sd)
 

@@ -7,6 +7,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
+import numpy as np
+
 from data_gen.models.registry import MODELS
 from data_gen.views import PROTOCOLS
 from deepmds_keras.errors import InputError
@@ -53,6 +55,9 @@ class Run:
     model: str = _option("morphable model of the faces", "openhead", choices=MODELS)
     preset: Preset = _option("sizes of the experiment", PRESETS["full"], choices=tuple(PRESETS))
     track: str = _option("which of the paper's experiments", "bfm", choices=tuple(SCHEMES))
+    bfm_scale: float = _option(
+        "of MODEL=bfm68: times the standard deviation of 3DDFA's fits", 1.0, type=float
+    )
     seed: int = _option("of everything random", 0, type=int)
     protocol: str = _option("how faces are projected", "paper", choices=PROTOCOLS)
     data: str | None = _option("file or folder of a model that is not embedded")
@@ -83,8 +88,8 @@ class Run:
 
     @property
     def scheme(self) -> str:
-        """Landmark scheme of the track."""
-        return SCHEMES[self.track]
+        """Landmark scheme of the track, or of a face model that knows no other."""
+        return MODELS[self.model].scheme or SCHEMES[self.track]
 
     @property
     def trained(self) -> Run:
@@ -162,10 +167,10 @@ class Run:
 
     @property
     def _given(self) -> str:
-        """Suffix of folders made from given data sets; without it they are of substitutes."""
-        return "".join(
-            suffix for name, suffix in SUFFIXES[self.track].items() if getattr(self, name)
-        )
+        """Suffix of folders made at another scale, or from given data sets, not substitutes."""
+        suffixes = [s for name, s in SUFFIXES[self.track].items() if getattr(self, name)]
+        scale = [] if self.bfm_scale == 1 else [f"-scale{self.bfm_scale:g}"]
+        return "".join(scale + suffixes)
 
 
 class Parser(argparse.ArgumentParser):
@@ -225,6 +230,16 @@ def run_of(values: dict) -> Run:
     for name in ("coma", "casia", "celeba") if given["data"] else ():
         given[name] = given[name] or _within(Path(given["data"]), name)
     run = Run(**given)
+    if not 0 < run.bfm_scale < np.inf or run.bfm_scale != 1 and run.model != "bfm68":
+        raise InputError(
+            "BFM_SCALE must be a positive number, and 1 but for MODEL=bfm68. "
+            f"Received {run.bfm_scale:g} with MODEL={run.model}."
+        )
+    if MODELS[run.model].scheme and (run.track != "bfm" or run.authors):
+        raise InputError(
+            f"MODEL={run.model} must be used for the BFM track, without AUTHORS: it has other "
+            f"landmarks than the released networks, and no mesh. Received the track {run.track}."
+        )
     if run.track != "bfm" and run.evaluator != "paper":
         raise InputError(
             "EVALUATOR must be paper but for the BFM track: no script of the authors scores "

@@ -28,6 +28,8 @@ class MorphableModel:
         mean: `(V, 3)` float, vertices of the mean face.
         identity_basis_times_sd: `(K, V, 3)` float, offsets at one standard deviation, so that
             identity coefficients are standard normal.
+        identity_sd: `(K,)` standard deviation of each component over the whole mesh, where this
+            is only a part of it: a number times an orthonormal component. None: see `component_sd`.
         triangles: `(T, 3)` int, 0-based vertex numbers, counter-clockwise seen from outside.
         landmarks: Scheme name (`"bfm72"`, `"ibug68"`, `"ibug51"`) to `(L,)` 0-based vertex numbers.
         expression_mean: `(V, 3)` float, added whenever an expression is given; zero for most.
@@ -49,6 +51,7 @@ class MorphableModel:
     identity_basis_times_sd: np.ndarray
     triangles: np.ndarray
     landmarks: dict[str, np.ndarray] = field(default_factory=dict)
+    identity_sd: np.ndarray | None = None
     expression_mean: np.ndarray | None = None
     expression_basis: np.ndarray | None = None
     expression_names: tuple[str, ...] = ()
@@ -97,6 +100,19 @@ class MorphableModel:
     def n_identity(self) -> int:
         return len(self.identity_basis_times_sd)
 
+    @property
+    def component_sd(self) -> np.ndarray:
+        """`(K,)` norm over the mesh of the offsets at one standard deviation, millimetres."""
+        if self.identity_sd is not None:
+            return self.identity_sd
+        return np.linalg.norm(self.identity_basis_times_sd.reshape(self.n_identity, -1), axis=1)
+
+    def scaled(self, scale: float) -> MorphableModel:
+        """The same model with so many times the standard deviation of identity."""
+        sd = None if self.identity_sd is None else scale * self.identity_sd
+        basis = scale * self.identity_basis_times_sd
+        return replace(self, identity_basis_times_sd=basis, identity_sd=sd)
+
     def shape(self, identity: np.ndarray, expression: np.ndarray | None = None) -> np.ndarray:
         """Vertices of the faces with the given coefficients.
 
@@ -133,7 +149,9 @@ class MorphableModel:
 
         Args:
             vertices: `(L,)` 0-based vertex numbers, in the new order.
-            triangles: `(T, 3)` int, of the new vertices; none by default.
+            identity_sd: `(K,)` standard deviation of each component over the whole mesh, where this
+            is only a part of it: a number times an orthonormal component. None: see `component_sd`.
+        triangles: `(T, 3)` int, of the new vertices; none by default.
         """
 
         def pick(basis):

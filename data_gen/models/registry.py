@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.basel import load_bfm2009, load_bfm2017
+from data_gen.models.bfm68 import MEAN, bfm68_files, load_bfm68
 from data_gen.models.flame import find_embedding, load_flame
 from data_gen.models.ict import NEUTRAL, load_ict
 from data_gen.models.morphable_model import MorphableModel
@@ -27,12 +28,26 @@ class FaceModel:
         load: Function that reads its file.
         files: Names of its file, in order of preference; none if it comes with this package.
         source: Where to get it.
+        place: Function of that file that returns what `load` takes, such as the folder above.
+        parts: Function of this place that returns all files that `load` reads.
+        scheme: Its landmarks, if it has no others and is for the BFM track alone.
     """
 
     title: str
     load: Callable[..., MorphableModel]
     files: tuple[str, ...] = ()
     source: str = ""
+    place: Callable[[Path], Path] = lambda file: file
+    parts: Callable[[Path], list[Path]] = lambda file: [file]
+    scheme: str | None = None
+
+
+def _ict_place(file: Path) -> Path:
+    return file.parent if file.name == NEUTRAL else file  # one mesh of many
+
+
+def _ict_files(place: Path) -> list[Path]:
+    return sorted(place.glob("*.obj")) if place.is_dir() else [place]
 
 
 _ICT = "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)"
@@ -40,8 +55,24 @@ _BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
 _FLAME = "https://flame.is.tue.mpg.de/ (free for research, after registration)"
 MODELS = {
     "openhead": FaceModel("the open head", load_openhead),
-    "ict": FaceModel("ICT faces", load_ict, (NEUTRAL, "ict_light.npz"), _ICT),
+    "ict": FaceModel(
+        "ICT faces",
+        load_ict,
+        (NEUTRAL, "ict_light.npz"),
+        _ICT,
+        place=_ict_place,
+        parts=_ict_files,
+    ),
     "bfm2009": FaceModel("Basel Face Model 2009", load_bfm2009, ("01_MorphableModel.mat",), _BASEL),
+    "bfm68": FaceModel(
+        "Basel Face Model 2009 at 68 landmarks",
+        load_bfm68,
+        (MEAN,),
+        "https://github.com/cleardusk/3DDFA (for research only)",
+        place=lambda file: file.parent.parent,
+        parts=bfm68_files,
+        scheme="ibug68",
+    ),
     "bfm2017": FaceModel(
         "Basel Face Model 2017",
         load_bfm2017,
@@ -65,6 +96,7 @@ MODELS = {
             "flame.npz",
         ),
         _FLAME,
+        parts=lambda file: [file, find_embedding(file)],
     ),
 }
 OPEN = ("openhead", "ict")
@@ -107,7 +139,7 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
 
 
 def find_model(name: str, path: str | Path | None) -> Path:
-    """File (folder for ICT-FaceKit) of a model: the path itself, or within it.
+    """File of a model, or its folder where it has several: the path itself, or within it.
 
     The open head's is in this package, whatever the path.
 
@@ -127,8 +159,7 @@ def find_model(name: str, path: str | Path | None) -> Path:
         for pattern in (depth + file for file in model.files for depth in _DEPTHS):
             places = places or sorted(path.glob(pattern))
         if len(places) == 1:
-            file = places[0]
-            return file.parent if file.name == NEUTRAL else file  # one mesh of many
+            return model.place(places[0])
         received = ", ".join(map(str, places)) or f"{path}, which holds none of them"
     raise InputError(
         f"DATA= must be the file of {name}, or a folder that holds one: {', '.join(model.files)}, "
@@ -142,10 +173,7 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     Raises:
         InputError: As `load_model`, of files that are missing.
     """
-    file = find_model(name, path)
-    if name == "flame":
-        return [file, find_embedding(file)]
-    return sorted(file.glob("*.obj")) if file.is_dir() else [file]
+    return MODELS[name].parts(find_model(name, path))
 
 
 def open_model_files(path: str | Path | None) -> list[Path]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from data_gen.datasets.dataset import make_dataset, save_dataset
-from data_gen.models.registry import load_model
 from deepmds_keras.files import write_arrays
+from experiments.inputs import face_model
 from experiments.progress import Progress
 from experiments.run import Run
 from experiments.streams import Stream
@@ -14,7 +14,7 @@ from experiments.streams import Stream
 
 def main(run: Run) -> dict:
     """Write the training faces, the test faces and the landmark model of a run."""
-    model = load_model(run.model, run.data)
+    model = face_model(run)
     landmarks = model.restrict(model.landmarks[run.scheme])
     components = model.identity_basis_times_sd.reshape(model.n_identity, -1)
     arrays = {

@@ -8,7 +8,6 @@ import numpy as np
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.datasets.images import Scene, make_scene, render
-from data_gen.models.registry import load_model
 from deepmds_keras.baselines.images import IMAGE_SIZE
 from experiments.inputs import CROP_MARGIN, face_model, image_files
 from experiments.progress import Progress
@@ -59,10 +58,10 @@ _dataset = functools.cache(load_dataset)
 @functools.cache
 def _scene(run: Run) -> Scene:
     """Scene in which people are drawn for RingNet, or neutral faces for MobileFace."""
+    model = face_model(run)
     if run.track == "flame":
-        model = face_model(run)
         return make_scene(model, run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressive=True)
-    return make_scene(load_model(run.model, run.data), run.scheme, IMAGE_SIZE, run.protocol)
+    return make_scene(model, run.scheme, IMAGE_SIZE, run.protocol)
 
 
 def main(run: Run) -> dict:

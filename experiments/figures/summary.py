@@ -10,18 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from deepmds_keras.landmarks import load_scheme
 from experiments.figures.errors import plain_log_ticks
 from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
-from experiments.run import SCHEMES
 
 _MSE_UNIT = 1e-4
 _NUMBERS = ["mean", "std", "paper_mean", "median", "lowest", "highest"]
 
 
 @styled
-def summary(table: pd.DataFrame, experiment: str) -> Figure:
+def summary(table: pd.DataFrame, n_landmarks: int) -> Figure:
     """MSE and missing depth correlation of every method: filled here, hollow in the paper.
 
     The depth correlation is a trace with the number of landmarks as its maximum. The figure shows
@@ -31,9 +29,8 @@ def summary(table: pd.DataFrame, experiment: str) -> Figure:
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`; NaN
             where there is no number. Perhaps also `n_seeds`, `median`, `lowest` and `highest` over
             seeds.
-        experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
+        n_landmarks: Of a face.
     """
-    n_landmarks = len(load_scheme(SCHEMES[experiment]).numbers)
     methods = table["method"].unique()
     rows = table.reindex(columns=["metric", "method", *_NUMBERS]).set_index(["metric", "method"])
     mse = rows.loc["mse"].reindex(methods) / _MSE_UNIT

@@ -21,7 +21,7 @@ from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
 from experiments.scoring.old_names import new_name, read_table
-from experiments.scoring.typesetting import cells, head_of, remarks
+from experiments.scoring.typesetting import cells, head_of, n_landmarks, remarks
 
 # Folder of results → title, and the target of `make` that writes it, in the report's order. Texts
 # about folders and figures are in the template.
@@ -166,8 +166,8 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
 
 def _glance(result: Result) -> dict[str, str]:
     """Error of the paper's method, and of two simpler ones, in an experiment."""
-    head = head_of(METRICS["mse"], result.track)
     table = read_table(result.folder / "table.csv")
+    head = head_of(METRICS["mse"], result.track, n_landmarks(table, result.track))
     errors = cells(table, result.track, "terminal")[head].T.to_dict()
     row = {"Experiment": f"[{result.title}](#{result.name})", "Error": head}
     for method, column in (("deep_mds", "paper"), ("deep_mds", "here"), ("deep_mds", "seeds"),

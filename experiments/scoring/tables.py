@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import load_scheme
 from experiments.methods import METHODS, rows_of_paper, title
 from experiments.records import (
     MANIFEST,
@@ -18,7 +19,7 @@ from experiments.records import (
     write_csv,
     write_text,
 )
-from experiments.run import Run
+from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS, metrics_of
 from experiments.scoring.published import published
 from experiments.scoring.typesetting import latex, text
@@ -40,6 +41,7 @@ def summarise(
     notes: Mapping[str, str],
     *,
     subset_size: int,
+    n_landmarks: int | None = None,
     paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
@@ -50,16 +52,17 @@ def summarise(
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
         notes: Method → what a reader must know about it; for one that was not run, why not.
         subset_size: Test faces in a subset.
+        n_landmarks: Of a face; None for as many as the experiment has in the paper.
         paper_rows: Method of the paper → the method with which its numbers are compared, if
             different from `METHODS`.
         seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, for methods
             trained from several.
 
     Returns:
-        `method, metric, mean, std, paper_mean, paper_std, n_subsets, subset_size, note`, and with
-        seeds `n_seeds, median, lowest, highest`, with a row for every method (measured, quoted or
-        noted) and metric. A cell that was not measured is empty and its `note` says why. `std` is
-        that of a sample (n - 1). Notes of a cell are separated by `"; "`.
+        `method, metric, mean, std, paper_mean, paper_std, n_subsets, subset_size, n_landmarks,
+        note`, and with seeds `n_seeds, median, lowest, highest`, with a row for every method
+        (measured, quoted or noted) and metric. A cell that was not measured is empty and its `note`
+        says why. `std` is that of a sample (n - 1). Notes of a cell are separated by `"; "`.
 
     Raises:
         InputError: The experiment or a method is unknown.
@@ -84,7 +87,9 @@ def summarise(
         _note(metric, row, method in run, notes.get(method))
         for (method, metric), row in table.iterrows()
     ]
-    table = table[["mean", "std", *_PAPER, "n_subsets", "subset_size", "note"]].reset_index()
+    table["n_landmarks"] = n_landmarks or len(load_scheme(SCHEMES[experiment]))
+    sizes = ("n_subsets", "subset_size", "n_landmarks")
+    table = table[["mean", "std", *_PAPER, *sizes, "note"]].reset_index()
     return table if seeds is None else table.join(_over_seeds(seeds), on=_KEYS)
 
 
@@ -94,6 +99,7 @@ def write_tables(
     *,
     experiment: str,
     subset_size: int,
+    n_landmarks: int | None = None,
     notes: Mapping[str, str],
     per_face: Mapping[str, Mapping[str, np.ndarray]],
     paper_rows: Mapping[str, str] = {},
@@ -103,15 +109,14 @@ def write_tables(
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, experiment, subset_size, notes, paper_rows, seeds: As for `summarise`.
+        metrics, experiment, subset_size, n_landmarks, notes, paper_rows, seeds: As for `summarise`.
         per_face: Metric → method → `(n,)`, for all test faces in one order.
 
     Returns:
         The content of `table.csv`.
     """
-    table = summarise(
-        metrics, experiment, notes, subset_size=subset_size, paper_rows=paper_rows, seeds=seeds
-    )
+    sizes = {"subset_size": subset_size, "n_landmarks": n_landmarks}
+    table = summarise(metrics, experiment, notes, **sizes, paper_rows=paper_rows, seeds=seeds)
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
     write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds))

@@ -64,9 +64,10 @@ def paper_layout(
         paper_rows: As for `tables.summarise`.
     """
     shown, rows = cells(table, experiment, "latex"), rows_of_paper(paper_rows)
+    n = n_landmarks(table, experiment)
     quoted = paper_table(experiment)
     ours = [
-        shown.loc[title(rows[cell.method]), (head_of(METRICS[cell.metric], experiment), "here")]
+        shown.loc[title(rows[cell.method]), (head_of(METRICS[cell.metric], experiment, n), "here")]
         for cell in quoted.itertuples()
     ]
     texts = quoted.assign(text=quoted["printed"] + " / " + ours)
@@ -89,9 +90,9 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
     Raises:
         InputError: Unknown experiment.
     """
-    methods, columns = table["method"].unique(), {}
+    methods, columns, n = table["method"].unique(), {}, n_landmarks(table, experiment)
     for metric in _metrics_shown(table, experiment, output):
-        head, unit = head_of(metric, experiment), unit_of(experiment, metric.id)
+        head, unit = head_of(metric, experiment, n), unit_of(experiment, metric.id)
         rows = table[table["metric"] == metric.id].set_index("method").loc[methods]
         if not metric.in_paper:
             columns[head, "here"] = [rounded(mean, metric.decimals) for mean in rows["mean"]]
@@ -108,8 +109,8 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
 
 def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
     """Sentences below the table: on each column, on the faces, and the notes on cells."""
-    metrics, n = _metrics_shown(table, experiment, output), n_landmarks(experiment)
-    sentences = [f"{head_of(m, experiment)}: {m.definition(n)}." for m in metrics]
+    metrics, n = _metrics_shown(table, experiment, output), n_landmarks(table, experiment)
+    sentences = [f"{head_of(m, experiment, n)}: {m.definition(n)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates().astype(int)
     sentences += [
         f"Here: mean (± s.d.) over {n} random subsets of {size} test faces."
@@ -128,14 +129,16 @@ def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
     return sentences
 
 
-def head_of(metric: Metric, experiment: str) -> str:
+def head_of(metric: Metric, experiment: str, n_landmarks: int) -> str:
     """Name of a metric, with its unit, in the tables of an experiment."""
-    n, unit = n_landmarks(experiment), unit_of(experiment, metric.id)
-    return metric.head + metric.scale.format(n=n, power=power(unit))
+    unit = unit_of(experiment, metric.id)
+    return metric.head + metric.scale.format(n=n_landmarks, power=power(unit))
 
 
-def n_landmarks(experiment: str) -> int:
-    """Landmarks of a face in an experiment."""
+def n_landmarks(table: pd.DataFrame, experiment: str) -> int:
+    """Landmarks of a face in a table; those that were committed before do not say it."""
+    if "n_landmarks" in table:
+        return int(table["n_landmarks"].iloc[0])
     return len(load_scheme(SCHEMES[experiment]))
 
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import load_model
 from deepmds_keras.files import write_arrays
 from deepmds_keras.weights import checkpoint_files
-from experiments.inputs import as_seen
+from experiments.inputs import as_seen, face_model
 from experiments.methods import DEEP_MDS, load, predict
 from experiments.progress import Progress
 from experiments.records import resumable
@@ -65,7 +64,7 @@ def main(run: Run, part: str) -> None:
     start, end = map(int, part.split("-"))
     todo = [shard for shard in shards(run) if start <= shard.number * step < end]
     missing = [shard for shard in todo if not shard.file.exists()]
-    model, methods = load_model(run.model, run.data), {m: load(run, m) for m in METHODS}
+    model, methods = face_model(run), {m: load(run, m) for m in METHODS}
     methods["deep_mds"].set_params(solver="numba", n_jobs=1)
     left = sum(shard.size for shard in missing)
     with Progress("face", end - start, end - start - left) as bar:

@@ -98,6 +98,7 @@ class Evaluation:
         return {
             "experiment": self.run.track,
             "subset_size": self.run.preset.subset_size,
+            "n_landmarks": len(load_scheme(self.run.scheme)),
             "notes": notes(self.run, detected) | dict(self.notes),
             "paper_rows": self.paper_rows,
             "seeds": self.seeds,
@@ -110,7 +111,7 @@ class Evaluation:
         table = write_tables(self._new, self.metrics, per_face=values, **self.table_options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self._new / "table_paper.tex", layout)
-        self.save(summary(table, self.run.track), "summary")
+        self.save(summary(table, self.table_options["n_landmarks"]), "summary")
 
     def save(self, figure: Figure, name: str) -> None:
         """Write a figure."""

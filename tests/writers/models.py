@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import h5py
 import numpy as np
 from scipy.io import savemat
@@ -77,3 +79,31 @@ def write_ict_npz(folder, arrays, **changes):
     }
     np.savez(folder / "ict_light.npz", **fields | changes)
     return folder / "ict_light.npz"
+
+
+def write_3ddfa(folder, face_model, *, n_vertices=53_215):
+    """A checkout of 3DDFA with another face model's landmarks and first components.
+
+    Its identity varies as in that model, and its ten expressions are components too.
+    """
+    landmarks = face_model.restrict(face_model.landmarks["ibug68"])
+    offsets = 1000 * landmarks.identity_basis_times_sd[:50].reshape(50, -1).astype(float)
+    configs, weights = folder / "train.configs", folder / "c++" / "weights"
+    for place in (configs, weights):
+        place.mkdir(parents=True)
+    vertices = np.random.default_rng(0).permutation(n_vertices)[: len(landmarks.mean)]
+    rows = (3 * vertices[:, None] + np.arange(3)).ravel()
+    mean = np.zeros((3 * n_vertices, 1), np.float32)
+    mean[rows, 0] = 1000 * landmarks.mean.ravel()
+    np.save(configs / "u_shp.npy", mean)
+    np.save(configs / "u_exp.npy", np.full_like(mean, 5.0))
+    np.save(configs / "keypoints_sim.npy", rows)
+    sd = np.linspace(9e5, 1e5, 40)
+    np.savetxt(weights / "w_shp_base.txt", (offsets[:40] / sd[:, None]).T)
+    np.savetxt(weights / "w_exp_base.txt", offsets[40:].T)
+    parameters = {
+        "param_mean": np.r_[np.full(52, 7.0), np.full(10, 0.5)].astype(np.float32),
+        "param_std": np.r_[np.ones(12), sd, np.full(10, 2.0)].astype(np.float32),
+    }
+    (configs / "param_whitening.pkl").write_bytes(pickle.dumps(parameters, protocol=2))
+    return folder

@@ -111,7 +111,7 @@ PLOTS = {
     "scans": draw_ground_truth,
     "fits": draw_fits,
     "errors_by_seed": lambda rng: errors_by_seed(seed_metrics(rng)),
-    "summary": lambda rng: summary(headline_table(), "bfm"),
+    "summary": lambda rng: summary(headline_table(), 72),
 }
 
 
@@ -198,7 +198,7 @@ def test_curves_are_the_losses_by_epoch_and_leave_out_the_first_of_training():
 
 def test_summary_draws_the_median_over_seeds_and_what_the_depth_correlation_lacks():
     drawn = [np.concatenate([line.get_xdata() for line in axes.lines])
-             for axes in summary(headline_table(), "bfm").axes]  # fmt: skip
+             for axes in summary(headline_table(), 72).axes]  # fmt: skip
     for axes, expected in zip(drawn, ([0.03, 1.4, 1.5, 1, 3], [0.001, 0.05, 0.1]), strict=True):
         assert all(np.isclose(axes, value).any() for value in expected)
         assert not np.nanmin(axes) < 0  # the paper's impossible value

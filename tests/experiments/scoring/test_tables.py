@@ -47,11 +47,12 @@ def test_csv_to_the_letter(metrics, tmp_path):
         tmp_path, metrics, experiment="bfm", subset_size=500, notes=NOTES, per_face=per_face
     )
     lines = (tmp_path / "table.csv").read_text().splitlines()
-    assert lines[0] == "method,metric,mean,std,paper_mean,paper_std,n_subsets,subset_size,note"
-    assert "deep_mds,mse,0.0002,0.00014142136,0.00014,5e-07,2,500," in lines
-    assert "deep_mds,n_parameters,27323,,,,,," in lines
-    assert "deep_mds,ms_per_face,,,,,,,ms_per_face not measured" in lines
-    assert f"mobileface,mse,,,6e-05,4e-07,,,{NOTES['mobileface']}" in lines
+    head = "method,metric,mean,std,paper_mean,paper_std,n_subsets,subset_size,n_landmarks,note"
+    assert lines[0] == head
+    assert "deep_mds,mse,0.0002,0.00014142136,0.00014,5e-07,2,500,72," in lines
+    assert "deep_mds,n_parameters,27323,,,,,,72," in lines
+    assert "deep_mds,ms_per_face,,,,,,,72,ms_per_face not measured" in lines
+    assert f"mobileface,mse,,,6e-05,4e-07,,,72,{NOTES['mobileface']}" in lines
     tests = pd.read_csv(tmp_path / "wilcoxon.csv").iloc[:, :5]
     assert [*tests] == ["over", "metric", "method_a", "method_b", "n"]
     assert tests.to_numpy().tolist() == [
