@@ -12,9 +12,11 @@ TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench s
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
 PYTHON ?= python3
 VENV ?= .venv
-## MODEL       face model: openhead, ict, bfm2009, bfm2017, bfm2019 or flame; DATA, its file or folder, or of data sets
+## MODEL       face model: openhead, ict, bfm2009, bfm68, bfm2017, bfm2019 or flame
 MODEL ?= openhead
+## DATA        its file or folder, or that of data sets; BFM_SCALE, of bfm68: times the spread of its faces
 DATA ?=
+BFM_SCALE ?= 1
 ## PRESET      full, or smoke: everything at a small size, as a check
 PRESET ?= full
 ## SEED        of everything random; SEEDS, how many the table of reproduce-bfm and make seeds have
@@ -46,7 +48,7 @@ TARGET ?= reproduce-bfm
 JOBS ?= -1
 DRY ?=
 SNAKEMAKE ?=
-VARIABLES := MODEL DATA PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
+VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
              CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
 
 # A variable on the command line that its target does not read is a mistake, perhaps of spelling.
