@@ -187,6 +187,18 @@ def pose_and_project(
     return posed, centred / nearness + middle
 
 
+def perspectives(fields_of_view: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Inverse distance, times its r.m.s. radius, at which a face fills each field of view, `(n,)`.
+
+    Args:
+        fields_of_view: `(n,)` degrees.
+        mean: `(L, 3)` landmarks of the face.
+    """
+    radius = np.linalg.norm(mean - (mean.max(0) + mean.min(0)) / 2, axis=1).max()
+    rms = np.sqrt(((mean - mean.mean(0)) ** 2).sum(1).mean())
+    return rms * np.sin(np.deg2rad(fields_of_view) / 2) / radius
+
+
 def _about(axis: int, angle: np.ndarray) -> np.ndarray:
     """Right-handed rotations about one coordinate axis: `(n,)` radians → `(n, 3, 3)`."""
     cosine, sine = np.cos(angle), np.sin(angle)

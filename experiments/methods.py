@@ -187,6 +187,13 @@ _ROWS = (
         colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
     ),
     Method(
+        id="map", title="MAP fit (knows the model)", tracks=("bfm", "celeba"),
+        description="the most probable shape and perspective camera, given the face model; nothing "
+        "is trained",
+        build=recipes.map_fit, one_by_one=True,
+        colour="#2F4F4F", marker="D", drawn=False, complexity="O(t (n^3 + n k))",
+    ),
+    Method(
         id="aldrian_hindsight", title="Aldrian & Smith, best noise",
         description="the same fit, given the noise that is best on the test faces: its own misfit",
         drawn=False,

@@ -45,7 +45,6 @@ class Preset:
         test_portraits: Photos of each open face model on which `make pretrained` measures
             detectors and methods.
         shipped_steps: Mini-batches of the lifters that ship.
-        fitted_faces: Test faces of `make lifting` to which a face model is fitted.
         streamed_faces, faces_per_file: Faces of `make stream`, and those in each of its files.
         caution: Warning on figures and below tables.
     """
@@ -87,7 +86,6 @@ class Preset:
     bench_passes: int = 3
     test_portraits: int = 1_000
     shipped_steps: int = 6_000
-    fitted_faces: int = 500
     streamed_faces: int = 1_000_000
     faces_per_file: int = 5_000
     caution: str = ""
@@ -130,7 +128,6 @@ SMOKE = Preset(
     bench_passes=0,
     test_portraits=20,
     shipped_steps=200,
-    fitted_faces=10,
     streamed_faces=1_000,
     faces_per_file=100,
     caution="smoke: too short to mean anything",

@@ -32,6 +32,7 @@ LANDMARK_NOISE = 0.2
 # the error of the 100,000 constant steps at 0.001 in the authors' code; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
 _MLP_EPOCHS = 20
+_LEAST_PERSPECTIVE_SD = 1e-3  # where all views are orthographic
 # Of the authors' release, by track.
 ZHAO_FILES = dict.fromkeys(("bfm", "celeba"), ("deep_PAMI_occ_5000.h5",))
 ZHAO_FILES |= {"flame": ("deep_PAMI_depth_FLAME.h5",)}
@@ -136,6 +137,21 @@ def aldrian_authors(run: Run):
     sd = face_model(run).component_sd
     mean, basis = load_landmark_model(run)
     return AldrianAuthors(1000 * mean, 1000 * basis, 1000 * sd)
+
+
+def map_fit(run: Run):
+    """The fit that knows the face model, and how far away the cameras of the training views are."""
+    from data_gen.views import perspectives
+    from deepmds_keras.baselines.map_fit import MapFit
+
+    mean, basis = load_landmark_model(run)
+    cameras = load_faces(run, "train").cameras
+    return MapFit(mean, basis, perspective=moments(perspectives(cameras.field_of_view, mean)))
+
+
+def moments(perspectives: np.ndarray) -> tuple[float, float]:
+    """Mean and s.d. of perspectives, a prior of `MapFit`."""
+    return float(perspectives.mean()), max(float(perspectives.std()), _LEAST_PERSPECTIVE_SD)
 
 
 class MediaPipe:

@@ -14,16 +14,17 @@ from functools import cached_property
 
 import numpy as np
 
-from data_gen.landmark_fitting import LandmarkFitter
-from data_gen.views import project
+from data_gen.views import perspectives, project
 from deepmds_keras.baselines.closed_form import Aldrian, RidgeRegression
+from deepmds_keras.baselines.map_fit import MapFit
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.camera import affine_cameras, orthographic_cameras
+from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
-from experiments.recipes import mlp
+from experiments.recipes import mlp, moments
 from experiments.run import Run
+from experiments.tasks import single_threaded
 
 _CHUNK = 500  # faces whose views are filled together
 _SEEN_SD_MM = 0.1  # noise of the visible coordinates in the regression of missing ones
@@ -80,18 +81,14 @@ class Contenders:
     def aldrian(self, faces: Views) -> np.ndarray:
         """Aldrian and Smith's fit with known noise; missing coordinates are filled in first."""
         model = self._landmarks.mean, self._landmarks.identity_basis_times_sd
-        return fit_aldrian(*model, self.fill(faces.views), self._misfit("affine"))
+        return fit_aldrian(*model, self.fill(faces.views), self._misfit())
 
-    def model_fit(self, faces: Views) -> np.ndarray:
-        """The project's fit of the face model to the visible landmarks, with known noise."""
-        sd, landmarks = self._misfit("orthographic"), self._landmarks
-        options = {"n_identity": landmarks.n_identity, "n_expression": 0, "landmark_sd": sd}
-        identity = []
-        for view in faces.views:
-            visible = np.flatnonzero(np.isfinite(view).all(-1))
-            part = replace(landmarks, landmarks={"visible": visible})
-            identity.append(LandmarkFitter(part, "visible", **options).fit(view[visible]).identity)
-        return landmarks.shape(np.array(identity))
+    def map(self, faces: Views) -> np.ndarray:
+        """The most probable shapes, with the true face model and noise."""
+        mean, basis = self._landmarks.mean, self._landmarks.identity_basis_times_sd
+        known = moments(perspectives(self._train.cameras.field_of_view, mean))
+        with single_threaded():
+            return MapFit(mean, basis, perspective=known).predict(faces.views, faces.sd_mm)
 
     def fill(self, views: np.ndarray) -> np.ndarray:
         """Fill in missing coordinates of `(n, L, 2)` by a regression on the others.
@@ -112,22 +109,14 @@ class Contenders:
             filled.append(np.where(known, flat, self._mean + weights @ self._covariance))
         return np.concatenate(filled).reshape(views.shape)
 
-    def _misfit(self, camera: str) -> float:
-        """R.m.s. residual in mm of a coordinate when a kind of camera is fitted to the true shapes.
+    def _misfit(self) -> float:
+        """R.m.s. residual in mm of a coordinate when affine cameras are fitted to the true shapes.
 
-        A method with that camera must treat all of it as noise: landmark noise and perspective.
+        A method with such a camera must treat all of it as noise: landmark noise and perspective.
         """
         faces = self._whole[:_MISFIT_FACES]
-        if camera == "affine":
-            cameras = affine_cameras(faces.views, faces.shapes)
-            linear, shift = cameras[..., :3], cameras[..., 3]
-        else:
-            nearest = orthographic_cameras(faces.views, faces.shapes)
-            linear, shift = (
-                nearest.scale[:, None, None] * nearest.rotation[:, :2],
-                nearest.translation,
-            )
-        projected = faces.shapes @ np.swapaxes(linear, 1, 2) + shift[:, None]
+        cameras = affine_cameras(faces.views, faces.shapes)
+        projected = faces.shapes @ np.swapaxes(cameras[..., :3], 1, 2) + cameras[:, None, :, 3]
         return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
 
 

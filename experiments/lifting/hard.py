@@ -25,7 +25,7 @@ from experiments.tasks import unordered
 METRICS = ["mse", "times_lower_bound", "within_1_sd", "within_2_sd"]
 _UNIT = 1e-6
 _REGRESSIONS = ("ridge", "ridge_roll_aligned", "mlp")
-_FITS = ("aldrian", "model_fit")  # take long: tested on `fitted_faces` of the test faces
+_FITS = ("aldrian", "map")
 _YAW_STEP = 10.0  # degrees
 _ABOUT = (
     "MSE: mean square over coordinates in 10⁻⁶ of the squared min-max unit, after Procrustes "
@@ -33,11 +33,11 @@ _ABOUT = (
     "seeds it is the mean."
 )
 _FILLED = "missing coordinates are put where a regression on those that are seen expects them"
-_GIVEN = "given the noise together with what its camera cannot express of the perspective"
 NOTES = {
     **dict.fromkeys(_REGRESSIONS, f"trained for each column; {_FILLED}"),
-    "aldrian": f"{_GIVEN}; {_FILLED}",
-    "model_fit": _GIVEN,
+    "aldrian": "given the noise together with what its camera cannot express of the perspective; "
+    f"{_FILLED}",
+    "map": "given the noise, the face model and the prior of the perspective",
     DEEP_MDS: "trained for each column; it has no way to leave a landmark out",
     LIFTING: "trained for each column, for all with missing landmarks once, on views that miss "
     f"up to {MOST_MISSING:.0%}",
@@ -59,17 +59,15 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     best = lower_bound(run, faces, np.random.default_rng([run.seed, Stream.HARD_BOUND]))
 
     def add(method: str, seed: int, errors: np.ndarray, **metrics: np.ndarray) -> None:
-        bound = best[: len(errors)]
-        ratio = errors.mean() / bound.mean()
+        ratio = errors.mean() / best.mean()
         # Linearised ratio of means, so that the standard error of its mean is that of the ratio.
-        ratios = ratio + (errors - ratio * bound) / bound.mean()
+        ratios = ratio + (errors - ratio * best) / best.mean()
         rows = pd.DataFrame({"mse": errors, "times_lower_bound": ratios} | metrics)
-        yaw = np.abs(faces.cameras.yaw[: len(errors)])
+        yaw = np.abs(faces.cameras.yaw)
         parts.append(rows.assign(condition=condition.id, method=method, seed=seed, yaw=yaw))
 
     for method in ("mean_shape", *_REGRESSIONS, *_FITS):
-        tested = faces[: run.preset.fitted_faces] if method in _FITS else faces
-        add(method, run.seed, _errors(getattr(contenders, method)(tested), tested))
+        add(method, run.seed, _errors(getattr(contenders, method)(faces), faces))
     if not condition.missing:
         net = load_network(hard_file(run, DEEP_MDS, condition, run.seed))
         add(DEEP_MDS, run.seed, _errors(net.predict(faces.views), faces))

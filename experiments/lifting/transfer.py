@@ -18,11 +18,13 @@ from data_gen.views import (
     PITCH,
     ROLL,
     YAW,
+    perspectives,
     project,
     sample_perspective_cameras,
     sample_photo_views,
 )
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
+from deepmds_keras.baselines.map_fit import MapFit
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.metrics import mse
@@ -41,7 +43,7 @@ from experiments.lifting.train import (
 )
 from experiments.methods import title
 from experiments.progress import counted
-from experiments.recipes import mlp
+from experiments.recipes import mlp, moments
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -69,6 +71,9 @@ class Trained:
         faces = normalise(centre(views)), normalise(shapes)
         self._views, self._components = views, principal_components(shapes)
         self.lifter, self._deep_mds = lifter, deep_mds
+        mean, basis = self._components
+        prior = moments(perspectives(np.linspace(0, FIELD_OF_VIEW), mean))
+        self._map = MapFit(mean, basis, perspective=prior)
         self._regressions = {
             "mean_shape": MeanShape(),
             "ridge": RidgeRegression(),
@@ -94,6 +99,8 @@ class Trained:
         seen = normalise(centre(views))
         shapes = {method: model.predict(seen) for method, model in self._regressions.items()}
         shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
+        with single_threaded():
+            shapes["map"] = self._map.predict(given, sd)
         if truth is not None:
             fitted = fit_aldrian_in_hindsight(*self._components, views, truth)
             shapes["aldrian_hindsight"] = fitted

@@ -108,5 +108,5 @@ def test_the_limit_grows_with_noise_and_with_missing_landmarks_and_is_below_all(
     assert best["hard_1"] < best["hard_1_missing_30"] < best["hard_1_missing_50"]
     faces, contenders = faces_of(names[-1])[:30], Contenders(RUN, BY_ID[names[-1]])
     truth = normalise(faces.shapes)
-    for method in (contenders.mean_shape, contenders.ridge, contenders.aldrian):
+    for method in (contenders.mean_shape, contenders.ridge, contenders.aldrian, contenders.map):
         assert mse(align(method(faces), truth), truth).mean() > best[names[-1]]
