@@ -4,7 +4,7 @@ SHELL := bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
-TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
+TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds objects \
            pretrained lifting released-weights real-faces surface footprint check report
 .PHONY: help setup $(TARGETS) all-results dag docs pictures openhead test nightly lint clean
 
@@ -40,8 +40,9 @@ CELEBA ?=
 TF_FLAME ?=
 ## SFM         folder share of eos, with the Surrey Face Model, for lifting and pretrained
 SFM ?=
-## FACES       of stream; REAL, file of real-faces; TARGET, of dag
+## FACES       of stream; REAL, file of real-faces; OBJECTS, folder of objects; TARGET, of dag
 FACES ?=
+OBJECTS ?=
 REAL ?=
 TARGET ?= reproduce-bfm
 ## JOBS        processes, -1 for every core; DRY=1 says what would be done; SNAKEMAKE, its options (docs/large.md)
@@ -49,13 +50,14 @@ JOBS ?= -1
 DRY ?=
 SNAKEMAKE ?=
 VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
-             CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES DRY SNAKEMAKE
+             CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES OBJECTS DRY SNAKEMAKE
 
 # A variable on the command line that its target does not read is a mistake, perhaps of spelling.
-$(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL,$(VARIABLES))))
-READ_BY_check := $(filter-out REAL JOBS DRY SNAKEMAKE,$(VARIABLES))
+$(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL OBJECTS,$(VARIABLES))))
+READ_BY_check := $(filter-out REAL OBJECTS JOBS DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_dag := TARGET $(filter-out DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_all-results := DATA AUTHORS SFM REAL
+READ_BY_objects := OBJECTS PRESET SEED JOBS DRY SNAKEMAKE
 READ_BY_real-faces := DATA REAL PRESET SEED
 READ_BY_surface := DATA
 READ_BY_footprint :=
@@ -104,6 +106,7 @@ reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with R
 reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
 ablation: ## the method with one part changed, over five seeds   (1 h after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
+objects: ## the methods on objects other than faces: results/objects/   [OBJECTS=dir]   (1 h)
 bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (1 h)

@@ -25,6 +25,14 @@ def check_given(run: Run) -> None:
             "RINGNET must be yes, no or the path of the licensed checkpoint without suffix, such "
             f"as ring_6_68641. Received {run.ringnet}."
         )
+    if run.objects:
+        from experiments.objects.shapes import OBJECTS, object_file
+
+        for name in OBJECTS:
+            if not object_file(run.objects, name).is_file():
+                raise InputError(
+                    f"OBJECTS must be a folder with {name}.npz. Received {run.objects}."
+                )
     if run.sfm:
         from deepmds_keras.tool.command.eos_fit import surrey_files
 

@@ -36,6 +36,7 @@ _OPTIONS = (
 _WEIGHTS = "the folder of the authors' released weights, see docs/data.md"
 _NEEDED = {
     "released-weights": ("AUTHORS", _WEIGHTS),
+    "objects": ("OBJECTS", "a folder of npz files of objects, see docs/data.md"),
     "real-faces": ("REAL", "an npz file of arrays dlib and mediapipe"),
 }
 _PATIENCE = 3  # seconds that steps have to end after Ctrl-C

@@ -45,6 +45,7 @@ class Preset:
         test_portraits: Photos of each open face model on which `make pretrained` measures
             detectors and methods.
         shipped_steps: Mini-batches of the lifters that ship.
+        object_views: Training views of each shape of `make objects`; an eighth of it in the tests.
         streamed_faces, faces_per_file: Faces of `make stream`, and those in each of its files.
         caution: Warning on figures and below tables.
     """
@@ -86,6 +87,7 @@ class Preset:
     bench_passes: int = 3
     test_portraits: int = 1_000
     shipped_steps: int = 6_000
+    object_views: int = 40
     streamed_faces: int = 1_000_000
     faces_per_file: int = 5_000
     caution: str = ""
@@ -128,6 +130,7 @@ SMOKE = Preset(
     bench_passes=0,
     test_portraits=20,
     shipped_steps=200,
+    object_views=2,
     streamed_faces=1_000,
     faces_per_file=100,
     caution="smoke: too short to mean anything",

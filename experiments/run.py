@@ -72,6 +72,7 @@ class Run:
     ringnet: str | None = _option("prefix of the licensed RingNet's checkpoint, to use that one")
     mobileface: str = _option("how MobileFace is trained", "cosine", choices=MOBILEFACES)
     real: str | None = _option("npz of real faces, as two detectors find their landmarks")
+    objects: str | None = _option("folder of npz files of objects other than faces")
     seeds: int | None = _option(
         "number of seeds whose range of errors the BFM table shows", type=int
     )
@@ -187,7 +188,18 @@ OPTIONS = {option.name: option for option in fields(Run) if option.metadata}
 # Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
 _SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
 _PATHS = (
-    *("data", "coma", "casia", "celeba", "tf_flame", "sfm", "real", "casia_index", "authors"),
+    *(
+        "data",
+        "coma",
+        "casia",
+        "celeba",
+        "tf_flame",
+        "sfm",
+        "real",
+        "objects",
+        "casia_index",
+        "authors",
+    ),
     "ringnet",
 )
 

@@ -78,6 +78,20 @@ class MapFit(BaseEstimator):
         return of_one_or_many(shapes * radius + centre, views)
 
 
+def principal_components(shapes: np.ndarray, least_sd: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean `(L, 3)` of shapes `(n, L, 3)` and principal components times s.d., `(K, L, 3)`.
+
+    What is not Gaussian is replaced by the Gaussian with its moments. Components whose s.d. is at
+    most `least_sd`, over all coordinates together, are left out.
+    """
+    n, mean = len(shapes), shapes.mean(0)
+    flat = (shapes - mean).reshape(n, -1)
+    values, vectors = np.linalg.eigh(flat.T @ flat / n)
+    kept = values > least_sd**2
+    basis = (vectors[:, kept] * np.sqrt(values[kept])).T[::-1]
+    return mean, basis.reshape(-1, *mean.shape)
+
+
 class _Model:
     """Face model about its centre, in its radius, with the covariance of its coordinates."""
 

@@ -24,7 +24,7 @@ from data_gen.views import (
     sample_photo_views,
 )
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
-from deepmds_keras.baselines.map_fit import MapFit
+from deepmds_keras.baselines.map_fit import MapFit, principal_components
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.metrics import mse
@@ -69,7 +69,7 @@ class Trained:
 
     def __init__(self, views, shapes, lifter, deep_mds, mlp):
         faces = normalise(centre(views)), normalise(shapes)
-        self._views, self._components = views, principal_components(shapes)
+        self._views, self._components = views, principal_components(shapes, _LEAST_SD_MM)
         self.lifter, self._deep_mds = lifter, deep_mds
         mean, basis = self._components
         prior = moments(perspectives(np.linspace(0, FIELD_OF_VIEW), mean))
@@ -137,19 +137,6 @@ def trained(run: Run, faces: str) -> Trained:
     names = (transfer_name(method, faces) for method in ("landmark_lifter", "deep_mds_cosine"))
     networks = (load_network(network_file(run, name)) for name in names)
     return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
-
-
-def principal_components(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean `(L, 3)` of shapes `(n, L, 3)` and principal components times s.d., `(K, L, 3)`.
-
-    Expressions are not Gaussian: this is the Gaussian with their moments.
-    """
-    n, mean = len(shapes), shapes.mean(0)
-    flat = (shapes - mean).reshape(n, -1)
-    values, vectors = np.linalg.eigh(flat.T @ flat / n)
-    kept = values > _LEAST_SD_MM**2
-    basis = (vectors[:, kept] * np.sqrt(values[kept])).T[::-1]
-    return mean, basis.reshape(-1, *mean.shape)
 
 
 def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:

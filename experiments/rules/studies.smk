@@ -1,6 +1,7 @@
 """Studies of the paper's method: seeds, ablation, many faces, speed."""
 
 from experiments.methods import METHODS
+from experiments.objects.shapes import OBJECTS, object_file
 from experiments.plan import seed_of
 from experiments.studies.stream_part import stream_parts
 from experiments.studies.variant import ablation_trainings
@@ -55,6 +56,23 @@ rule stream_table:
     input: plan.begun, [record("bfm", f"stream-{part}") for part in stream_parts(RUN)]
     output: record("bfm", "stream"), results("stream", "table.csv", "table.tex", "figures/errors.png")
     shell: step("studies.stream", uses=["faces"])
+
+
+rule object:
+    input: lambda w: object_file(RUN.objects, w.object)
+    output: f"{work('bfm')}/records/object-{{object}}-{{seed}}.json"
+    resources: mem_mb=2500
+    shell: step("objects.train {wildcards.object} {wildcards.seed}", uses=["objects"])
+
+
+rule objects_table:
+    input:
+        plan.begun,
+        [record("bfm", f"object-{name}-{seed}") for name in OBJECTS for seed in RUN.few_seeds],
+    output:
+        record("bfm", "objects"),
+        results(plan.shared("objects"), "table.csv", "metrics.csv", "table.tex", "figures/errors.png"),
+    shell: step("objects.table", uses=["objects"])
 
 
 rule speed:

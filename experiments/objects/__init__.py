@@ -1,0 +1,1 @@
+"""The methods on objects other than faces."""

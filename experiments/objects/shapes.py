@@ -1,0 +1,80 @@
+"""Shapes of objects from `OBJECTS=`, their views from all sides, and what is held out for tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_npz
+from deepmds_keras.geometry.units import centre, rms_radius
+from experiments.run import Run
+from experiments.streams import Stream
+
+# Objects, and the share of their shapes that is held out: of sequences the last third, whose poses
+# the training has not seen, of separate things as many at random as of 920 chairs 220.
+SEQUENCES = ("walking", "dance", "yoga", "stretch", "pickup", "drink", "jaws", "face")
+OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
+NOISES = (0.0, 0.02)  # s.d. of a coordinate in the view, in r.m.s. radii of the shape
+_COMMON = 0.9  # share of the shapes that must have a landmark if it is to be used
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Views `(n, L, 2)` of shapes `(n, L, 3)`, which are centred, of r.m.s. radius 1."""
+
+    views: np.ndarray
+    shapes: np.ndarray
+
+
+def object_file(folder: str | Path, name: str) -> Path:
+    """File of an object: npz with `points`, `(n, L, 3)`, NaN where a shape lacks a landmark."""
+    return Path(folder, f"{name}.npz")
+
+
+def read_shapes(path: Path) -> np.ndarray:
+    """Shapes `(n, L, 3)` that have all landmarks which most of them have, centred, of radius 1.
+
+    Raises:
+        InputError: The file is missing or damaged, or holds too few shapes or landmarks.
+    """
+    points = np.asarray(read_npz(path, "shapes (npz)").get("points", np.empty(0)))
+    if points.ndim != 3 or points.shape[-1] != 3 or points.dtype.kind != "f":
+        raise InputError(
+            f"{path}: points must be floats of shape (shapes, landmarks, 3). "
+            f"Received {points.dtype} {points.shape}."
+        )
+    known = np.isfinite(points).all(2)
+    landmarks = known.mean(0) >= _COMMON
+    points = points[known[:, landmarks].all(1)][:, landmarks].astype(float)
+    if len(points) < 10 or points.shape[1] < 6:
+        raise InputError(
+            f"{path}: at least 10 shapes must have the same 6 landmarks. "
+            f"Received {len(points)} with {points.shape[1]}."
+        )
+    points = centre(points)
+    return points / rms_radius(points)[:, None, None]
+
+
+def views_of(run: Run, name: str, seed: int, noise: float) -> tuple[Views, Views]:
+    """Training and test views of an object, orthographic, turned in any way.
+
+    The same shapes are held out whatever the noise, of sequences whatever the seed. A shape has the
+    same views, and the same errors but for their size, at all noise levels.
+    """
+    shapes, held = read_shapes(object_file(run.objects, name)), OBJECTS[name]
+    rng = np.random.default_rng([seed, Stream.OBJECTS, [*OBJECTS].index(name)])
+    order = np.arange(len(shapes)) if name in SEQUENCES else rng.permutation(len(shapes))
+    n_train = len(shapes) - round(held * len(shapes))
+    n_views = run.preset.object_views
+    parts = (order[:n_train], n_views), (order[n_train:], max(1, n_views // 8))
+    seen = []
+    for chosen, times in parts:
+        repeated = np.repeat(shapes[chosen], times, axis=0)
+        turns = Rotation.random(len(repeated), rng).as_matrix()
+        views = (repeated @ np.swapaxes(turns, 1, 2))[..., :2]
+        seen.append(Views(views + noise * rng.standard_normal(views.shape), repeated))
+    return tuple(seen)

@@ -1,0 +1,94 @@
+"""Step: train every method on views of an object from one seed, and score it on held-out shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.stats import sem
+
+from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
+from deepmds_keras.baselines.map_fit import MapFit, principal_components
+from deepmds_keras.baselines.mlp import MLP
+from deepmds_keras.deep_mds import DeepMDS
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import normalise
+from deepmds_keras.lifting.lifter import LandmarkLifter
+from experiments.objects.shapes import NOISES, Views, views_of
+from experiments.recipes import fit
+from experiments.records import write_csv
+from experiments.run import Run
+
+METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map", "landmark_lifter")
+_UNITS = 256  # of each hidden layer of the MLP
+_ORTHOGRAPHIC = 0.0, 1e-3  # perspective of the views, mean and s.d.
+_MLP_EPOCHS = 20
+_LEAST_SD = 1e-3  # of a component, in r.m.s. radii
+_SIZES = ("autoencoder_epochs", "dissimilarity_epochs", "dissimilarity_steps")
+
+
+def scores_file(run: Run, name: str, seed: int) -> Path:
+    """File of the errors on an object."""
+    return run.work / "objects" / f"{name}-seed{seed}.csv"
+
+
+def main(run: Run, name: str, seed: str) -> None:
+    rows = []
+    for noise in NOISES:
+        train, test = views_of(run, name, int(seed), noise)
+        for method in METHODS:
+            shapes, more = predicted(run, method, int(seed), noise, train, test)
+            of_shapes = errors(shapes, test.shapes)
+            where = {"object": name, "noise": noise, "method": method, "seed": int(seed)}
+            size = {"n_landmarks": shapes.shape[1], "n_views": len(shapes)}
+            rows.append(where | {"error": of_shapes.mean(), "sem": sem(of_shapes)} | more | size)
+    write_csv(scores_file(run, name, int(seed)), pd.DataFrame(rows))
+
+
+def errors(shapes: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Mean squared distance of a landmark after alignment with scale and reflection, `(n,)`.
+
+    Its unit is the squared r.m.s. radius, which is 1 for the true shapes.
+    """
+    return np.mean(np.sum((align(shapes, truth) - truth) ** 2, axis=2), axis=1)
+
+
+def predicted(
+    run: Run, method: str, seed: int, noise: float, train: Views, test: Views
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Shapes of the test views by a method trained on the others, and what else is measured."""
+    n_landmarks, preset = train.views.shape[1], run.preset
+    if method == "map":
+        model = MapFit(*principal_components(train.shapes, _LEAST_SD), perspective=_ORTHOGRAPHIC)
+        return model.predict(test.views, noise), {}
+    if method == "landmark_lifter":
+        lifter = LandmarkLifter(n_landmarks, steps=preset.lifting_steps // 2, seed=seed)
+        fit(lifter, train.views, train.shapes, landmark_sd=noise)
+        return lifter.predict(test.views, landmark_sd=noise), {}
+    if method == "deep_mds":
+        sizes = {name: getattr(preset, name) for name in _SIZES}
+        model = DeepMDS(n_landmarks, centre_views=True, seed=seed, solver="numba", **sizes)
+        fit(model, train.views, train.shapes)
+        return model.predict(test.views), {"frontal_share": frontal_share(model, train, test)}
+    steps = -(-preset.lifting_steps // 2 // _MLP_EPOCHS)
+    model = {
+        "mean_shape": MeanShape(),
+        "ridge": RidgeRegression(),
+        "mlp": MLP(n_landmarks, units=_UNITS, steps_per_epoch=steps, seed=seed),
+    }[method]
+    if method == "mlp":
+        fit(model, train.views, train.shapes)
+    else:
+        model.fit(train.views, train.shapes)
+    return model.predict(test.views), {}
+
+
+def frontal_share(model: DeepMDS, train: Views, test: Views) -> float:
+    """Squared error of the autoencoder's frontal views, in that of the mean frontal view.
+
+    1 is an autoencoder that gives the same view for all, above 1 it does worse.
+    """
+    target, mean = normalise(test.shapes)[..., :2], normalise(train.shapes)[..., :2].mean(0)
+    off = model.frontalise(test.views) - target
+    return float(np.mean(off**2) / np.mean((mean - target) ** 2))
