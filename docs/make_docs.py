@@ -22,6 +22,7 @@ from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
 from experiments.scoring.numbers import NOTHING, power
 from experiments.scoring.old_names import read_table
+from experiments.scoring.verdict import orders
 
 ROOT = Path(__file__).parents[1]
 _OF_TEN_SEEDS = ("openhead/bfm", "ict/bfm")
@@ -76,6 +77,13 @@ class Results:
         row = self.csv(f"{model}/audit/numbers.csv").set_index("number").loc[name]
         value, low, high = (f"{row[key] / unit:{form}}" for key in ("value", "low", "high"))
         return f"{value} [{low}, {high}]" if interval else value
+
+    def orders(self, columns: Mapping[str, str]) -> str:
+        """Whether the paper's order of methods is found in folders, by their heads."""
+        found = {head: orders(self.rows(folder)) for head, folder in columns.items()}
+        protocols = [order.protocol for order in next(iter(found.values()))]
+        rows = [["The paper's order", *protocols]]
+        return grid(rows + [[head, *(o.verdict for o in of)] for head, of in found.items()])
 
     def verdicts(self, verdict: str) -> list[str]:
         """Ids of the claims that have a verdict on all face models, in order."""
@@ -172,7 +180,7 @@ def pages(results: Results) -> dict[str, str]:
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
         keep_trailing_newline=True, trim_blocks=True,
     )  # fmt: skip
-    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "verdicts", "errors"):
+    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "verdicts", "errors", "orders"):
         environment.globals[name] = getattr(results, name)
     environment.globals |= {
         "check": check,

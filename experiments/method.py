@@ -57,6 +57,8 @@ class Method:
         mapped: Experiments that draw its error by landmark as a whole face.
         complexity: Time of a prediction in the number of landmarks n, derived from the algorithm;
             None keeps it out of the table of parameters.
+        fair: Of a row that repeats what the authors did, the row of the same method by its own
+            paper, scored as all others.
         networks: Function of the numbers of landmarks and coefficients that returns untrained
             networks, for counting.
         deep_mds: Pair features and learning-rate schedule, if it is the paper's method.
@@ -91,6 +93,7 @@ class Method:
     gallery: bool = False
     mapped: tuple[str, ...] = ()
     complexity: str | None = None
+    fair: str | None = None
     networks: Callable[[int, int], list[keras.Model]] | None = None
     deep_mds: tuple[str, str | None] | None = None
 

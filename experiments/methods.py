@@ -164,7 +164,7 @@ _ROWS = (
         colour="#1F3A93", marker="d", drawn=False, complexity="O(n^2)",
     ),
     Method(
-        id="zhao_evaluator", title="Zhao et al., authors' protocol and evaluator",
+        id="zhao_evaluator", title="Zhao et al., authors' protocol and evaluator", fair="zhao",
         description="the same predictions as the released evaluator scores them",
         drawn=False,
     ),
@@ -181,7 +181,7 @@ _ROWS = (
     ),
     Method(
         id="aldrian_authors", title="Aldrian & Smith, authors' fit", paper="aldrian",
-        tracks=("bfm", "celeba"),
+        fair="aldrian", tracks=("bfm", "celeba"),
         description="the same fit with the scaled coefficients of the released code",
         build=recipes.aldrian_authors, one_by_one=True, reads_model=True,
         colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
@@ -252,7 +252,8 @@ _ROWS = (
         colour="#9AA5B1", marker=">", gallery=True,
     ),
     Method(
-        id="mediapipe", title="MediaPipe", paper="mediapipe", tracks=("flame",),
+        id="mediapipe", title="MediaPipe", paper="mediapipe", fair="mediapipe_corrected",
+        tracks=("flame",),
         description="pretrained face mesh of an image, by the authors' list of points",
         inputs="images", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
         note=_mediapipe_note, colour="#00727A", marker="H", pictured=False, complexity="O(1)",

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import io
 import subprocess
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from deepmds_keras.errors import InputError
-from experiments.methods import CONSTANT
+from experiments.methods import CONSTANT, METHODS, title
 from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
@@ -33,6 +35,7 @@ def verdict(run: Run) -> list[str]:
         f"MSE in {power(unit)}: Deep-MDS {ours} (paper {paper}); one output of its own for all "
         f"views {constant}; the mean shape {mean}."
     ]
+    lines += order_lines(rows)
     if run.preset.caution:
         return [*lines, f"Not compared with the committed run: {run.preset.caution}."]
     committed = _committed(run)
@@ -50,6 +53,64 @@ def verdict(run: Run) -> list[str]:
     if off.empty:
         return [*lines, f"This run agrees with the committed one{_not_compared(rows, there)}."]
     return [*lines, f"It differs from the committed run, see make check: {', '.join(off.index)}."]
+
+
+@dataclass(frozen=True)
+class Order:
+    """The order of the paper's methods by MSE, as a table has it.
+
+    Attributes:
+        protocol: In words.
+        methods: Ids, the least error first.
+        same, pairs: Of so many pairs of methods, those that the paper has in the same order.
+    """
+
+    protocol: str
+    methods: list[str]
+    same: int
+    pairs: int
+
+    @property
+    def verdict(self) -> str:
+        if self.same in (0, self.pairs):
+            found = "reproduced" if self.same else "not reproduced"
+        else:
+            found = "partly reproduced"
+        return f"{found} ({self.same} of {self.pairs} pairs)"
+
+
+def orders(rows: pd.DataFrame) -> list[Order]:
+    """Whether the paper's order is found again by its authors' protocol, and by a fair one.
+
+    Args:
+        rows: Rows of a table with the MSE, by method. Those with a number of the paper are made as
+            the authors made it; `Method.fair` names what to compare instead.
+    """
+    here = rows["median"].fillna(rows["mean"]) if "median" in rows else rows["mean"]
+    published = rows["paper_mean"].drop(CONSTANT, errors="ignore").dropna()
+    published = published[here.reindex(published.index).notna()].to_dict()
+    pairs = [*combinations(published, 2)]
+    found = []
+    for protocol in ("by the authors' protocol", "with faithful baselines") if pairs else ():
+        fair = {method: METHODS[method].fair for method in published} if found else {}
+        row = {method: fair.get(method) or method for method in published}
+        errors = {method: here.get(row[method], np.nan) for method in published}
+        same = sum((errors[a] < errors[b]) == (published[a] < published[b]) for a, b in pairs)
+        methods = [row[method] for method in sorted(published, key=errors.get)]
+        found.append(Order(protocol, methods, same, len(pairs)))
+    return found
+
+
+def order_lines(rows: pd.DataFrame) -> list[str]:
+    """`orders` as sentences."""
+    lines = [
+        f"Order of the paper's methods by MSE, {order.protocol}: {order.verdict}: "
+        f"{' < '.join(map(title, order.methods)).removesuffix('.')}."
+        for order in orders(rows)
+    ]
+    if lines and "median" not in rows:
+        lines[-1] += " One training of each: indicative."
+    return lines
 
 
 def _differences(here: pd.DataFrame, there: pd.DataFrame) -> pd.DataFrame:

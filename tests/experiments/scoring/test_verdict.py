@@ -14,7 +14,7 @@ from experiments.run import Run
 from experiments.scoring.intervals import holm_adjusted
 from experiments.scoring.tables import summarise, wilcoxon_tests
 from experiments.scoring.typesetting import paper_layout, remarks
-from experiments.scoring.verdict import check, verdict
+from experiments.scoring.verdict import check, order_lines, verdict
 
 ERRORS = {
     "mean_shape": 0.5e-4,
@@ -152,3 +152,25 @@ def test_constant_answers_have_the_mean_error_of_one_answer_to_all():
     assert not (answers == shapes).all((1, 2)).any() and np.isin(answers, shapes).all()
     mean = np.mean([((shape - truth) ** 2).mean() for shape in shapes])
     assert ((answers - truth) ** 2).mean() == pytest.approx(mean, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        # The paper: MobileFace 0.6, Deep-MDS 1.4, Aldrian & Smith 2.5, Zhao et al. 22.
+        ([1, 2, 3, 4, 3, 4], ["reproduced (6 of 6 pairs): MobileFace < Deep-MDS", "reproduced"]),
+        ([1, 2, 3, 4, 0.5, 1.5], ["reproduced (6", "partly reproduced (3 of 6 pairs): Aldrian"]),
+        ([4, 3, 2, 1, 2, 1], ["not reproduced (0 of 6", "not reproduced (0 of 6"]),
+    ],
+)
+def test_the_order_of_the_paper_is_looked_for_by_either_protocol(errors, expected):
+    methods = "mobileface", "deep_mds", "aldrian_authors", "zhao_evaluator", "aldrian", "zhao"
+    paper = [0.6, 1.4, 2.5, 22, np.nan, np.nan]
+    rows = pd.DataFrame({"mean": errors, "paper_mean": paper}, index=methods)
+    lines = order_lines(rows)
+    protocols = "by the authors' protocol", "with faithful baselines"
+    assert all(protocol in line for protocol, line in zip(protocols, lines, strict=True))
+    for line, text in zip(lines, expected, strict=True):
+        assert f": {text}" in line
+    assert lines[1].endswith("One training of each: indicative.")
+    assert "indicative" not in order_lines(rows.assign(median=rows["mean"]))[1]
