@@ -28,6 +28,7 @@ from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.recipes import mlp
 from experiments.records import write_csv
 from experiments.run import Run
+from experiments.scoring.numbers import NOTHING
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 
@@ -37,6 +38,17 @@ _EYES = ("right_eye_outer_corner", "left_eye_outer_corner")
 # Errors are correlated, between neighbouring landmarks and between the two detectors, and weigh
 # more than white ones of the same size: with 1, the shapes from the two agree less.
 _STRENGTH = 6.0
+_RESAMPLINGS = 10_000  # of the people
+_COLUMNS = {
+    "Ratio": ("ratio", "low", "high"),
+    "Less LandmarkLifter's": ("less", "less_low", "less_high"),
+}
+_NOTES = (
+    "Ratio: mean squared distance between the shapes of one face from two detectors, over that "
+    "between different faces; 0 if the detectors agree, 1 if a shape says nothing about a person. "
+    "95 % intervals by bootstrap over the people: no order holds whose difference has 0 in it.",
+)
+_LIFTER = "landmark_lifter"
 
 
 def main(run: Run) -> dict:
@@ -50,11 +62,19 @@ def main(run: Run) -> dict:
     if run.preset.name == "full" and not open_models(run.data)[1]:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
     methods = _methods(run)
-    table = pd.DataFrame(reliability(methods, faces))
+    table = pd.DataFrame(reliability(methods, faces, run.seed))
     misfit = pd.DataFrame(misfits(methods, faces))
-    cells = table.set_index(table["method"].map(title))[["ratio", "within", "between"]]
-    cells = cells.map("{:.3g}".format).replace("nan", "–")
-    return write_results(run, "real", {"table": table, "misfit": misfit}, cells)
+    texts = {
+        head: [_with_interval(*ends) for ends in table[[*names]].to_numpy()]
+        for head, names in _COLUMNS.items()
+    }
+    cells = pd.DataFrame(texts, index=table["method"].map(title))
+    return write_results(run, "real", {"table": table, "misfit": misfit}, cells, _NOTES)
+
+
+def _with_interval(value: float, low: float, high: float) -> str:
+    """`value [low, high]`."""
+    return NOTHING if np.isnan(value) else f"{value:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _methods(run: Run) -> Trained:
@@ -99,41 +119,89 @@ def _variance(run: Run, detector: str) -> np.ndarray:
     return np.mean([e[detected].var(0).mean(1) for e, detected in errors], axis=0)
 
 
-def reliability(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
+def reliability(methods: Trained, faces: dict[str, np.ndarray], seed: int = 0) -> list[dict]:
     """Similarity of a face's shapes from both detectors, for each method.
 
+    Offsets and the size of the s.d. come from one half of the faces, the test from the other.
+
     Returns:
-        Rows of `method, ratio, within, between`: mean squared distance between the two shapes of a
-        face after alignment, over that between shapes of different faces from different detectors;
-        0 if the detectors agree perfectly, 1 if a shape says nothing about a person. The unit is
-        that of `normalise`, squared. Offsets come from one half of the faces, the test from the
-        other.
+        Rows of `method, ratio, low, high, less, less_low, less_high, within, between`: mean squared
+        distance between the two shapes of a face after alignment, over that between shapes of
+        different faces from different detectors; 0 if the detectors agree perfectly, 1 if a shape
+        says nothing about a person. `less` is the ratio less that of the lifter. Intervals are of
+        95 %, by bootstrap over the people. The unit is that of `normalise`, squared.
     """
-    apart, rows = differences(faces), []
+    apart, found = differences(faces), {}
     n = len(apart)
     for half in (np.arange(n) % 2, np.arange(n) // (n // 2 + 1)):
         for tested in (half == 0, half == 1):
-            mediapipe = move(faces["mediapipe"][tested], _SCHEME, apart[~tested].mean(0))
-            first = _predict(methods, faces["dlib"][tested], "dlib")
-            second = _predict(methods, mediapipe, "mediapipe")
+            offset, size = apart[~tested].mean(0), apart[~tested].var(0).mean()
+            size = np.sqrt(size / apart.var(0).mean())
+            mediapipe = move(faces["mediapipe"][tested], _SCHEME, offset)
+            first = _predict(methods, faces["dlib"][tested], "dlib", size)
+            second = _predict(methods, mediapipe, "mediapipe", size)
             for method in first:
-                rows.append({"method": method, **_distances(first[method], second[method])})
-    means = pd.DataFrame(rows).groupby("method", sort=False, as_index=False).mean()
-    means.insert(1, "ratio", (means["within"] / means["between"]).where(means["between"] > 1e-12))
-    return means.to_dict("records")
+                distances = np.full((n, n), np.nan)
+                distances[np.ix_(tested, tested)] = _distances(first[method], second[method])
+                found.setdefault(method, []).append(distances)
+    pairs = {method: _mean_of_known(distances) for method, distances in found.items()}
+    rng = np.random.default_rng([seed, Stream.PEOPLE])
+    drawn = np.vstack([np.ones(n), rng.multinomial(n, np.full(n, 1 / n), _RESAMPLINGS)])
+    ratios = {method: _ratios(distances, drawn) for method, distances in pairs.items()}
+    rows = []
+    for method, distances in pairs.items():
+        within, between = _within_and_between(distances, drawn[:1])
+        row = {"method": method} | _interval(ratios[method], "ratio", "low", "high")
+        less = ratios[method] - ratios[_LIFTER]
+        row |= _interval(less, "less", "less_low", "less_high")
+        rows.append(row | {"within": within.item(), "between": between.item()})
+    return rows
 
 
-def _predict(methods: Trained, landmarks: np.ndarray, detector: str) -> dict[str, np.ndarray]:
-    sd = rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
+def _predict(
+    methods: Trained, landmarks: np.ndarray, detector: str, size: float
+) -> dict[str, np.ndarray]:
+    sd = size * rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
     return methods.predict(landmarks * (1, -1), sd)
 
 
-def _distances(first: np.ndarray, second: np.ndarray) -> dict[str, float]:
+def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Mean squared distances of each first shape from all second ones, aligned to it: `(n, n)`."""
     first, second = normalise(first), normalise(second)
-    n = len(first)
-    pairs = [((align(second, np.stack([face] * n)) - face) ** 2).mean((1, 2)) for face in first]
-    same = np.eye(n, dtype=bool)
-    return {"within": np.array(pairs)[same].mean(), "between": np.array(pairs)[~same].mean()}
+    stacks = (np.broadcast_to(face, second.shape) for face in first)
+    return np.stack([((align(second, of) - of) ** 2).mean((1, 2)) for of in stacks])
+
+
+def _mean_of_known(distances: list[np.ndarray]) -> np.ndarray:
+    """Mean over the halves in which two people were tested together; NaN if there is none."""
+    counts = np.isfinite(distances).sum(0)
+    return np.nansum(distances, axis=0) / np.where(counts, counts, np.nan)
+
+
+def _within_and_between(pairs: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean distances of a person from itself and from others, `(B,)`, if each is drawn so often.
+
+    Args:
+        pairs: `(n, n)` distances, NaN for people who were never tested together.
+        drawn: `(B, n)` times that each person is drawn.
+    """
+    n = len(pairs)
+    known = np.isfinite(pairs) & ~np.eye(n, dtype=bool)
+    others = np.where(known, pairs, 0)
+    within = drawn @ np.diag(pairs) / drawn.sum(1)
+    of_others = np.einsum("bi,ij,bj->b", drawn, others, drawn)
+    return within, of_others / np.einsum("bi,ij,bj->b", drawn, known.astype(float), drawn)
+
+
+def _ratios(pairs: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    within, between = _within_and_between(pairs, drawn)
+    return np.where(between > 1e-12, within / np.maximum(between, 1e-12), np.nan)
+
+
+def _interval(values: np.ndarray, *names: str) -> dict[str, float]:
+    """The first of the values, which is of all people as they are, and an interval of the rest."""
+    ends = np.quantile(values[1:], [0.025, 0.975])
+    return dict(zip(names, map(float, [values[0], *ends]), strict=True))
 
 
 def misfits(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:

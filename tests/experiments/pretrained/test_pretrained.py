@@ -79,19 +79,23 @@ def test_the_offset_between_detectors_is_found_and_taken_back():
 
 
 def test_shapes_that_agree_between_detectors_and_differ_between_people_are_reliable():
+    rng, constant = np.random.default_rng(0), np.random.default_rng(1).normal(size=(51, 3))
+
     class Methods:
         def predict(self, views, sd):
             depth = views.std((1, 2), keepdims=True) + 0 * views[..., :1]
-            rng = np.random.default_rng(0)
             return {
-                "view": np.concatenate([views, depth], 2),
+                "landmark_lifter": np.concatenate([views, depth], 2),
                 "noise": rng.normal(size=(len(views), 51, 3)),
-                "constant": np.ones((len(views), 51, 3)) * rng.normal(size=(51, 3)),
+                "constant": np.stack([constant] * len(views)),
             }
 
     faces = real_faces(np.zeros((51, 2)), 0.01)
     rows = {row["method"]: row for row in reliability(Methods(), faces)}
-    assert rows["view"]["ratio"] < 0.2 and 0 < rows["view"]["within"] < rows["view"]["between"]
+    lifter, noise = rows["landmark_lifter"], rows["noise"]
+    assert lifter["ratio"] < 0.2 and 0 < lifter["within"] < lifter["between"]
+    assert lifter["low"] < lifter["ratio"] < lifter["high"] < noise["low"] < 1 < noise["high"]
+    assert lifter["less"] == lifter["less_high"] == 0 < noise["less_low"] < noise["less_high"]
     assert np.isnan(rows["constant"]["ratio"]), "which tells nothing of a face"
 
 
