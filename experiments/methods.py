@@ -74,7 +74,9 @@ def _noise_note(run: Run, detected: np.ndarray) -> str:
 
 def _landmark_lifter_note(run: Run, detected: np.ndarray) -> str:
     note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
-    return "; ".join(filter(None, (note, _noise_note(run, detected))))
+    noise = _noise_note(run, detected)
+    anew = "which is drawn anew in each mini-batch, and told; the others see it once, untold"
+    return "; ".join(filter(None, (note, noise, noise and anew)))
 
 
 def _mediapipe_note(run: Run, detected: np.ndarray) -> str:

@@ -20,7 +20,7 @@ MEAN = "train.configs/u_shp.npy"
 _KEYPOINTS, _FITS = "train.configs/keypoints_sim.npy", "train.configs/param_whitening.pkl"
 _IDENTITY, _EXPRESSION = "c++/weights/w_shp_base.txt", "c++/weights/w_exp_base.txt"
 _EXPRESSION_MEAN = "train.configs/u_exp.npy"
-N_VERTICES, N_LANDMARKS = 53_215, 68  # of the Basel model's 53,490: 275 of the inner mouth lack
+N_VERTICES, N_LANDMARKS = 53_215, 68  # the Basel model has 53,490
 _N_POSE, _N_IDENTITY, _N_EXPRESSION = 12, 40, 10  # parameters of a fit, in this order
 _MM = 1e-3  # the files are in micrometres
 

@@ -40,7 +40,7 @@ NOTES = {
     "map": "given the noise, the face model and the prior of the perspective",
     DEEP_MDS: "trained for each column; it has no way to leave a landmark out",
     LIFTING: "trained for each column, for all with missing landmarks once, on views that miss "
-    f"up to {MOST_MISSING:.0%}",
+    f"up to {MOST_MISSING:.0%}; told the noise, which in a column is the same for all",
     "lower_bound": "what a single view leaves open to a method that knows the face model and the "
     "camera",
 }

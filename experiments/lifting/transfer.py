@@ -55,6 +55,10 @@ SURREY = "surrey"
 # Components below it move no landmark visibly: the fit treats them as noise.
 _LEAST_SD_MM = 0.3
 _UNIT = 1e-5
+_NOTES = (
+    "All learn from the same views, with noise of random size. LandmarkLifter, MAP and the fits of "
+    "Aldrian & Smith are told the noise of a view, in training and test; the others are not.",
+)
 _TITLES = TITLES | {"surrey": "Surrey faces", BOTH: "both open models"}
 
 
@@ -196,4 +200,4 @@ def main(run: Run) -> dict:
         .groupby("tested", sort=False)
     ]
     figures = {"transfer": error_lines(panels, unit=_UNIT)}
-    return write_results(run, "lifting/transfer", {"table": table}, texts, (), figures)
+    return write_results(run, "lifting/transfer", {"table": table}, texts, _NOTES, figures)
