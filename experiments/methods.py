@@ -75,7 +75,9 @@ def _noise_note(run: Run, detected: np.ndarray) -> str:
 def _landmark_lifter_note(run: Run, detected: np.ndarray) -> str:
     note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
     noise = _noise_note(run, detected)
-    anew = "which is drawn anew in each mini-batch, and told; the others see it once, untold"
+    anew = (
+        "its noise is drawn anew in each mini-batch, and told, while that of others is drawn once"
+    )
     return "; ".join(filter(None, (note, noise, noise and anew)))
 
 
