@@ -265,9 +265,8 @@ def test_unusable_weights_are_named_before_the_long_work(tmp_path):
     assert "images" not in output and "Step 10 of" not in output
 
 
-@pytest.mark.parametrize(
-    "name", ["records/train-deep_mds.json", pytest.param("test.npz", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["records/train-deep_mds.json", "test.npz"])
 def test_a_damaged_file_is_named(copy, name):
     path = runs.work(copy, "bfm") / name
     path.write_bytes(path.read_bytes()[:-40] + bytes(40))

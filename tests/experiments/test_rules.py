@@ -83,6 +83,7 @@ def test_rows_say_how_much_memory_a_training_takes():
     assert all(memory <= METHODS[method].memory_mb for method, memory in taken.items()), taken
 
 
+@pytest.mark.slow
 def test_a_file_given_later_runs_the_steps_that_read_it_and_no_other(tmp_path):
     targets, tiny = ["bench", "pretrained"], ["--config", "PRESET=tiny"]
     for line in dry_run(tmp_path, *targets, *tiny):
@@ -255,6 +256,7 @@ for id, row in {
 """
 
 
+@pytest.mark.slow
 def test_a_new_method_is_a_row_and_a_builder(whole_bfm, tmp_path, monkeypatch):
     """Both kinds are trained, predicted, timed and in the table."""
     shutil.copytree(whole_bfm / "build", tmp_path / "build")
