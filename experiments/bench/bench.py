@@ -134,12 +134,12 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         yield "one face", "one face at a time", way, fewer, one_by_one
     inner = load_model(run.model, run.data, "ibug51")
     rng = np.random.default_rng([run.seed, Stream.BENCH])
-    views = sample_photo_views(inner, "ibug51", fewer, rng, detector_sd=0)[0]
+    inner_views = sample_photo_views(inner, "ibug51", fewer, rng, detector_sd=0)[0]
     fits = {"landmark_lifter": LandmarkLifter.pretrained("ibug51")} | (
         {"eos": EosFit(run.sfm)} if run.sfm else {}
     )
     for way, fit in fits.items():
-        one_by_one = partial(lambda call: [call(view[None]) for view in views], fit.predict)
+        one_by_one = partial(lambda call: [call(view[None]) for view in inner_views], fit.predict)
         yield "one face", "one face of 51 landmarks at a time", way, fewer, one_by_one
     n = run.preset.bench_steps
     for way in ("released", "deep_mds"):

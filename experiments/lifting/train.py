@@ -59,7 +59,7 @@ def network_file(run: Run, name: str) -> Path:
 
 def load_network(file: Path):
     """Read a `LandmarkLifter` or a `DeepMDS`, depending on the name of the file."""
-    if LIFTING in file.stem:
+    if "deep" not in file.stem:
         from deepmds_keras.lifting.lifter import LandmarkLifter
 
         return LandmarkLifter.load(file)

@@ -63,7 +63,7 @@ class PairNet:
         n_inputs = len(self.network.inputs)
 
         def mini_batch(faces: np.ndarray, drawn: np.ndarray) -> tuple:
-            first, second = pairs[drawn].T
+            faces, (first, second) = np.broadcast_to(faces, drawn.shape), pairs[drawn].T
             features = proximities(frontal[faces, first], frontal[faces, second], "paper")
             distances = np.linalg.norm(shapes[faces, first] - shapes[faces, second], axis=-1)
             return _inputs(n_inputs, features, pairs[drawn], flat_views[faces]), distances[:, None]

@@ -145,7 +145,9 @@ def test_steps_run_as_jobs_of_a_cluster(tmp_path):
 
     fails = submitted('touch "${1%/*}"/{1,2}.jobfailed\necho job-7\n')
     assert fails.returncode == 1
-    assert fails.stderr.startswith("error: faces, job job-7: For further error details see the cl")
+    assert fails.stderr.startswith(
+        "error: sample faces and their views, job job-7: For further error details see the cl"
+    )
     runs_them = 'echo "$1" >> jobs.txt\nsh "$1" > "$1.log" 2>&1 &\necho $!\n'
     assert submitted(runs_them).returncode == 0
     assert len((tmp_path / "jobs.txt").read_text().splitlines()) == 2

@@ -30,6 +30,7 @@ def clock(monkeypatch):
     """Seconds of the clock of progress, to be set."""
     seconds = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: seconds[0])
+    monkeypatch.setattr(Progress, "step", "")  # whatever a step that ran here has left
     return seconds
 
 

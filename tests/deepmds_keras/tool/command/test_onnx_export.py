@@ -145,7 +145,7 @@ def test_the_javascript_of_the_docs_lifts_points_of_mediapipe(tmp_path):
     )
     face = json.loads(ended.stdout)
     given = points[numbers] * (640, -480)
-    wanted = LandmarkLifter.pretrained("ibug51").estimate(given)
+    wanted = LandmarkLifter.pretrained("ibug51").estimate(given[None])
     assert np.abs(np.reshape(face["xyz"], (51, 3)) - wanted.shapes[0]).max() < 1e-4
     assert np.abs(np.reshape(face["sd"], (51, 3)) - wanted.std[0]).max() < 1e-4
     for angle in ("yaw", "pitch", "roll"):
