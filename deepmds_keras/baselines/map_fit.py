@@ -54,7 +54,7 @@ class MapFit(BaseEstimator):
         Args:
             views: `(n, L, 2)` or `(L, 2)`, any scale and place, y up; NaN where one is missing.
             landmark_sd: Standard deviation of the noise of a coordinate in the unit of the views:
-                one number, `(n,)`, or `(n, L)`.
+                one number, `(n,)`, or `(n, L)`; None is none.
 
         Raises:
             InputError: An unusable model, prior or noise, or a view with fewer than six landmarks.
@@ -72,8 +72,9 @@ class MapFit(BaseEstimator):
         centre = mean.mean(0)
         radius = np.sqrt(np.mean(np.sum((mean - centre) ** 2, 1)))
         model = _Model((mean - centre) / radius, basis / radius, *self.perspective)
-        arrays = seen.views.swapaxes(1, 2).astype(float), seen.visible[..., None], seen.sd
-        chunks = [slice(start, start + CHUNK) for start in range(0, len(seen.sd), CHUNK)]
+        sd = np.zeros_like(seen.visible) if seen.sd is None else seen.sd
+        arrays = seen.views.swapaxes(1, 2).astype(float), seen.visible[..., None], sd
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(sd), CHUNK)]
         shapes = np.concatenate([_fit(model, *(a[chunk] for a in arrays)) for chunk in chunks])
         return of_one_or_many(shapes * radius + centre, views)
 
