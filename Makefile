@@ -4,8 +4,8 @@ SHELL := bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
-TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds objects \
-           pretrained lifting released-weights real-faces surface footprint check report
+TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
+           objects pretrained lifting released-weights real-faces surface footprint check report
 .PHONY: help setup $(TARGETS) all-results dag docs pictures openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
@@ -14,8 +14,9 @@ PYTHON ?= python3
 VENV ?= .venv
 ## MODEL       face model: openhead, ict, bfm2009, bfm68, bfm2017, bfm2019 or flame
 MODEL ?= openhead
-## DATA        its file or folder, or that of data sets; BFM_SCALE, of bfm68: times the spread of its faces
+## DATA        its file or folder, or that of data sets
 DATA ?=
+## BFM_SCALE   of bfm68: times the standard deviation of its faces
 BFM_SCALE ?= 1
 ## PRESET      full, or smoke: everything at a small size, as a check
 PRESET ?= full
@@ -49,8 +50,8 @@ TARGET ?= reproduce-bfm
 JOBS ?= -1
 DRY ?=
 SNAKEMAKE ?=
-VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE COMA CASIA \
-             CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES OBJECTS DRY SNAKEMAKE
+VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE \
+             COMA CASIA CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES OBJECTS DRY SNAKEMAKE
 
 # A variable on the command line that its target does not read is a mistake, perhaps of spelling.
 $(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL OBJECTS,$(VARIABLES))))
@@ -106,7 +107,7 @@ reproduce-flame: ## the paper's CASIA-3D table next to ours   (21 min; 10 with R
 reproduce-celeba: ## the paper's CelebA table next to ours   (6 min after reproduce-bfm)
 ablation: ## the method with one part changed, over five seeds   (1 h after reproduce-bfm)
 audit: ## which claims of the paper are supported: results/audit/   (3 min after ablation)
-objects: ## the methods on objects other than faces: results/objects/   [OBJECTS=dir]   (1 h)
+objects: ## the methods on objects other than faces: results/objects/   [OBJECTS=dir]   (2 h)
 bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (1 h)

@@ -19,6 +19,7 @@ from data_gen.models.expressions import (
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import camera_angles
+from deepmds_keras.geometry.units import rms_radius
 
 PROJECTIONS = ("orthographic", "perspective")
 PROTOCOLS = ("paper", "released", "posed")
@@ -179,9 +180,7 @@ def pose_and_project(
     """
     posed = in_camera_frame(points, cameras)
     landmarks = posed if landmarks is points else in_camera_frame(landmarks, cameras)
-    middle = (landmarks.max(1, keepdims=True) + landmarks.min(1, keepdims=True)) / 2
-    radius = np.linalg.norm(landmarks - middle, axis=-1).max(1)
-    inverse_distance = np.sin(np.deg2rad(cameras.field_of_view) / 2) / radius
+    middle, inverse_distance = _filling(landmarks, cameras.field_of_view)
     centred = posed - middle
     nearness = 1 - centred[..., 2:] * inverse_distance[:, None, None]
     return posed, centred / nearness + middle
@@ -194,9 +193,14 @@ def perspectives(fields_of_view: np.ndarray, mean: np.ndarray) -> np.ndarray:
         fields_of_view: `(n,)` degrees.
         mean: `(L, 3)` landmarks of the face.
     """
-    radius = np.linalg.norm(mean - (mean.max(0) + mean.min(0)) / 2, axis=1).max()
-    rms = np.sqrt(((mean - mean.mean(0)) ** 2).sum(1).mean())
-    return rms * np.sin(np.deg2rad(fields_of_view) / 2) / radius
+    return rms_radius(mean[None]) * _filling(mean[None], fields_of_view)[1]
+
+
+def _filling(landmarks: np.ndarray, fields_of_view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of faces `(n, 1, 3)`, and inverse distances from which they fill fields of view."""
+    middle = (landmarks.max(1, keepdims=True) + landmarks.min(1, keepdims=True)) / 2
+    radius = np.linalg.norm(landmarks - middle, axis=-1).max(1)
+    return middle, np.sin(np.deg2rad(fields_of_view) / 2) / radius
 
 
 def _about(axis: int, angle: np.ndarray) -> np.ndarray:

@@ -128,6 +128,21 @@ def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:
     return views, shapes
 
 
+def check_basis(basis_times_sd, n_landmarks: int) -> np.ndarray:
+    """Components of a face model at its landmarks, `(K, L, 3)` float64.
+
+    Raises:
+        InputError: Another shape, NaN or infinity.
+    """
+    basis = np.asarray(basis_times_sd, float)
+    if basis.ndim != 3 or basis.shape[1:] != (n_landmarks, 3) or not np.isfinite(basis).all():
+        raise InputError(
+            f"basis_times_sd must be finite, of shape (components, {n_landmarks}, 3). "
+            f"Received shape {basis.shape}."
+        )
+    return basis
+
+
 def check_fitted(estimator: object, attribute: str, setters: str = "fit") -> Any:
     """The attribute that `fit`, or another of `setters`, sets.
 

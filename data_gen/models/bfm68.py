@@ -14,7 +14,7 @@ import numpy as np
 from data_gen.models.array_files import load_plain_pickle
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.errors import InputError, brief
-from deepmds_keras.files import sha256_of
+from deepmds_keras.files import map_npy, sha256_of
 
 MEAN = "train.configs/u_shp.npy"
 _KEYPOINTS, _FITS = "train.configs/keypoints_sim.npy", "train.configs/param_whitening.pkl"
@@ -108,8 +108,8 @@ def _array(file: Path, shape: tuple[int, ...]) -> np.ndarray:
         InputError: It cannot be read, or holds other arrays.
     """
     try:
-        array = np.loadtxt(file) if file.suffix == ".txt" else np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        array = np.loadtxt(file) if file.suffix == ".txt" else map_npy(file)
+    except (OSError, ValueError) as error:
         raise InputError(f"{file}: must hold numbers. Received {brief(str(error))}.") from None
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise InputError(

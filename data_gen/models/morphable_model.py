@@ -149,9 +149,7 @@ class MorphableModel:
 
         Args:
             vertices: `(L,)` 0-based vertex numbers, in the new order.
-            identity_sd: `(K,)` standard deviation of each component over the whole mesh, where this
-            is only a part of it: a number times an orthonormal component. None: see `component_sd`.
-        triangles: `(T, 3)` int, of the new vertices; none by default.
+            triangles: `(T, 3)` int, of the new vertices; none by default.
         """
 
         def pick(basis):

@@ -12,6 +12,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.validation import (
+    check_basis,
     check_faces,
     check_fitted,
     check_points,
@@ -125,12 +126,7 @@ class _ModelFit(BaseEstimator):
         extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
         if extents[2] < _FLAT * extents[0]:
             raise InputError("mean must not be flat. Received landmarks in one plane.")
-        basis = np.asarray(self.basis_times_sd, float)
-        if basis.ndim != 3 or basis.shape[1:] != mean.shape or not np.isfinite(basis).all():
-            raise InputError(
-                f"basis_times_sd must be finite, of shape (components, {len(mean)}, 3). "
-                f"Received shape {basis.shape}."
-            )
+        basis = check_basis(self.basis_times_sd, len(mean))
         faces = check_faces(views, "views", 2, len(mean))
         chunks = np.split(faces, range(CHUNK, len(faces), CHUNK))
         coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])

@@ -11,8 +11,9 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import orthographic_cameras
+from deepmds_keras.geometry.units import rms_radius
 from deepmds_keras.lifting.inputs import prepare_views
-from deepmds_keras.validation import check_points, of_one_or_many
+from deepmds_keras.validation import check_basis, check_points, of_one_or_many
 
 CHUNK = 128  # faces solved together: bounds the memory of their equations to about 100 MB
 # Standard deviations that are assumed at first, in parts of the radius of the view: identity is
@@ -60,17 +61,11 @@ class MapFit(BaseEstimator):
             InputError: An unusable model, prior or noise, or a view with fewer than six landmarks.
         """
         mean = check_points(self.mean, "mean", 3)[0]
-        basis = np.asarray(self.basis_times_sd, float)
-        if basis.ndim != 3 or basis.shape[1:] != mean.shape or not np.isfinite(basis).all():
-            raise InputError(
-                f"basis_times_sd must be finite, of shape (components, {len(mean)}, 3). "
-                f"Received shape {basis.shape}."
-            )
+        basis = check_basis(self.basis_times_sd, len(mean))
         if not self.perspective[1] > 0:
             raise InputError(f"perspective must have a positive s.d. Received {self.perspective}.")
         seen = prepare_views(views, len(mean), landmark_sd=landmark_sd)
-        centre = mean.mean(0)
-        radius = np.sqrt(np.mean(np.sum((mean - centre) ** 2, 1)))
+        centre, radius = mean.mean(0), rms_radius(mean[None])[0]
         model = _Model((mean - centre) / radius, basis / radius, *self.perspective)
         sd = np.zeros_like(seen.visible) if seen.sd is None else seen.sd
         arrays = seen.views.swapaxes(1, 2).astype(float), seen.visible[..., None], sd

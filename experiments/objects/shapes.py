@@ -18,6 +18,7 @@ from experiments.streams import Stream
 # the training has not seen, of separate things as many at random as of 920 chairs 220.
 SEQUENCES = ("walking", "dance", "yoga", "stretch", "pickup", "drink", "jaws", "face")
 OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
+METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map", "landmark_lifter")
 NOISES = (0.0, 0.02)  # s.d. of a coordinate in the view, in r.m.s. radii of the shape
 _COMMON = 0.9  # share of the shapes that must have a landmark if it is to be used
 
@@ -33,6 +34,11 @@ class Views:
 def object_file(folder: str | Path, name: str) -> Path:
     """File of an object: npz with `points`, `(n, L, 3)`, NaN where a shape lacks a landmark."""
     return Path(folder, f"{name}.npz")
+
+
+def scores_file(run: Run, name: str, seed: int) -> Path:
+    """File of the errors on an object."""
+    return run.work / "objects" / f"{name}-seed{seed}.csv"
 
 
 def read_shapes(path: Path) -> np.ndarray:

@@ -6,8 +6,7 @@ import pandas as pd
 
 from experiments.figures.errors import Panel, error_lines
 from experiments.methods import title
-from experiments.objects.shapes import NOISES, OBJECTS
-from experiments.objects.train import METHODS, scores_file
+from experiments.objects.shapes import METHODS, NOISES, OBJECTS, scores_file
 from experiments.run import Run
 from experiments.scoring.numbers import between
 from experiments.studies.study_results import write_results

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 from scipy.stats import sem
@@ -15,22 +13,14 @@ from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from experiments.objects.shapes import NOISES, Views, views_of
-from experiments.recipes import fit
+from experiments.objects.shapes import METHODS, NOISES, Views, scores_file, views_of
+from experiments.recipes import deep_mds, fit
 from experiments.records import write_csv
 from experiments.run import Run
 
-METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map", "landmark_lifter")
 _UNITS = 256  # of each hidden layer of the MLP
 _ORTHOGRAPHIC = 0.0, 1e-3  # perspective of the views, mean and s.d.
-_MLP_EPOCHS = 20
 _LEAST_SD = 1e-3  # of a component, in r.m.s. radii
-_SIZES = ("autoencoder_epochs", "dissimilarity_epochs", "dissimilarity_steps")
-
-
-def scores_file(run: Run, name: str, seed: int) -> Path:
-    """File of the errors on an object."""
-    return run.work / "objects" / f"{name}-seed{seed}.csv"
 
 
 def main(run: Run, name: str, seed: str) -> None:
@@ -58,20 +48,21 @@ def predicted(
     run: Run, method: str, seed: int, noise: float, train: Views, test: Views
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Shapes of the test views by a method trained on the others, and what else is measured."""
-    n_landmarks, preset = train.views.shape[1], run.preset
+    n_landmarks, n_steps = train.views.shape[1], run.preset.lifting_steps // 2
     if method == "map":
         model = MapFit(*principal_components(train.shapes, _LEAST_SD), perspective=_ORTHOGRAPHIC)
         return model.predict(test.views, noise), {}
     if method == "landmark_lifter":
-        lifter = LandmarkLifter(n_landmarks, steps=preset.lifting_steps // 2, seed=seed)
+        lifter = LandmarkLifter(n_landmarks, steps=n_steps, seed=seed)
         fit(lifter, train.views, train.shapes, landmark_sd=noise)
         return lifter.predict(test.views, landmark_sd=noise), {}
     if method == "deep_mds":
-        sizes = {name: getattr(preset, name) for name in _SIZES}
-        model = DeepMDS(n_landmarks, centre_views=True, seed=seed, solver="numba", **sizes)
+        model = deep_mds(run, "paper", "constant").set_params(
+            n_landmarks=n_landmarks, centre_views=True, seed=seed, solver="numba"
+        )
         fit(model, train.views, train.shapes)
         return model.predict(test.views), {"frontal_share": frontal_share(model, train, test)}
-    steps = -(-preset.lifting_steps // 2 // _MLP_EPOCHS)
+    steps = -(-n_steps // MLP.epochs)
     model = {
         "mean_shape": MeanShape(),
         "ridge": RidgeRegression(),

@@ -28,7 +28,7 @@ from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.recipes import mlp
 from experiments.records import write_csv
 from experiments.run import Run
-from experiments.scoring.numbers import NOTHING
+from experiments.scoring.numbers import between
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 
@@ -65,16 +65,11 @@ def main(run: Run) -> dict:
     table = pd.DataFrame(reliability(methods, faces, run.seed))
     misfit = pd.DataFrame(misfits(methods, faces))
     texts = {
-        head: [_with_interval(*ends) for ends in table[[*names]].to_numpy()]
+        head: [between(*ends) for ends in table[[*names]].to_numpy()]
         for head, names in _COLUMNS.items()
     }
     cells = pd.DataFrame(texts, index=table["method"].map(title))
     return write_results(run, "real", {"table": table, "misfit": misfit}, cells, _NOTES)
-
-
-def _with_interval(value: float, low: float, high: float) -> str:
-    """`value [low, high]`."""
-    return NOTHING if np.isnan(value) else f"{value:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _methods(run: Run) -> Trained:

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import load_scheme
 from experiments.methods import METHODS, rows_of_paper, title
 from experiments.records import (
     MANIFEST,
@@ -19,10 +18,10 @@ from experiments.records import (
     write_csv,
     write_text,
 )
-from experiments.run import SCHEMES, Run
+from experiments.run import Run
 from experiments.scoring.metrics import METRICS, metrics_of
 from experiments.scoring.published import published
-from experiments.scoring.typesetting import latex, text
+from experiments.scoring.typesetting import latex, n_landmarks_of, text
 from experiments.scoring.verdict import verdict
 
 _KEYS = ["method", "metric"]
@@ -87,7 +86,7 @@ def summarise(
         _note(metric, row, method in run, notes.get(method))
         for (method, metric), row in table.iterrows()
     ]
-    table["n_landmarks"] = n_landmarks or len(load_scheme(SCHEMES[experiment]))
+    table["n_landmarks"] = n_landmarks or n_landmarks_of(experiment)
     sizes = ("n_subsets", "subset_size", "n_landmarks")
     table = table[["mean", "std", *_PAPER, *sizes, "note"]].reset_index()
     return table if seeds is None else table.join(_over_seeds(seeds), on=_KEYS)

@@ -88,17 +88,18 @@ def orders(rows: pd.DataFrame) -> list[Order]:
     """
     here = rows["median"].fillna(rows["mean"]) if "median" in rows else rows["mean"]
     published = rows["paper_mean"].drop(CONSTANT, errors="ignore").dropna()
-    published = published[here.reindex(published.index).notna()].to_dict()
-    pairs = [*combinations(published, 2)]
+    protocols = {
+        "by the authors' protocol": {method: method for method in published.index},
+        "with faithful baselines": {m: METHODS[m].fair or m for m in published.index},
+    }
     found = []
-    for protocol in ("by the authors' protocol", "with faithful baselines") if pairs else ():
-        fair = {method: METHODS[method].fair for method in published} if found else {}
-        row = {method: fair.get(method) or method for method in published}
-        errors = {method: here.get(row[method], np.nan) for method in published}
+    for protocol, rows_of in protocols.items():
+        errors = pd.Series({m: here.get(row, np.nan) for m, row in rows_of.items()}).dropna()
+        pairs = [*combinations(errors.index, 2)]
         same = sum((errors[a] < errors[b]) == (published[a] < published[b]) for a, b in pairs)
-        methods = [row[method] for method in sorted(published, key=errors.get)]
+        methods = [rows_of[method] for method in errors.sort_values().index]
         found.append(Order(protocol, methods, same, len(pairs)))
-    return found
+    return [order for order in found if order.pairs]
 
 
 def order_lines(rows: pd.DataFrame) -> list[str]:

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from deepmds_keras.errors import InputError
 from experiments.objects import table
-from experiments.objects.shapes import OBJECTS, SEQUENCES, read_shapes, views_of
-from experiments.objects.train import METHODS, errors
+from experiments.objects.shapes import METHODS, OBJECTS, SEQUENCES, read_shapes, views_of
+from experiments.objects.train import errors
 from experiments.presets import TINY
 from experiments.run import Run
 

@@ -1,1 +1,0 @@
-"""The methods on objects other than faces."""
