@@ -4,7 +4,7 @@ SHELL := bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
-TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds \
+TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds scales \
            objects pretrained lifting released-weights real-faces surface footprint check report
 .PHONY: help setup $(TARGETS) all-results dag docs pictures openhead test nightly lint clean
 
@@ -111,6 +111,7 @@ objects: ## the methods on objects other than faces: results/objects/   [OBJECTS
 bench: ## speed against the authors' implementation: results/bench/   (4 min)
 stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (1 h)
+scales: ## the methods on the BFM's faces at several scales of its s.d.   [MODEL=bfm68 DATA=dir]   (2 h)
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
 released-weights: ## the released weights around the BFM's mean: results/released-weights/   [AUTHORS=dir]   (45 min)

@@ -85,9 +85,10 @@ class Results:
         rows = [["The paper's order", *protocols]]
         return grid(rows + [[head, *(o.verdict for o in of)] for head, of in found.items()])
 
-    def verdicts(self, verdict: str) -> list[str]:
+    def verdicts(self, verdict: str, protocol: str = "faithful") -> list[str]:
         """Ids of the claims that have a verdict on all face models, in order."""
-        found = self.csv("audit/claims.csv").groupby("id")["verdict"].unique()
+        claims = self.csv("audit/claims.csv")
+        found = claims[claims["protocol"] == protocol].groupby("id")["verdict"].unique()
         return sorted(found.index[[[*each] == [verdict] for each in found]])
 
     def errors(

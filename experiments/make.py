@@ -72,6 +72,11 @@ def main(arguments: list[str] | None = None) -> None:
             return
         if target in _NEEDED and getattr(run, (name := _NEEDED[target][0]).lower()) is None:
             raise InputError(f"{name} must be {_NEEDED[target][1]}. Received nothing.")
+        if target == "scales" and run.model != "bfm68":
+            raise InputError(
+                "MODEL must be bfm68, whose scale is not known. Received "
+                f"{run.model}, whose s.d. are."
+            )
         if target == "check":
             from experiments.scoring.verdict import check
 

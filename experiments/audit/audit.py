@@ -5,24 +5,27 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from jinja2 import StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from data_gen.models.registry import TITLES
 from deepmds_keras.errors import InputError
-from experiments.audit.claims import decide, numbers_of
+from experiments.audit.claims import INDICATIVE, NOT_TESTABLE, decide, numbers_of
 from experiments.audit.poses import TRAINED
 from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
 from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
-from experiments.scoring.intervals import Estimate
+from experiments.scoring.intervals import ONE_TRAINING, Estimate
 from experiments.scoring.numbers import power, scientific
 from experiments.scoring.old_names import read_table
 
 CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
+# By which a claim is judged: id → words.
+PROTOCOLS = {"authors": "by the authors' protocol", "faithful": "with faithful baselines"}
 _DRAWN = ("mean_shape", "zhao", "aldrian", "deep_mds", "landmark_lifter")
 _PAGE = Path(__file__).with_name("claims.md.j2")
 
@@ -46,11 +49,8 @@ def main(run: Run, *topics: str) -> dict:
     if run.preset.caution:
         print(f"No verdicts: {run.preset.caution}. Numbers and figures: {folder}/")
         return {"results": [folder]}
-    claims = judge(numbers, run.model)
-    write_csv(new / "claims.csv", claims)
-    counts = claims["verdict"].value_counts()
-    print(f"\n{run.model}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}")
-    print(f"{folder}/")
+    write_csv(new / "claims.csv", judge(numbers, run.model))
+    print(f"Claims, numbers and figures: {folder}/")
     return {"results": [folder]}
 
 
@@ -80,12 +80,17 @@ def numbers_table(run: Run, folder: Path) -> pd.DataFrame:
 
 
 def judge(numbers: pd.DataFrame, model: str) -> pd.DataFrame:
-    """The content of `claims.csv`: the verdict on each claim, and the number that decides it."""
+    """The content of `claims.csv`: verdicts by each of `PROTOCOLS`, and the numbers that decide."""
     claims = pd.read_csv(CLAIMS, dtype=str)
+    as_authors = claims.pop("supported_if_authors").fillna(claims["supported_if"])
+    conditions = dict(zip(PROTOCOLS, (as_authors, claims["supported_if"]), strict=True))
+    claims = pd.concat(
+        claims.assign(model=model, protocol=protocol, supported_if=of_protocol)
+        for protocol, of_protocol in conditions.items()
+    )
     columns = ["number", *(field.name for field in fields(Estimate))]
     known = {name: Estimate(*row) for name, *row in numbers[columns].itertuples(index=False)}
-    decided = [decide(conditions, known) for conditions in claims["supported_if"]]
-    claims[["model", "verdict", "number"]] = [(model, *decision) for decision in decided]
+    claims[["verdict", "number"]] = [decide(text, known) for text in claims["supported_if"]]
     return claims.merge(numbers[columns], on="number", how="left")
 
 
@@ -100,14 +105,21 @@ def combine(root: Path) -> Path:
     claims = pd.concat(judge(table, model) for model, table in of_models.items())
     numbers = pd.concat(of_models.values())
     numbers["text"] = numbers.apply(text_of, axis=1)
+    claims["shown"] = claims["verdict"] + np.where(
+        claims["of"].isin(ONE_TRAINING) & (claims["verdict"] != NOT_TESTABLE),
+        f" ({INDICATIVE})",
+        "",
+    )
     page = Template(_PAGE.read_text(), trim_blocks=True, undefined=StrictUndefined).render(
         titles={model: title for model, title in TITLES.items() if model in {*claims["model"]}},
+        protocols=PROTOCOLS,
         claims=claims.drop_duplicates("id").to_dict("records"),
-        verdicts=claims.set_index(["id", "model"])["verdict"].to_dict(),
+        conditions=claims.set_index(["id", "protocol"])["supported_if"].to_dict(),
+        verdicts=claims.set_index(["id", "model", "protocol"])["shown"].to_dict(),
         numbers=numbers.astype({"n": "Int64"}).astype(object).fillna("").to_dict("records"),
         texts=numbers.set_index(["model", "number"])["text"].to_dict(),
     )
-    write_csv(root / "audit" / "claims.csv", claims)
+    write_csv(root / "audit" / "claims.csv", claims.drop(columns="shown"))
     write_text(root / "audit" / "claims.md", page)
     return root / "audit"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.run import SCHEMES, Run
-from experiments.scoring.intervals import Estimate, point
+from experiments.scoring.intervals import ONE_TRAINING, Estimate, point
 from experiments.scoring.old_names import read_table
 
 
@@ -69,4 +69,4 @@ class Tables:
         """One number of a topic, with the interval of its standard error over faces."""
         names = (of, standard_error)
         value, error = (self.measured(topic, name, **where).value for name in names)
-        return Estimate(value, value - 1.96 * error, value + 1.96 * error, None, "faces")
+        return Estimate(value, value - 1.96 * error, value + 1.96 * error, None, ONE_TRAINING[1])

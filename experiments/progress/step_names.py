@@ -23,6 +23,8 @@ _WORDS = {
     "celeba-flame": "draw photos with FLAME's landmarks",
     "seed": "score one seed",
     "seeds": "compare the seeds",
+    "scales": "compare the scales",
+    "objects": "compare the methods on objects",
     "ablation": "compare the variants",
     "stream": "score many faces",
     "hard": "measure lifting on hard views",
@@ -37,6 +39,8 @@ _WORDS = {
 }
 # Of steps that are done for several things, which follow.
 _KINDS = {
+    "scale": "train on faces of scale",
+    "object": "train on",
     "variant": "train for the ablation",
     "lifting": "train for the studies of lifting",
     "component_ablation": "train for Deep-MDS part by part",

@@ -157,9 +157,7 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
             claims = read_table(path)
             if "model" in claims:
                 claims = claims[claims["model"] == result.folder.parent.name]
-            counts = claims["verdict"].value_counts() if "verdict" in claims else {}
-            texts = readable(claims.drop(columns=["id", "model"], errors="ignore"))
-            yield "", texts, [f"{verdict}: {n} claims" for verdict, n in counts.items()]
+            yield "", readable(claims.drop(columns=["id", "model"], errors="ignore")), []
     elif "table.csv" in result.manifest["files"]:
         yield "", readable(read_table(result.folder / "table.csv")), []
 

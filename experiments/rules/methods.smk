@@ -19,13 +19,13 @@ rule train:
 
 use rule train as train_of_the_tables with:
     wildcard_constraints: work=FIRST
-    priority: 1
+    priority: 4
 
 
 use rule train as train_before_another with:
     wildcard_constraints:
         work=FIRST, method="|".join({m.after for m in METHODS.values() if m.after})
-    priority: 2
+    priority: 5
 
 
 # What takes longest, on one core beside all others.

@@ -1,8 +1,9 @@
-"""Studies of the paper's method: seeds, ablation, many faces, speed."""
+"""Studies of the paper's method: seeds, scales, ablation, many faces, speed."""
 
 from experiments.methods import METHODS
 from experiments.objects.shapes import OBJECTS, object_file
 from experiments.plan import seed_of
+from experiments.studies.scale import trainings as scale_trainings
 from experiments.studies.stream_part import stream_parts
 from experiments.studies.variant import ablation_trainings
 
@@ -23,6 +24,26 @@ rule seeds_table:
         record("bfm", "seeds"),
         results("seeds", "table.csv", "metrics.csv", "table.tex", "figures/errors_by_seed.png"),
     shell: step("studies.seeds", uses=["seeds"])
+
+
+# The faces and networks of scale 1 are those of the main table.
+rule scale:
+    input:
+        plan.model, lambda w: [record("bfm", "seed", w.seed)] if float(w.scale) == 1 else [],
+    output: f"{work('bfm')}/records/scale-{{scale}}-seed{{seed}}.json"
+    wildcard_constraints: scale=r"[\d.]+"
+    resources: mem_mb=2500
+    shell: step("studies.scale {wildcards.scale} {wildcards.seed}", uses=["data"])
+
+
+rule scales_table:
+    input:
+        plan.begun,
+        [record("bfm", f"scale-{scale:g}-seed{seed}") for scale, seed in scale_trainings(RUN)],
+    output:
+        record("bfm", "scales"),
+        results("scales", "table.csv", "metrics.csv", "table.tex", "figures/errors.png"),
+    shell: step("studies.scales", uses=["seeds"])
 
 
 rule variant:

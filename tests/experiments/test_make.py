@@ -212,6 +212,7 @@ def test_folders_may_have_spaces(tmp_path):
         ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
         ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
         ("reproduce-bfm", ["JOBS=0"], "JOBS must be at least 1, or -1"),
+        ("scales", [], "MODEL must be bfm68, whose scale is not known. Received openhead"),
         ("reproduce-flame", ["RINGNET=ja"], "RINGNET must be yes, no or the path"),
         ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file of bfm2009"),
         ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),

@@ -81,6 +81,8 @@ def test_an_estimate_has_no_more_digits_than_it_knows(seconds, text):
         ("bfm-full-paper-seed3/records/predict-deep_mds.json", "predict with Deep-MDS, seed 3"),
         ("bfm-full-paper-seed0/records/variant-two_layers_cosine-seed4.json",
          "train for the ablation: two layers cosine, seed 4"),
+        ("bfm-full-paper-seed0/records/scale-0.75-seed1.json",
+         "train on faces of scale: 0.75, seed 1"),
         ("flame-full-paper-seed0-coma/records/scans.json",
          "find landmarks in photos and on scans"),
     ],

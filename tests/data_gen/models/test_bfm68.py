@@ -165,3 +165,20 @@ def test_the_table_of_the_landmark_methods_is_made_on_it(checkout, tmp_path):
     assert measured["aldrian"] < measured["mean_shape"]
     assert (table["n_landmarks"] == 68).all()
     assert "Depth correlation (of 68)" in (folder / "table.tex").read_text()
+
+
+@pytest.mark.slow
+def test_the_scales_share_the_networks_of_the_main_table(checkout, tmp_path):
+    """More variation is more error for the mean shape, in the square; methods are scored alike."""
+    given = ("MODEL=bfm68", f"DATA={checkout}", "SEEDS=2")
+    runs.make("scales", tmp_path, *given)
+    folder = tmp_path / "results" / "tiny" / "bfm68" / "scales"
+    table = pd.read_csv(folder / "table.csv").set_index(["scale", "method"])
+    assert table.loc[(1, "deep_mds"), "n_seeds"] == 2
+    errors = table["mse"].unstack()["mean_shape"]
+    assert errors[2] / errors[1] == pytest.approx(4, rel=0.2)
+    assert (table.xs("mean_shape", level="method")["slope"] == 0).all()
+    assert (table.xs("mean_shape", level="method")["over_mean_shape"] == 1).all()
+    assert table.loc[(1, "aldrian"), "slope"] > table.loc[(1, "deep_mds_constant"), "slope"]
+    trained = {path.parent.name for path in tmp_path.rglob("networks")}
+    assert any("scale1.5" in name for name in trained) and not any("scale1-" in n for n in trained)
