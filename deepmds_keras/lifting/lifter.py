@@ -29,6 +29,7 @@ from deepmds_keras.weights import fingerprint
 DEFAULT_SD = 0.025
 _CHUNK = 250  # faces at a time, whose arrays stay in the cache
 _SETTERS = "fit, load or pretrained"
+_MEAN_SHAPE = "mean_shape"
 _SHIPPED = "lifting-"  # prefix of the files of shipped weights
 
 
@@ -70,6 +71,8 @@ class LandmarkLifter:
 
     Attributes:
         weights_: Trained arrays by name.
+        mean_shape_: `(L, 3)` mean of the training faces, in the unit of `normalise`; None if read
+            from a file of before version 0.4, which lacks it.
         default_sd_: Standard deviation that `predict` assumes if none is given, in units of the
             root mean square radius: `DEFAULT_SD`, or the mean in training if that is less.
         history_: Losses of each block of 100 steps.
@@ -82,7 +85,7 @@ class LandmarkLifter:
     Examples:
         >>> from deepmds_keras import LandmarkLifter
         >>> lifter = LandmarkLifter.pretrained("ibug51")
-        >>> face = lifter.weights_["mean"].T  # (51, 3): the mean face
+        >>> face = lifter.mean_shape_  # (51, 3)
         >>> shapes, sd = lifter.predict(face[:, :2], return_std=True)  # y up
         >>> shapes.shape, sd.shape
         ((51, 3), (51, 3))
@@ -162,6 +165,7 @@ class LandmarkLifter:
             progress=progress,
         )
         self.default_sd_ = min(DEFAULT_SD, float(faces.held_out.sd.mean()))
+        self.mean_shape_ = faces.shapes.mean(0).T
         return self
 
     @overload
@@ -260,7 +264,9 @@ class LandmarkLifter:
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights to one `.npz` file, whole or not at all."""
-        arrays = check_fitted(self, "weights_", _SETTERS)
+        arrays = dict(check_fitted(self, "weights_", _SETTERS))
+        if self.mean_shape_ is not None:
+            arrays[_MEAN_SHAPE] = self.mean_shape_
         described = {
             "parameters": self.get_params(),
             "default_sd": self.default_sd_,
@@ -279,13 +285,17 @@ class LandmarkLifter:
         try:
             lifter = cls(**described["parameters"])
             lifter._check_parameters()
+            mean_shape = arrays.pop(_MEAN_SHAPE, None)
             check_weights(arrays, lifter.n_landmarks)
+            if mean_shape is not None and mean_shape.shape != (lifter.n_landmarks, 3):
+                raise ValueError(f"{_MEAN_SHAPE} has shape {mean_shape.shape}")
             lifter.default_sd_ = float(described["default_sd"])
             lifter.history_ = described["history"]
         except (KeyError, TypeError, ValueError) as error:
             message = f"{path} was not written by LandmarkLifter.save(): {error}."
             raise InputError(message) from None
         lifter.weights_ = {name: np.asarray(array, np.float32) for name, array in arrays.items()}
+        lifter.mean_shape_ = mean_shape
         return lifter
 
     @classmethod

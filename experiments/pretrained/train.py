@@ -25,6 +25,7 @@ from data_gen.views import (
 )
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
+from experiments.pretrained.canonical_face import canonical_mean
 from experiments.recipes import deep_mds, fit, landmark_lifter
 from experiments.records import resumable
 from experiments.run import Run
@@ -34,26 +35,29 @@ from experiments.streams import Stream
 # they come from fits of face models to photos.
 DEEP_MDS = {"ibug51": DETECTOR_SD_MM, "bfm72": 1.0}
 LIFTERS = ("ibug51", "ibug68", "bfm72")
+CANONICAL = "canonical"
 # Names of all networks, under which they ship, those that take long first.
 NETWORKS = (*(f"deepmds-{scheme}" for scheme in DEEP_MDS), *(f"lifting-{s}" for s in LIFTERS))
 _MISSING = 0.3
 _RATE, _BATCH = 3e-3, 256
 # Uniform, to either side, degrees; and the angle that the landmarks fill, from 0.
 _YAW, _PITCH, _ROLL, _FIELD_OF_VIEW = 90.0, 40.0, 40.0, 40.0
-# Share of the difference between the two models' mean faces that is added to a face, uniform. The
-# open head's nose is shallow: its tip lies 0.41 of the distance between the outer corners of the
-# eyes in front of them, ICT's 0.50, that of people about 0.52.
-_TOWARDS_OTHER = {"openhead": (0.5, 1.75), "ict": (-0.75, 0.5)}
+# The mean of a training face is a mix of three: those of both open models, and MediaPipe's
+# canonical face. The weights spread about these, beyond any of the three. The open head's nose is
+# shallow, see `canonical_face`.
+_CENTRE = {"openhead": 0.2, "ict": 0.4, CANONICAL: 0.4}
+_SPREAD_OF_WEIGHTS = 1.5  # times a uniform distribution over the mixes of the three
+_PARTS = {"openhead": 1, "ict": 2}  # of the training faces
 # S.d. of the noise in a view, of most much less; and the share of views that have none.
 _MOST_NOISE_MM, _EXACT = 6.0, 0.1
 # S.d. of the logarithm of the ratio of the given to the true s.d.: a detector's is never known
 # exactly, and a network that takes it for exact trusts it too much.
-_GIVEN_SD = 0.4
+_GIVEN_SD = 0.2
 # Changes beyond the models: larger features, smooth offsets, displaced landmarks, other aspects.
 _IDENTITY = (0.8, 1.4)
 _SMOOTH_MM, _SMOOTH_SD_MM = 25.0, 3.0
-_OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.05
-_FLAT = 0.03  # share of faces that lose any part of their depth, that the s.d. knows of such
+_OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.03
+_FLAT = 0.01  # share of faces that lose any part of their depth, that the s.d. knows of such
 
 
 def weights_file(run: Run, name: str) -> Path:
@@ -64,7 +68,7 @@ def photo_faces(run: Run, scheme: str) -> Callable:
     """What a lifter is trained on: `sample_faces` of a number of faces and a generator."""
     models = (load_model(name, run.data, scheme) for name in open_models(run.data)[0])
     parts = [model.restrict(model.landmarks[scheme]) for model in models]
-    return functools.partial(sample_faces, [_in_frame_of(parts[0], part) for part in parts])
+    return functools.partial(sample_faces, [_in_frame_of(parts[0], part) for part in parts], scheme)
 
 
 def main(run: Run, name: str) -> None:
@@ -93,16 +97,20 @@ def main(run: Run, name: str) -> None:
 
 
 def sample_faces(
-    models: Sequence[MorphableModel], n: int, rng: np.random.Generator
+    models: Sequence[MorphableModel], scheme: str, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Random faces with noise in their views, equal parts of models restricted to the landmarks.
+    """Random faces with noise in their views, of the open models restricted to the landmarks.
 
     Returns:
         Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the stated s.d. of the noise,
         `(n,)`.
     """
-    share = np.arange(n) * len(models) // n
-    shapes = [_beyond(models, k, int((share == k).sum()), rng) for k in range(len(models))]
+    ends = np.cumsum([0, *(_PARTS[model.name] for model in models)])
+    counts = np.diff(np.round(n * ends / ends[-1]).astype(int))
+    shapes = [
+        _beyond(model, _means(models, model, scheme), count, rng)
+        for model, count in zip(models, counts, strict=True)
+    ]
     shapes = rng.permutation(np.concatenate(shapes))
     cameras = sample_perspective_cameras(
         n, rng, yaw=_YAW, pitch=_PITCH, roll=_ROLL, field_of_view=(0, _FIELD_OF_VIEW)
@@ -124,16 +132,25 @@ def _in_frame_of(first: MorphableModel, model: MorphableModel) -> MorphableModel
     return replace(model, **{name: getattr(model, name) @ turn[0] for name in arrays})
 
 
+def _means(
+    models: Sequence[MorphableModel], of: MorphableModel, scheme: str
+) -> dict[str, np.ndarray]:
+    """The mean faces `(L, 3)` that are mixed, in the frame and size of one model's."""
+    means = {m.name: align(m.mean, of.mean, reflection=False) for m in models}
+    return means | {CANONICAL: canonical_mean(of.mean, scheme)}
+
+
 def _beyond(
-    models: Sequence[MorphableModel], k: int, n: int, rng: np.random.Generator
+    model: MorphableModel, means: dict[str, np.ndarray], n: int, rng: np.random.Generator
 ) -> np.ndarray:
     """`(n, L, 3)` faces of one of the models, changed in ways beyond it."""
-    model, mean = models[k], models[k].mean
+    mean, uniform = model.mean, 1 / len(means)
     identity, expression = sample_expressive(model, n, rng)
     shapes = model.shape(identity * rng.uniform(*_IDENTITY, (n, 1)), expression)
-    for other in (*models[:k], *models[k + 1 :]):
-        towards = rng.uniform(*_TOWARDS_OTHER[model.name], (n, 1, 1))
-        shapes += towards * (align(other.mean[None], mean[None])[0] - mean)
+    centre = np.array([_CENTRE[name] for name in means])
+    mix = rng.dirichlet(np.ones(len(means)), n) - uniform
+    mix = centre / centre.sum() + _SPREAD_OF_WEIGHTS * mix
+    shapes += np.einsum("nk,kld->nld", mix, np.stack([*means.values()]) - mean)
     # Times white noise it gives offsets alike for landmarks that lie together.
     squares = ((mean[:, None] - mean) ** 2).sum(2)
     kernel = np.exp(-squares / (2 * _SMOOTH_MM**2))

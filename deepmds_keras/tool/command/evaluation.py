@@ -43,9 +43,10 @@ def evaluate(
     covers the landmarks that its model has.
 
     Args:
-        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or `.csv` with one landmark per row: columns
-            `x`, `y`, `z` and, for several faces, `face`. Faces as the camera sees them, in any
-            unit; the directions of y and z are inferred from the faces.
+        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or with coordinates first, `(n, 3, 68)`, as
+            3DDFA has AFLW2000-3D; or `.csv` with one landmark per row: columns `x`, `y`, `z` and,
+            for several faces, `face`. Faces as the camera sees them, in any unit; the directions
+            of y and z are inferred from the faces.
         landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
         y_up: Whether y grows upwards in `landmarks`.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
@@ -66,7 +67,7 @@ def evaluate(
     shapes = read_truth(truth)
     scheme = _SCHEMES[shapes.shape[1]]
     lifter = LandmarkLifter.pretrained(scheme)
-    mean = lifter.weights_["mean"].T.astype(float)
+    mean = lifter.mean_shape_.astype(float)
     shapes = _oriented(shapes, scheme, mean)
     if landmarks is None:
         views = shapes[..., :2]
@@ -117,6 +118,8 @@ def read_truth(path: str | Path) -> np.ndarray:
     shapes = shapes[None] if shapes.ndim == 2 else shapes
     if shapes.dtype.kind not in "fiu" or shapes.ndim != 3 or not len(shapes):
         raise InputError(f"{path} must hold numbers (n, 51, 3) or (n, 68, 3). It does not.")
+    if shapes.shape[1] == 3 and shapes.shape[2] in _SCHEMES:
+        shapes = shapes.swapaxes(1, 2)
     if shapes.shape[1] not in _SCHEMES or shapes.shape[2] != 3:
         raise InputError(
             f"{path} must hold 51 or 68 landmarks of x, y and z a face. "

@@ -6,17 +6,27 @@ import numpy as np
 import pandas as pd
 import pytest
 import runs
-from places import MEDIAPIPE
+from places import MEDIAPIPE, SHARED
 
 from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
+from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise, rms_radius
+from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.detection import move, upright_axes
 from experiments.presets import TINY
+from experiments.pretrained.canonical_face import (
+    CANONICAL,
+    canonical_mean,
+    read_canonical_face,
+    write_canonical_face,
+)
 from experiments.pretrained.pretrained import errors_of
 from experiments.pretrained.real_faces import differences, reliability
 from experiments.pretrained.train import sample_faces
+
+CANONICAL_OBJ = SHARED / "mediapipe" / "canonical_face_model.obj"
 
 
 def test_an_error_is_in_radii_and_that_of_another_place_does_not_count():
@@ -31,31 +41,68 @@ def test_an_error_is_in_radii_and_that_of_another_place_does_not_count():
     np.testing.assert_allclose(errors[0], (error / radius)[0])
 
 
-def test_faces_differ_more_than_those_of_the_models_which_take_equal_parts():
+@pytest.fixture(scope="module")
+def openhead():
     model = load_model("openhead", None, "ibug51")
-    model = model.restrict(model.landmarks["ibug51"])
-    larger = type(model)(**{**vars(model), "mean": 2 * model.mean})
-    views, shapes, sd = sample_faces([model, larger], 2000, np.random.default_rng(0))
+    return model.restrict(model.landmarks["ibug51"])
+
+
+def test_faces_differ_more_than_those_of_the_models_a_third_of_which_are_of_the_open_head(openhead):
+    larger = replace(openhead, name="ict", mean=2 * openhead.mean)
+    rng = np.random.default_rng(0)
+    views, shapes, sd = sample_faces([openhead, larger], "ibug51", 2000, rng)
     assert views.shape == (2000, 51, 2) and shapes.shape == (2000, 51, 3)
     sizes = np.ptp(shapes, axis=1).max(1)
-    large = sizes > 1.4 * np.quantile(sizes, 0.25)
-    assert 0.45 < large.mean() < 0.55 and 0.4 < large[:300].mean() < 0.6, "in random order"
+    large = sizes > 1.4 * np.quantile(sizes, 0.15)
+    assert 0.63 < large.mean() < 0.7 and 0.58 < large[:300].mean() < 0.75, "in random order"
     centred = normalise(shapes).reshape(len(sizes), -1)
     values = np.linalg.svd(centred - centred.mean(0), compute_uv=False) / len(sizes) ** 0.5
     assert values[120] > 1e-4, "no few components span them"
     assert sd.shape == (2000,) and 150 < (sd == 0).sum() < 250 and np.median(sd) < 3
 
 
-def test_faces_of_the_open_head_go_towards_the_other_model():
-    model = load_model("openhead", None, "ibug51")
-    model = model.restrict(model.landmarks["ibug51"])
-    nose = np.zeros((51, 3))
-    nose[12:14, 2] = 10
-    other = replace(model, name="ict", mean=model.mean + nose)
-    shapes = sample_faces([model, other], 4000, np.random.default_rng(0))[1]
-    alone = sample_faces([model], 4000, np.random.default_rng(0))[1]
-    longer = (align(shapes.mean(0), alone.mean(0)) - alone.mean(0))[12:14, 2].mean()
-    assert 9 < longer < 13, "of the difference between the means: 1.125 on the average"
+def test_the_mean_of_the_training_faces_is_a_mix_of_three_means(openhead):
+    """The depth of iBUG's landmark 30, above the tip of the nose, tells them apart."""
+    other = replace(openhead, name="ict")
+    shapes = sample_faces([openhead, other], "ibug51", 4000, np.random.default_rng(0))[1]
+    means = (openhead.mean, shapes.mean(0), canonical_mean(openhead.mean, "ibug51"))
+    depths = [nose_depth(face) for face in means]
+    mixed = 0.6 * depths[0] + 0.4 * depths[2]
+    assert depths == pytest.approx([0.139, mixed, 0.274], abs=0.005)
+    of_faces = np.array([nose_depth(face) for face in shapes])
+    assert np.quantile(of_faces, 0.02) < depths[0] and np.quantile(of_faces, 0.98) > depths[2]
+
+
+def nose_depth(face):
+    eyes = np.linalg.norm(face[19] - face[28])
+    return float((face[12, 2] - face[:, 2].mean()) / eyes)
+
+
+@pytest.mark.parametrize("scheme", ["ibug51", "ibug68", "bfm72"])
+def test_landmarks_that_the_canonical_face_lacks_move_like_their_neighbours(scheme):
+    model = load_model("openhead", None, scheme)
+    mean = model.mean[model.landmarks[scheme]]
+    moved = canonical_mean(mean, scheme) - mean
+    nose = np.array(load_scheme(scheme).groups) == "nose"
+    assert 3 < moved[nose, 2].max() < 15, "mm: a deeper nose"
+    assert np.linalg.norm(moved, axis=1).max() < 15
+    if scheme == "ibug68":
+        inner = convert(mean + moved, scheme, "ibug51")
+        face = align(read_canonical_face(), inner, reflection=False)
+        np.testing.assert_allclose(inner, face, atol=0.01)
+
+
+@pytest.mark.skipif(not CANONICAL_OBJ.exists(), reason="../shared/mediapipe is absent")
+def test_the_table_of_the_canonical_face_is_what_the_script_makes(tmp_path):
+    write_canonical_face(CANONICAL_OBJ, tmp_path / "face.csv")
+    assert (tmp_path / "face.csv").read_text() == CANONICAL.read_text()
+
+
+def test_another_mesh_is_no_canonical_face(tmp_path):
+    (tmp_path / "face.obj").write_text("v 0 0 0\nv 1 1 1\n")
+    with pytest.raises(InputError, match="face.obj must have 468 vertices"):
+        write_canonical_face(tmp_path / "face.obj", tmp_path / "face.csv")
+    assert not (tmp_path / "face.csv").exists()
 
 
 def real_faces(offset, noise):

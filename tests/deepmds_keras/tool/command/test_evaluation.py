@@ -50,6 +50,11 @@ def test_which_way_axes_point_does_not_matter(truth, axes, tmp_path):
         assert one["error"] == pytest.approx(other["error"], rel=1e-3)
 
 
+def test_coordinates_may_come_first_as_in_aflw2000_of_3ddfa(truth, tmp_path):
+    np.save(tmp_path / "first.npy", truth.swapaxes(1, 2))
+    np.testing.assert_array_equal(read_truth(tmp_path / "first.npy"), truth)
+
+
 def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
     lines = ["face,x,y,z"]
     lines += [f"{i},{x},{y},{z}" for i, face in enumerate(truth[:9, 17:]) for x, y, z in face]
