@@ -264,10 +264,11 @@ def zhao(run: Run, *, as_authors: bool = False):
     """Zhao's net, trained by Adam or, as the authors did, by RMSprop."""
     from deepmds_keras.baselines.zhao import Zhao
 
+    as_authors = as_authors or run.protocol == "released"
     return Zhao(
         len(load_scheme(run.scheme)),
-        optimizer="rmsprop" if as_authors or run.protocol == "released" else "adam",
-        epochs=run.preset.zhao_epochs,
+        optimizer="rmsprop" if as_authors else "adam",
+        epochs=run.preset.zhao_authors_epochs if as_authors else run.preset.zhao_epochs,
         steps_per_epoch=run.preset.zhao_steps,
         seed=run.seed,
     )
