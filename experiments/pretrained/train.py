@@ -54,7 +54,7 @@ _MOST_NOISE_MM, _EXACT = 6.0, 0.1
 # exactly, and a network that takes it for exact trusts it too much.
 _GIVEN_SD = 0.2
 # Changes beyond the models: larger features, smooth offsets, displaced landmarks, other aspects.
-_IDENTITY = (0.8, 1.4)
+_IDENTITY = (0.8, 1.6)
 _SMOOTH_MM, _SMOOTH_SD_MM = 25.0, 3.0
 _OFFSET_SD_MM, _ASPECT_SD = 2.0, 0.03
 _FLAT = 0.01  # share of faces that lose any part of their depth, that the s.d. knows of such
