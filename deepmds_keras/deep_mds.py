@@ -75,7 +75,7 @@ class DeepMDS(BaseEstimator):
 
     Examples:
         >>> from deepmds_keras import DeepMDS, LandmarkLifter
-        >>> face = LandmarkLifter.pretrained("ibug51").weights_["mean"].T  # (51, 3): a mean face
+        >>> face = LandmarkLifter.pretrained("ibug51").mean_shape_  # (51, 3)
         >>> shape = DeepMDS.pretrained("deepmds-ibug51").predict(face[:, :2])  # y up
         >>> shape.shape
         (51, 3)

@@ -19,7 +19,7 @@ from sklearn.preprocessing import FunctionTransformer
 from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.baselines.closed_form import RidgeRegression
-from deepmds_keras.files import read_arrays
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.alignment import procrustes
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.lifting import equations, trainer
@@ -201,6 +201,9 @@ def test_saved_and_loaded_predict_the_same(lifter, faces, tmp_path):
     assert loaded.history_ == lifter.history_
     assert loaded.n_parameters == lifter.n_parameters
     assert np.array_equal(loaded.predict(faces[0]), lifter.predict(faces[0]))
+    assert np.array_equal(loaded.mean_shape_, lifter.mean_shape_)
+    sampled = centre(normalise(sample_faces(500, np.random.default_rng(7))[1])).mean(0)
+    np.testing.assert_allclose(lifter.mean_shape_, sampled, atol=0.02)
     copy = clone(lifter)
     assert copy.get_params() == lifter.get_params()
     assert not hasattr(copy, "weights_")
@@ -217,6 +220,18 @@ def test_damaged_and_foreign_files_are_refused(lifter, tmp_path):
         LandmarkLifter.load(ROOT / "deepmds_keras/pretrained/deepmds-bfm72.npz")
     with pytest.raises(InputError, match="must be one of bfm72, ibug51, ibug68. Received"):
         LandmarkLifter.pretrained("lifting-ibug51")
+
+
+def test_a_file_of_before_version_0_4_has_no_mean_shape(lifter, tmp_path):
+    path = tmp_path / "lifter.npz"
+    lifter.save(path)
+    arrays, described = read_arrays(path)
+    other = dict(arrays, mean_shape=arrays.pop("mean_shape")[1:])
+    write_arrays(path, arrays, described)
+    assert LandmarkLifter.load(path).mean_shape_ is None
+    write_arrays(path, other, described)
+    with pytest.raises(InputError, match="lifter.npz was not written by .* mean_shape has shape"):
+        LandmarkLifter.load(path)
 
 
 @pytest.mark.slow
@@ -318,7 +333,7 @@ def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
     lifter = LandmarkLifter(L)
     shapes = read_faces(*faces, None, L).shapes
     lifter.weights_ = initial_weights(shapes, 0)
-    lifter.default_sd_, lifter.history_ = 0.0, {}
+    lifter.default_sd_, lifter.history_, lifter.mean_shape_ = 0.0, {}, None
     lifter.save(tmp_path / "lifter.npz")
     code = (
         "import sys, numpy; from deepmds_keras import LandmarkLifter\n"
