@@ -18,8 +18,8 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 from data_gen.appearance import Lights
 from data_gen.models.mesh import triangle_corners, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views import Cameras, pose_and_project
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, pose_and_project
 
 MARGIN = 1.4  # side of a square image, relative to the landmarks' box
 BACKGROUND = 255  # white, as in the authors' images

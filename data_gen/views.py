@@ -1,13 +1,6 @@
-"""Views of faces: random poses and cameras, projections, and hidden landmarks.
-
-Angles are in degrees. Yaw is positive when the face turns to its left (towards +x), pitch when it
-looks up, roll when its top leans to its right; they apply in the order yaw, pitch, roll, about the
-origin of the face.
-"""
+"""Views of faces: random poses and cameras, and hidden landmarks; angles as in `Cameras`."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,9 +12,14 @@ from data_gen.models.expressions import (
 from data_gen.models.morphable_model import MorphableModel
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import camera_angles
-from deepmds_keras.geometry.units import rms_radius
+from deepmds_keras.geometry.views import (
+    Cameras,
+    about_axis,
+    pose_and_project,
+    project,
+    sample_perspective_cameras,
+)
 
-PROJECTIONS = ("orthographic", "perspective")
 PROTOCOLS = ("paper", "released", "posed")
 _YAWS = (-45.0, 0.0, 45.0)
 # Of the hard views: uniform, to either side, degrees; the field of view is that of a face from afar
@@ -36,29 +34,6 @@ DETECTOR_SD_MM = 3.0
 # on whose rims people mark landmarks as if they saw them.
 _BEHIND = 2.0
 _CHUNK = 16  # whole meshes
-
-
-@dataclass(frozen=True, eq=False)
-class Cameras:
-    """Camera of each of `n` faces.
-
-    Attributes:
-        projection: `(n,)` int, index into `PROJECTIONS`.
-        yaw, pitch, roll: `(n,)` degrees.
-        field_of_view: `(n,)` degrees, the angle that the face fills; 0 is orthographic.
-    """
-
-    projection: np.ndarray
-    yaw: np.ndarray
-    pitch: np.ndarray
-    roll: np.ndarray
-    field_of_view: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.projection)
-
-    def __getitem__(self, faces) -> Cameras:
-        return Cameras(*(value[faces] for value in vars(self).values()))
 
 
 def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") -> Cameras:
@@ -102,7 +77,7 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
     # The roll comes first there, the pitch after it. Faces look down: on such views the authors'
     # networks have a third of the error that they have on faces that look up as far.
     roll, pitch = (np.deg2rad(a) for a in (2 * azimuth - 45, elevation))
-    tilted = camera_angles(_about(0, pitch) @ _about(2, roll))
+    tilted = camera_angles(about_axis(0, pitch) @ about_axis(2, roll))
     yaw, pitch, roll = np.where(through_viewmtx, tilted, 0.0)
     yaw = np.where(turned, turn, yaw)
     return Cameras(through_viewmtx.astype(int), yaw, pitch, roll, field_of_view=none)
@@ -118,100 +93,6 @@ def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
     perspective = rng.random(n) < 0.5
     angle = rng.uniform(0, _HARD_FIELD_OF_VIEW, n)
     return Cameras(perspective.astype(int), yaw, pitch, roll, np.where(perspective, angle, 0.0))
-
-
-def sample_perspective_cameras(
-    n: int,
-    rng: np.random.Generator,
-    *,
-    yaw: float,
-    pitch: float,
-    roll: float,
-    field_of_view: tuple[float, float],
-) -> Cameras:
-    """Uniform poses, to either side, and fields of view from one angle to another, degrees."""
-    return Cameras(
-        np.full(n, PROJECTIONS.index("perspective")),
-        *(rng.uniform(-most, most, n) for most in (yaw, pitch, roll)),
-        rng.uniform(*field_of_view, n),
-    )
-
-
-def rotations(cameras: Cameras) -> np.ndarray:
-    """Rotation matrices of the faces, `(n, 3, 3)`, to be multiplied from the left."""
-    yaw, pitch, roll = (np.deg2rad(a) for a in (cameras.yaw, cameras.pitch, cameras.roll))
-    return _about(2, roll) @ _about(0, -pitch) @ _about(1, yaw)
-
-
-def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:
-    """Points of the faces as posed: +x to the right of the image, +z towards the viewer.
-
-    Args:
-        points: `(n, L, 3)` millimetres, like the result.
-        cameras: One for each face.
-    """
-    return points @ np.swapaxes(rotations(cameras), 1, 2)
-
-
-def project(points: np.ndarray, cameras: Cameras) -> np.ndarray:
-    """Views of the faces: `(n, L, 3)` → `(n, L, 2)`, millimetres in the plane of the face, y up.
-
-    The perspective camera looks at the middle of the landmarks from where their bounding sphere
-    fills the field of view. It scales the plane through that middle to its true size. With the
-    field of view going to 0 the view tends to the orthographic one.
-    """
-    return pose_and_project(points, points, cameras)[1][..., :2]
-
-
-def pose_and_project(
-    points: np.ndarray, landmarks: np.ndarray, cameras: Cameras
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pose and project any points of the faces, such as all vertices, for a renderer.
-
-    Args:
-        points: `(n, V, 3)` millimetres, in the frame of the face.
-        landmarks: `(n, L, 3)` likewise, which define each camera, see `project`.
-        cameras: One for each face.
-
-    Returns:
-        `(n, V, 3)` as from `in_camera_frame`; and `(n, V, 3)` x and y as from `project`, with a
-        depth that grows towards the viewer. That map is projective: planes stay planes, so that
-        the depth shows what hides what.
-    """
-    posed = in_camera_frame(points, cameras)
-    landmarks = posed if landmarks is points else in_camera_frame(landmarks, cameras)
-    middle, inverse_distance = _filling(landmarks, cameras.field_of_view)
-    centred = posed - middle
-    nearness = 1 - centred[..., 2:] * inverse_distance[:, None, None]
-    return posed, centred / nearness + middle
-
-
-def perspectives(fields_of_view: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Inverse distance, times its r.m.s. radius, at which a face fills each field of view, `(n,)`.
-
-    Args:
-        fields_of_view: `(n,)` degrees.
-        mean: `(L, 3)` landmarks of the face.
-    """
-    return rms_radius(mean[None]) * _filling(mean[None], fields_of_view)[1]
-
-
-def _filling(landmarks: np.ndarray, fields_of_view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middle of faces `(n, 1, 3)`, and inverse distances from which they fill fields of view."""
-    middle = (landmarks.max(1, keepdims=True) + landmarks.min(1, keepdims=True)) / 2
-    radius = np.linalg.norm(landmarks - middle, axis=-1).max(1)
-    return middle, np.sin(np.deg2rad(fields_of_view) / 2) / radius
-
-
-def _about(axis: int, angle: np.ndarray) -> np.ndarray:
-    """Right-handed rotations about one coordinate axis: `(n,)` radians → `(n, 3, 3)`."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrices = np.zeros((len(angle), 3, 3))
-    matrices[:, axis, axis] = 1
-    matrices[:, i, i] = matrices[:, j, j] = cosine
-    matrices[:, i, j], matrices[:, j, i] = -sine, sine
-    return matrices
 
 
 def hidden_by_head(

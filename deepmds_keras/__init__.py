@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as below
     from deepmds_keras.geometry.camera import HeadPose as HeadPose
     from deepmds_keras.geometry.camera import head_pose as head_pose
     from deepmds_keras.geometry.units import normalise as normalise
+    from deepmds_keras.geometry.views import sample_views as sample_views
     from deepmds_keras.landmarks import convert as convert
     from deepmds_keras.landmarks import load_scheme as load_scheme
     from deepmds_keras.lifting.lifter import LandmarkLifter as LandmarkLifter
@@ -48,6 +49,7 @@ _HOME = {
     "predict_landmarks": "tool.predict.face_lifter",
     "predict_photo": "tool.predict.face_lifter",
     "read_landmarks": "tool.predict.landmark_files",
+    "sample_views": "geometry.views",
 }
 _MODULES = ("baselines", "metrics")
 _KERAS = ("h5py", "keras", "sklearn", "tensorflow")  # what the extra of that name brings

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.geometry.units import centre_and_scale
 from deepmds_keras.validation import as_numbers
 
 _ROUNDING = 1e-12  # Relative spread below which numbers count as constant.
@@ -43,7 +43,7 @@ def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
         InputError: As for `mse`, or fewer than two faces.
     """
     prediction, truth = _pair(prediction, truth, least=2)
-    truth = normalise(centre(truth))
+    truth = centre_and_scale(truth)
     mean = np.broadcast_to(truth.mean(0), truth.shape)
     error, worst = (np.mean(mse(align(x, truth), truth)) for x in (prediction, mean))
     return float(1 - error / worst)

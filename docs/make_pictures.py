@@ -20,9 +20,10 @@ from data_gen.appearance import Albedo, Lights
 from data_gen.datasets.photos_substitute import PhotosSubstitute
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Renderer, square_frames
-from data_gen.views import in_camera_frame, sample_expressive, sample_hard_cameras
+from data_gen.views import sample_expressive, sample_hard_cameras
 from deepmds_keras.files import write_bytes
 from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.geometry.views import in_camera_frame
 from deepmds_keras.landmarks import convert, load_scheme
 from experiments.figures.style import INK, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view

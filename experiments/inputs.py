@@ -11,10 +11,10 @@ from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model
-from data_gen.views import Cameras, in_camera_frame
 from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import centre, normalise, unit
+from deepmds_keras.geometry.views import Cameras, in_camera_frame
 from experiments.records import load_record
 from experiments.run import Run
 

@@ -141,8 +141,8 @@ def aldrian_authors(run: Run):
 
 def map_fit(run: Run):
     """The fit that knows the face model, and how far away the cameras of the training views are."""
-    from data_gen.views import perspectives
     from deepmds_keras.baselines.map_fit import MapFit
+    from deepmds_keras.geometry.views import perspectives
 
     mean, basis = load_landmark_model(run)
     cameras = load_faces(run, "train").cameras

@@ -16,9 +16,10 @@ import numpy as np
 
 from data_gen.models.expressions import SEQUENCES, sample_expressions, sequence_weights
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views import PROJECTIONS, Cameras, project, sample_cameras
+from data_gen.views import sample_cameras
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import atomic_write, read_npz
+from deepmds_keras.geometry.views import PROJECTIONS, Cameras, project
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
 _ARRAYS = ("identity", "expression", "landmarks", "views")

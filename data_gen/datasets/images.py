@@ -19,7 +19,7 @@ from data_gen.renderer import (
     square_frames,
     stretched_frames,
 )
-from data_gen.views import pose_and_project
+from deepmds_keras.geometry.views import pose_and_project
 
 _FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
 _LOOKS = 8  # expressions for determining the visible part of an expressive model

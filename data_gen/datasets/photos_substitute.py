@@ -24,14 +24,14 @@ from data_gen.photographs import (
     photograph,
 )
 from data_gen.renderer import Frames, Renderer
-from data_gen.views import (
+from data_gen.views import sample_expressive
+from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import (
     Cameras,
     in_camera_frame,
     pose_and_project,
-    sample_expressive,
     sample_perspective_cameras,
 )
-from deepmds_keras.errors import InputError
 
 WIDTH, HEIGHT = 178, 218  # of CelebA's aligned images
 SCHEME = "bfm72"

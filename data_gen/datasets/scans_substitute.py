@@ -12,7 +12,7 @@ from data_gen.models.expressions import SCAN_EXPRESSIONS, scan_expression_weight
 from data_gen.models.mesh import triangle_corners, vertex_normals
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.renderer import Rasteriser
-from data_gen.views import in_camera_frame, sample_perspective_cameras
+from deepmds_keras.geometry.views import in_camera_frame, sample_perspective_cameras
 
 SCHEME = "ibug51"
 _PIXELS, _MARGIN = 320, 2.6  # a photo with room about the face, about 0.85 mm a pixel

@@ -52,6 +52,18 @@ def centre(points: np.ndarray) -> np.ndarray:
     return points - points.mean(-2, keepdims=True)
 
 
+def centre_and_scale(points: np.ndarray) -> np.ndarray:
+    """Each face centred, in the unit of `normalise` once it is: `(n, L, d)` → `(n, L, d)`.
+
+    It depends on neither the origin nor the unit of the points.
+
+    Raises:
+        InputError: As for `normalise`.
+    """
+    centred = centre(points)
+    return centred / unit(centred)[1]
+
+
 def rms_radius(points: np.ndarray) -> np.ndarray:
     """Root mean square distance of the landmarks from their mean: `(n, L, d)` → `(n,)`."""
     return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))

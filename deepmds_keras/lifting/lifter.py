@@ -71,8 +71,8 @@ class LandmarkLifter:
 
     Attributes:
         weights_: Trained arrays by name.
-        mean_shape_: `(L, 3)` mean of the training faces, in the unit of `normalise`; None if read
-            from a file of before version 0.4, which lacks it.
+        mean_shape_: `(L, 3)` mean of the training faces, in the unit of `predict`; read
+            from a file of before version 0.4, which lacks it, the network's own, which is near.
         default_sd_: Standard deviation that `predict` assumes if none is given, in units of the
             root mean square radius: `DEFAULT_SD`, or the mean in training if that is less.
         history_: Losses of each block of 100 steps.
@@ -128,8 +128,9 @@ class LandmarkLifter:
             views: `(n, L, 2)` landmarks in the image, y up, any scale and place, NaN where one is
                 missing; or a function of a number of faces and a `numpy.random.Generator` that
                 returns views, shapes and `landmark_sd` as described here.
-            shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale. A tenth of the faces,
-                at most 1,000, is held out, and the weights that do best on them are kept.
+            shapes: `(n, L, 3)` true landmarks, +z out of the face, any scale and place. A tenth of
+                the different shapes, of at most 1,000 faces, is held out, and the weights that do
+                best on them are kept.
             landmark_sd: Standard deviation of the errors that the landmarks already have, in the
                 unit of the views, as for `predict`; None if they are exact.
             progress: Called after every 100 steps with the losses.
@@ -138,6 +139,9 @@ class LandmarkLifter:
         Raises:
             InputError: Wrong number of landmarks, unequal numbers of faces, infinity, a face with
                 too few landmarks, an option out of range, or the checkpoint of another run.
+
+        Warns:
+            UserWarning: Fewer than 50 different shapes were given.
         """
         with needs("Keras with TensorFlow, which train,", "keras"):
             from deepmds_keras.lifting.trainer import train_lifting_net
@@ -216,7 +220,8 @@ class LandmarkLifter:
         Returns:
             `(n, L, 3)`, or `(L, 3)` for one view `(L, 2)`: frontal shapes, missing landmarks
             included, +x to the subject's left, +y up, +z out of the face, in the unit of
-            `normalise`; true size cannot be seen in one view. The mean of the landmarks is about
+            `normalise` for shapes that are centred (the shipped weights: in the frame of their
+            face models); true size cannot be seen in one view. The mean of the landmarks is about
             0. With `return_std`, also as many standard deviations of the errors, where the mean of
             the true landmarks is 0.
 
@@ -264,9 +269,7 @@ class LandmarkLifter:
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights to one `.npz` file, whole or not at all."""
-        arrays = dict(check_fitted(self, "weights_", _SETTERS))
-        if self.mean_shape_ is not None:
-            arrays[_MEAN_SHAPE] = self.mean_shape_
+        arrays = check_fitted(self, "weights_", _SETTERS) | {_MEAN_SHAPE: self.mean_shape_}
         described = {
             "parameters": self.get_params(),
             "default_sd": self.default_sd_,
@@ -287,7 +290,8 @@ class LandmarkLifter:
             lifter._check_parameters()
             mean_shape = arrays.pop(_MEAN_SHAPE, None)
             check_weights(arrays, lifter.n_landmarks)
-            if mean_shape is not None and mean_shape.shape != (lifter.n_landmarks, 3):
+            mean_shape = arrays["mean"].T if mean_shape is None else mean_shape
+            if mean_shape.shape != (lifter.n_landmarks, 3):
                 raise ValueError(f"{_MEAN_SHAPE} has shape {mean_shape.shape}")
             lifter.default_sd_ = float(described["default_sd"])
             lifter.history_ = described["history"]

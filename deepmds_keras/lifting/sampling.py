@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.geometry.units import centre_and_scale
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE, prepare_views, standardise
 from deepmds_keras.streams import Stream
 from deepmds_keras.validation import check_faces
@@ -17,6 +18,7 @@ from deepmds_keras.validation import check_faces
 _HELD_OUT = 10  # one in so many of the faces given
 _MOST_HELD_OUT = 1000
 _FACES_OF_BASIS = 10_000
+_FEW_SHAPES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,7 @@ class Faces:
         views: `(n, 2, L)` centred, of unit root mean square radius, 0 where not visible.
         visible: `(n, L)` 1 or 0.
         sd: `(n, L)` standard deviation of the errors of a coordinate.
-        shapes: `(n, 3, L)` centred, in the unit of `normalise`.
+        shapes: `(n, 3, L)` as from `centre_and_scale`.
     """
 
     views: np.ndarray
@@ -50,7 +52,7 @@ def read_faces(views, shapes, landmark_sd, n_landmarks: int) -> Faces:
     """
     seen = prepare_views(views, n_landmarks, landmark_sd=landmark_sd)
     sd = np.zeros_like(seen.visible) if seen.sd is None else seen.sd
-    shapes = centre(normalise(check_faces(shapes, "shapes", 3, n_landmarks)))
+    shapes = centre_and_scale(check_faces(shapes, "shapes", 3, n_landmarks))
     if len(seen.views) != len(shapes):
         raise InputError(
             f"views and shapes must be of the same faces. Received {len(seen.views)} views and "
@@ -103,10 +105,27 @@ class Source(NamedTuple):
 
 
 def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source:
-    """Faces in memory, a tenth of them held out; training sees all others equally often."""
-    order = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(len(faces))
-    n_held_out = min(len(faces) // _HELD_OUT, _MOST_HELD_OUT)
-    # Of fewer than ten faces none can be spared.
+    """Faces in memory; training sees all of them equally often, but for a tenth held out.
+
+    All views of a shape are held out together: by other views of it they would be known.
+    """
+    _, first, shape_of = np.unique(
+        faces.shapes.reshape(len(faces), -1), axis=0, return_index=True, return_inverse=True
+    )
+    n_shapes = len(first)
+    if n_shapes < _FEW_SHAPES:
+        warnings.warn(
+            f"{n_shapes} different shapes are few to learn from, {_FEW_SHAPES} or more are needed: "
+            "measure the error on shapes that were not given.",
+            stacklevel=3,
+        )
+    turns = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(n_shapes).argsort()
+    # Shapes in the order in which they come, so that equal ones need not lie together.
+    turn_of = turns[first.argsort().argsort()[shape_of.ravel()]]
+    order = turn_of.argsort(kind="stable")
+    # Of fewer than ten shapes none can be spared.
+    counts = np.bincount(turn_of)[: n_shapes // _HELD_OUT].cumsum()
+    n_held_out = counts[counts <= max(_MOST_HELD_OUT, counts.min(initial=0))].max(initial=0)
     training = faces[order[n_held_out:]]
     checked = faces[order[:n_held_out]] if n_held_out else faces
     check_rng = np.random.default_rng([seed, Stream.LIFTING_CHECK])

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import sem
 
-from data_gen.views import PROJECTIONS, Cameras, project, sample_cameras
+from data_gen.views import sample_cameras
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
+from deepmds_keras.geometry.views import PROJECTIONS, Cameras, project
 from deepmds_keras.landmarks import load_scheme
 from experiments.audit.measure import Evidence
 from experiments.bench.released_code import released_views

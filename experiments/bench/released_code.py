@@ -18,10 +18,10 @@ from sklearn.manifold import MDS
 
 from data_gen.datasets.dataset import Dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views import Cameras, project, rotations
 from deepmds_keras.embedding import check_dissimilarities
 from deepmds_keras.geometry.orientation import resolve_orientation
 from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.geometry.views import Cameras, project, rotations
 
 if TYPE_CHECKING:
     from deepmds_keras.deep_mds import DeepMDS  # which loads TensorFlow

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, save_dataset
-from data_gen.views import Cameras
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import atomic_write, read_arrays, write_arrays
 from deepmds_keras.geometry.camera import camera_angles
+from deepmds_keras.geometry.views import Cameras
 from deepmds_keras.tool.detection.dlib_landmarks import shared_detector
 from experiments.inputs import image_files, in_photos
 from experiments.progress import Progress

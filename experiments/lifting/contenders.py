@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from data_gen.views import perspectives, project
 from deepmds_keras.baselines.closed_form import Aldrian, RidgeRegression
 from deepmds_keras.baselines.map_fit import MapFit
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.geometry.units import normalise, rms_radius
+from deepmds_keras.geometry.views import perspectives, project
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
 from experiments.recipes import mlp, moments

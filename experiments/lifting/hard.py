@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import centre, normalise
+from deepmds_keras.geometry.units import centre_and_scale, normalise
 from deepmds_keras.metrics import mse
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import Contenders, lower_bound
@@ -74,7 +74,7 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     for seed in hard_seeds(run, condition):
         lifter = load_network(hard_file(run, LIFTING, condition, seed))
         shapes, sd = lifter.predict(faces.views, landmark_sd=faces.sd_mm, return_std=True)
-        off = np.abs(shapes - centre(normalise(faces.shapes))) / sd
+        off = np.abs(shapes - centre_and_scale(faces.shapes)) / sd
         within = {f"within_{n}_sd": (off <= n).mean((1, 2)) for n in (1, 2)}
         add(LIFTING, seed, _errors(shapes, faces), **within)
     add("lower_bound", run.seed, best)

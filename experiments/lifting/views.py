@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.views import Cameras, hidden_by_head, project, sample_cameras, sample_hard_cameras
+from data_gen.views import hidden_by_head, sample_cameras, sample_hard_cameras
+from deepmds_keras.geometry.views import Cameras, project
 from experiments.inputs import face_model
 from experiments.run import Run
 from experiments.streams import Stream

@@ -15,17 +15,10 @@ from data_gen.build_openhead.components import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
 from data_gen.models.registry import OPEN, TITLES, load_model, open_models
-from data_gen.views import (
-    FIELD_OF_VIEW,
-    PITCH,
-    ROLL,
-    YAW,
-    project,
-    sample_expressive,
-    sample_perspective_cameras,
-)
+from data_gen.views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_expressive
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align, procrustes
+from deepmds_keras.geometry.views import project, sample_perspective_cameras
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.progress import counted

@@ -16,14 +16,9 @@ import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import load_model, model_files, open_models
-from data_gen.views import (
-    DETECTOR_SD_MM,
-    project,
-    sample_expressive,
-    sample_perspective_cameras,
-    sample_photo_views,
-)
+from data_gen.views import DETECTOR_SD_MM, sample_expressive, sample_photo_views
 from deepmds_keras.geometry.alignment import align, procrustes
+from deepmds_keras.geometry.views import project, sample_perspective_cameras
 from deepmds_keras.landmarks import load_scheme
 from experiments.pretrained.canonical_face import canonical_mean
 from experiments.recipes import deep_mds, fit, landmark_lifter

@@ -80,7 +80,7 @@ def main(run: Run, item: str, seed: str) -> None:
     """
     import pandas as pd
 
-    from data_gen.views import PROJECTIONS
+    from deepmds_keras.geometry.views import PROJECTIONS
     from experiments.inputs import load_faces
     from experiments.records import write_json
     from experiments.scoring.scores import score, subsets

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from data_gen.views import PROJECTIONS
 from deepmds_keras.files import read_arrays
+from deepmds_keras.geometry.views import PROJECTIONS
 from experiments.figures.curves import learning_curves
 from experiments.figures.errors import error_per_pose
 from experiments.inputs import Faces, load_faces

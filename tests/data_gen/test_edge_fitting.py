@@ -13,10 +13,10 @@ from data_gen.edges import EdgeMatcher, ImageEdges, Surface, find_edges
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Frames, Renderer
-from data_gen.views import Cameras, in_camera_frame, rotations
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
+from deepmds_keras.geometry.views import Cameras, in_camera_frame, rotations
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 N, SIZE, SCALE, NOISE = 60, 218, 0.6, 1.5  # faces, pixels, pixels per mm, mm

@@ -12,18 +12,20 @@ from data_gen.views import (
     PITCH,
     ROLL,
     YAW,
-    Cameras,
     hidden_by_head,
     hidden_landmarks,
-    in_camera_frame,
-    pose_and_project,
-    project,
-    rotations,
     sample_cameras,
     sample_hard_cameras,
     sample_photo_views,
 )
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import (
+    Cameras,
+    in_camera_frame,
+    pose_and_project,
+    project,
+    rotations,
+)
 
 N = 3000
 

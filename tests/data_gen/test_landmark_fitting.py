@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from data_gen import landmark_fitting
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, rotations
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, rotations
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels

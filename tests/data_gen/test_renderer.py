@@ -11,8 +11,8 @@ from data_gen.models.mesh import vertex_normals
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Renderer, part_of, seen_vertices, square_frames, stretched_frames
-from data_gen.views import Cameras, in_camera_frame, pose_and_project, project
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, in_camera_frame, pose_and_project, project
 
 SIZE = 96
 NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN = 28, 6, 50, 33

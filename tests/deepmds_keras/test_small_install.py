@@ -62,6 +62,7 @@ def weights(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "lifter.npz"
     lifter = LandmarkLifter(51)
     lifter.weights_ = initial_weights(np.swapaxes(shapes, 1, 2), 0)
+    lifter.mean_shape_ = shapes.mean(0)
     lifter.default_sd_, lifter.history_ = 0.0, {}
     lifter.save(path)
     return path

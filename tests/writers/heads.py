@@ -9,7 +9,7 @@ import numpy as np
 from data_gen.datasets.dataset import make_dataset
 from data_gen.datasets.images import make_scene, render
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, project
+from deepmds_keras.geometry.views import Cameras, project
 
 CANTHI = [19, 28]  # of the 51 inner landmarks
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_gen.views import in_camera_frame
+from deepmds_keras.geometry.views import in_camera_frame
 
 # What a camera that looks along +z with y down has, from our frame.
 HALF_TURN = np.array([1.0, -1.0, -1.0])

@@ -16,8 +16,8 @@ from data_gen.datasets.casia import (
 )
 from data_gen.models.registry import load_model
 from data_gen.registration import GroundTruth
-from data_gen.views import Cameras, project
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, project
 
 MODEL = load_model("openhead", scheme="ibug51")
 

@@ -13,8 +13,8 @@ from data_gen.datasets.dataset import (
 )
 from data_gen.models.expressions import SEQUENCES
 from data_gen.models.openhead import load_openhead
-from data_gen.views import project
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import project
 
 MODEL, SUBJECTS, IMAGES = load_openhead(), 7, 4
 

@@ -8,8 +8,8 @@ import pytest
 
 from data_gen.datasets.photos_substitute import PIXELS, PhotosSubstitute, Portraits
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, rotations
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, rotations
 
 N = 12
 RIGHT_EYE, LEFT_EYE = slice(36, 42), slice(42, 48)  # of iBUG's landmarks

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, project
 from deepmds_keras import InputError
 from deepmds_keras.geometry.camera import (
     affine_cameras,
@@ -16,6 +15,7 @@ from deepmds_keras.geometry.camera import (
     orthographic_cameras,
     refit,
 )
+from deepmds_keras.geometry.views import Cameras, project
 
 N = 40
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, project
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.views import Cameras, project
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.landmarks.y_axis import check_y_axis, quarter_turns
 

@@ -21,9 +21,9 @@ from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.alignment import procrustes
-from deepmds_keras.geometry.units import centre
+from deepmds_keras.geometry.units import centre, centre_and_scale
 from deepmds_keras.lifting import equations, trainer
-from deepmds_keras.lifting.sampling import Faces, disturb, read_faces
+from deepmds_keras.lifting.sampling import Faces, disturb, given_faces, read_faces
 from deepmds_keras.lifting.trainer import build_lifting_net
 from deepmds_keras.lifting.unrolled_fit import initial_weights, lift
 
@@ -79,7 +79,32 @@ def test_it_beats_ridge_and_the_mean_on_turned_faces(lifter, faces):
 def test_the_prediction_is_in_the_unit_of_normalise_and_centred(lifter, faces):
     shapes = lifter.predict(faces[0])
     assert np.abs(shapes.mean(1)).max() < 1e-3
-    assert np.sqrt(np.mean((shapes - centre(normalise(faces[1]))) ** 2)) < 0.03
+    assert np.sqrt(np.mean((shapes - centre_and_scale(faces[1])) ** 2)) < 0.03
+
+
+def test_neither_origin_nor_unit_of_the_shapes_matters(faces):
+    views, shapes = faces
+    moved = read_faces(views, 20 * shapes + (900, 0, -40), None, L)
+    assert np.abs(moved.shapes - read_faces(views, shapes, None, L).shapes).max() < 1e-5
+
+
+def test_views_of_one_shape_are_held_out_together():
+    views, shapes, _ = sample_faces(60, np.random.default_rng(4))
+    order = np.random.default_rng(5).permutation(180)
+    seen = read_faces(np.tile(views, (3, 1, 1))[order], np.tile(shapes, (3, 1, 1))[order], None, L)
+    source = given_faces(seen, 0, 0, seed=0)
+    held_out, trained = (
+        {shape.tobytes() for shape in part} for part in (source.held_out.shapes, source.shapes)
+    )
+    assert len(held_out) == 6 and len(trained) == 54 and not held_out & trained
+    assert len(source.held_out) == 18 and len(source.shapes) == 162
+
+
+def test_few_shapes_are_warned_of_however_many_views_they_have():
+    views, shapes, _ = sample_faces(6, np.random.default_rng(4))
+    seen = read_faces(np.tile(views, (40, 1, 1)), np.tile(shapes, (40, 1, 1)), None, L)
+    with pytest.warns(UserWarning, match="6 different shapes are few to learn from, 50 or more"):
+        assert len(given_faces(seen, 0, 0, seed=0).held_out) == 240
 
 
 # Keras itself, of its own variables.
@@ -160,7 +185,7 @@ def test_landmarks_that_are_said_to_be_bad_count_less(lifter, faces):
 def test_standard_deviations_are_those_of_the_errors(lifter, faces):
     shapes, sd = lifter.predict(faces[0], return_std=True)
     assert sd.shape == shapes.shape and (sd > 0).all()
-    off = np.abs(shapes - centre(normalise(faces[1]))) / sd
+    off = np.abs(shapes - centre_and_scale(faces[1])) / sd
     assert 0.55 < (off < 1).mean() < 0.85
     assert 0.9 < (off < 2).mean() < 0.99
 
@@ -333,7 +358,8 @@ def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
     lifter = LandmarkLifter(L)
     shapes = read_faces(*faces, None, L).shapes
     lifter.weights_ = initial_weights(shapes, 0)
-    lifter.default_sd_, lifter.history_, lifter.mean_shape_ = 0.0, {}, None
+    lifter.mean_shape_ = shapes.mean(0).T
+    lifter.default_sd_, lifter.history_ = 0.0, {}
     lifter.save(tmp_path / "lifter.npz")
     code = (
         "import sys, numpy; from deepmds_keras import LandmarkLifter\n"
@@ -434,12 +460,12 @@ def test_what_fit_accepts_is_scored(faces):
 
 def test_scikit_learn_takes_it_as_its_estimator(monkeypatch):
     monkeypatch.setattr(trainer, "train_lifting_net", lambda initial, *_, **__: (initial, {}))
-    views, shapes, _ = sample_faces(40, np.random.default_rng(0))
+    views, shapes, _ = sample_faces(100, np.random.default_rng(0))
     lifter = LandmarkLifter(L, steps=2)
     steps = Pipeline([("nothing", FunctionTransformer()), ("lift", lifter)])
     assert np.isfinite(cross_val_score(steps, views, shapes, cv=2)).all()
     search = GridSearchCV(steps, {"lift__noise": [0.0, 0.1]}, cv=2).fit(views, shapes)
-    assert search.predict(views).shape == (40, L, 3)
+    assert search.predict(views).shape == (100, L, 3)
     assert "noise=0.0" in repr(lifter)
     with pytest.raises(NotFittedError):
         lifter.predict(views)

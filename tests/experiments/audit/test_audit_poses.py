@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_gen.views import Cameras, project
 from deepmds_keras.geometry.units import normalise, unit
+from deepmds_keras.geometry.views import Cameras, project
 from deepmds_keras.landmarks import load_scheme
 from experiments.audit import poses
 from experiments.audit.poses import NOISE_PERCENTS, SWEEPS

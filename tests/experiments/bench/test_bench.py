@@ -11,12 +11,12 @@ from scipy.spatial.distance import pdist
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
-from data_gen.views import Cameras, rotations
 from deepmds_keras import proximities
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.embedding import embed
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
+from deepmds_keras.geometry.views import Cameras, rotations
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.bench import released_code as released
 from experiments.bench.bench import training, with_ratios

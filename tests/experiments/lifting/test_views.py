@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.views import project
 from deepmds_keras import align, normalise
+from deepmds_keras.geometry.views import project
 from deepmds_keras.metrics import mse
 from experiments.lifting import views
 from experiments.lifting.contenders import Contenders, lower_bound, posterior_draws

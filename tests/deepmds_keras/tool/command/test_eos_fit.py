@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from places import SHARED
 
-from data_gen.views import project, sample_perspective_cameras
 from deepmds_keras import InputError, align
+from deepmds_keras.geometry.views import project, sample_perspective_cameras
 from deepmds_keras.tool.command.eos_fit import NUMBERS, EosFit, surrey_files
 from experiments.lifting.surrey import Surrey
 

@@ -7,9 +7,10 @@ import pytest
 from places import SHARED
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views import in_camera_frame, sample_expressive, sample_perspective_cameras
+from data_gen.views import sample_expressive
 from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
+from deepmds_keras.geometry.views import in_camera_frame, sample_perspective_cameras
 from deepmds_keras.tool.command.evaluation import evaluate, read_truth
 
 

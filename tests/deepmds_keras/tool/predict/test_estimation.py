@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from data_gen.models.openhead import load_openhead
-from data_gen.views import Cameras, rotations, sample_photo_views
+from data_gen.views import sample_photo_views
 from deepmds_keras import DeepMDS, InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import HeadPose, head_poses
 from deepmds_keras.geometry.units import normalise
+from deepmds_keras.geometry.views import Cameras, rotations
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.tool.predict.estimation import estimate_faces
