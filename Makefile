@@ -92,7 +92,7 @@ $(READY): setup.cfg constraints.txt
 	  "Python 3.11 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
 	@echo 'Installing into $(VENV), which takes about a minute and a half.'
 	@$(PYTHON) -m venv $(VENV)
-	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,test]'
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,mesh,test]'
 	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the tests that need it will skip.'
 # Without its dependencies: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.

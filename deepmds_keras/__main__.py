@@ -29,10 +29,14 @@ def main(arguments: list[str] | None = None) -> None:
             from deepmds_keras.tool.command.evaluation import evaluate
 
             evaluate(**options)
+        elif command == "train":
+            from deepmds_keras.tool.command.train import train
+
+            train(**options)
         elif command == "export":
             from deepmds_keras.tool.command.onnx_export import export
 
-            export(options["out"], options["model"])
+            export(options["out"], options["model"], options["scheme"])
             print(f"{options['model']} → {options['out']}")
         else:
             # Not before: --help and wrong arguments are answered without its many imports.
@@ -76,6 +80,7 @@ def _be_quiet() -> None:
     # Pillow's notices of odd metadata; the variable is for processes that this one starts.
     warnings.filterwarnings("ignore", module="PIL")
     os.environ.setdefault("PYTHONWARNINGS", "ignore:::PIL.TiffImagePlugin")
+    warnings.formatwarning = lambda message, *_, **__: f"note: {message}\n"
     escape_unprintable()
 
 

@@ -2,76 +2,69 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+import re
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
+from deepmds_keras.landmarks.scheme import (
+    LandmarkScheme,
+    read_own_scheme,
+    read_scheme,
+    unnamed_scheme,
+    versions,
+)
 from deepmds_keras.validation import as_numbers
 
 FOLDER = Path(__file__).parent
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarkScheme:
-    """An ordered set of L landmarks.
-
-    Attributes:
-        name: As in `schemes.csv`: `"bfm72"`, the paper's 72 landmarks; `"ibug68"`, Multi-PIE /
-            iBUG 300-W (Sagonas et al. 2013, doi:10.1109/ICCVW.2013.59); `"ibug51"`, the latter
-            without the jaw line; `"mediapipe"`, FaceMesh's 468 points, which have no names.
-        numbers: `L` landmark numbers as their authors count them (18 to 68 for `ibug51`).
-            Everything below counts from 0 in this order instead.
-        names: `L` unique anatomical names, or none; right and left are the subject's.
-        groups: `L` names of facial parts, such as `right_brow` or `outer_mouth`, or none.
-        mirror: `(L,)` int, the landmark at the mirrored place; its own inverse.
-        polylines: Lines that draw the face, each a tuple of landmarks.
-        ibug68: 1-based iBUG landmark number → the landmark at the same point.
-        sizes: Accepted numbers of points: L, or more, of which the rest is dropped.
-    """
-
-    name: str
-    numbers: tuple[int, ...]
-    names: tuple[str, ...]
-    groups: tuple[str, ...]
-    mirror: np.ndarray
-    polylines: tuple[tuple[int, ...], ...]
-    ibug68: dict[int, int]
-    sizes: tuple[int, ...]
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    def index(self, name: str) -> int:
-        """Return the 0-based index of a landmark.
-
-        Raises:
-            InputError: No landmark has that name.
-        """
-        if name not in self.names:
-            raise InputError(f"The scheme must have a landmark {name}. Received {self.name}.")
-        return self.names.index(name)
+_UNNAMED = "unnamed-"
 
 
 @cache
 def load_schemes() -> dict[str, LandmarkScheme]:
-    """Return every scheme by its name, in the order of `schemes.csv`."""
-    return {row["scheme"]: _read_scheme(row) for row in read_table(FOLDER / "schemes.csv")}
+    """Return every shipped scheme by its name, in the order of `schemes.csv`."""
+    return {
+        row["scheme"]: read_scheme(
+            row["scheme"],
+            FOLDER / f"{row['table']}.csv",
+            range(int(row["first"]), int(row["last"]) + 1),
+            longer=(int(row["longer"]),) if row["longer"] else (),
+            is_ibug=row["table"] == "ibug68",
+        )
+        for row in read_table(FOLDER / "schemes.csv")
+    }
 
 
-def load_scheme(name: str) -> LandmarkScheme:
+def load_scheme(name: str | Path) -> LandmarkScheme:
     """Return the scheme of that name.
 
+    Args:
+        name: One of `load_schemes`; the path of a table of your own, `chair.csv`, with the columns
+            number, name and, optionally, mirror and group, and beside it `chair_polylines.csv`; or
+            `"unnamed-14"`, which is any 14 landmarks.
+
     Raises:
-        InputError: Unknown name.
+        InputError: Unknown name, or a table that cannot be read or contradicts itself.
     """
-    schemes = load_schemes()
+    schemes, name = load_schemes(), str(name)
+    if name.lower().endswith(".csv"):
+        return _own_scheme(Path(name), versions(Path(name)))
+    if match := re.fullmatch(rf"{_UNNAMED}(\d{{1,4}})", name):
+        return _unnamed(name, int(match[1]))
     if name not in schemes:
-        raise InputError(f"scheme must be one of {', '.join(schemes)}. Received {name!r}.")
+        raise InputError(
+            f"scheme must be one of {', '.join(schemes)}, or a table of your own (CSV). "
+            f"Received {name!r}."
+        )
     return schemes[name]
+
+
+def unnamed(n_landmarks: int) -> str:
+    """Return the name of the scheme of any landmarks of that number."""
+    return f"{_UNNAMED}{n_landmarks}"
 
 
 def convert(
@@ -99,7 +92,8 @@ def convert(
     """
     if missing not in ("raise", "nan"):
         raise InputError(f"missing must be raise or nan. Received {missing!r}.")
-    picks, sizes = _picks(source, target), load_scheme(source).sizes
+    given, wanted = load_scheme(source), load_scheme(target)
+    picks, sizes = _picks(given, wanted), given.sizes
     is_masked = np.ma.isMaskedArray(landmarks)
     landmarks = as_numbers(landmarks, "landmarks") if is_masked else np.asarray(landmarks)
     if not (
@@ -115,7 +109,7 @@ def convert(
         )
     lacking = picks < 0
     if missing == "raise" and lacking.any():
-        numbers = np.array(load_scheme(target).numbers)[lacking].tolist()
+        numbers = np.array(wanted.numbers)[lacking].tolist()
         raise InputError(
             f'{target} must have all its landmarks in {source}, or missing must be "nan". Received '
             f"landmarks without {len(numbers)} of the {len(picks)}: {brief(numbers, 40)}."
@@ -143,46 +137,20 @@ def face_sizes() -> tuple[int, ...]:
     return tuple(sorted({n for scheme in load_schemes().values() for n in scheme.sizes}))
 
 
-def said_sizes() -> str:
-    """Return those numbers as text."""
-    *others, last = map(str, face_sizes())
-    return f"{', '.join(others)} or {last}"
+def said_sizes(sizes: tuple[int, ...] | None = None) -> str:
+    """Return numbers of landmarks as text, by default those of all schemes."""
+    *others, last = map(str, sizes or face_sizes())
+    return f"{', '.join(others)} or {last}" if others else last
 
 
-def _read_scheme(row: dict[str, str]) -> LandmarkScheme:
-    numbers = range(int(row["first"]), int(row["last"]) + 1)
-    position = {number: i for i, number in enumerate(numbers)}
-    landmarks = [each for each in _rows(row, "") if int(each["number"]) in position]
-    lines = [tuple(map(int, each["landmarks"].split("-"))) for each in _rows(row, "_polylines")]
-    mirror = np.array([position[int(each["mirror"])] for each in landmarks], int)
-    mirror.flags.writeable = False  # the cached scheme is shared by all callers
-    same = {int(each["ibug68"]): position[int(each["number"])] for each in _rows(row, "_ibug68")}
-    return LandmarkScheme(
-        name=row["scheme"],
-        numbers=tuple(numbers),
-        names=tuple(each["name"] for each in landmarks),
-        groups=tuple(each["group"] for each in landmarks),
-        mirror=mirror,
-        polylines=tuple(
-            tuple(position[number] for number in line)
-            for line in lines
-            if position.keys() >= set(line)
-        ),
-        ibug68=position if row["table"] == "ibug68" else same,
-        sizes=(len(numbers), *([int(row["longer"])] if row["longer"] else [])),
-    )
+_own_scheme = lru_cache(lambda path, _: read_own_scheme(path))
+_unnamed = cache(unnamed_scheme)
 
 
-def _rows(row: dict[str, str], kind: str) -> list[dict[str, str]]:
-    path = FOLDER / f"{row['table']}{kind}.csv"
-    return read_table(path) if path.is_file() else []
-
-
-@cache
-def _picks(source: str, target: str) -> np.ndarray:
+@lru_cache
+def _picks(given: LandmarkScheme, wanted: LandmarkScheme) -> np.ndarray:
     """`(M,)` positions in the source of the landmarks of the target, -1 where it has none."""
-    given, wanted = load_scheme(source), load_scheme(target)
-    if source == target:
+    if given.name == wanted.name:
         picks = np.arange(len(wanted))
     else:
         picks = np.full(len(wanted), -1)

@@ -123,14 +123,14 @@ def _eyes_and_mouth(
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
     # Of a part that is not known the vectors are NaN; what belongs to none may be missing.
-    parts = np.where(np.any(_middles(judged), axis=0)[:, None], faces, 0)
-    right, left, mouth = (_middles(judged) @ parts).swapaxes(0, 1)
+    middles = _middles(load_scheme(judged).groups)
+    parts = np.where(np.any(middles, axis=0)[:, None], faces, 0)
+    right, left, mouth = (middles @ parts).swapaxes(0, 1)
     return faces, left - right, mouth - (right + left) / 2
 
 
 @cache
-def _middles(scheme: str) -> np.ndarray:
+def _middles(groups: tuple[str, ...]) -> np.ndarray:
     """`(3, L)`: multiplied by landmarks it gives the middles of the three parts."""
-    groups = np.array(load_scheme(scheme).groups)
-    members = np.array([groups == part for part in _PARTS], float)
+    members = np.array([np.array(groups) == part for part in _PARTS], float)
     return members / members.sum(1, keepdims=True)

@@ -22,6 +22,7 @@ EXTRAS = {
     "fast": ("numba",),
     "onnx": ("onnx",),
     "video": ("av",),
+    "mesh": ("trimesh",),
     "heic": ("pillow_heif",),
     "dlib": ("dlib",),
     "mediapipe": ("mediapipe",),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from deepmds_keras import __version__
+from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.landmarks import said_sizes
 from deepmds_keras.tool.command.outputs import FORMATS
 from deepmds_keras.tool.detection import DETECTORS, default_detector
@@ -20,6 +22,16 @@ Finds faces in photos and videos and estimates their landmarks in 3D, or lifts 2
 landmarks from files. Shapes face the front: +x to the subject's left, +y up, +z out of the
 face. A single view does not show the true size: --interocular sets it."""
 _LISTED_FAULTS = 10  # of one source
+_SCHEME = (
+    "order and names of the landmarks: a scheme by name, or a table (csv) of your own "
+    "(default: by their number)"
+)
+_ANGLES = {
+    "yaw": "largest turn of the shapes to either side",
+    "pitch": "largest turn up and down",
+    "roll": "largest lean to either side",
+    "field_of_view": "largest angle that a shape fills in the camera; 0 is orthographic",
+}
 _EPILOG = """\
 examples:
   deepmds predict photo.jpg --view
@@ -36,8 +48,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; wrong arguments end the process, with the usage and status 2.
 
     Returns:
-        `command`, `"predict"`, `"export"` or `"evaluate"`, and the keyword arguments of `run`,
-        `export` or `evaluate`.
+        `command`, `"predict"`, `"export"`, `"train"` or `"evaluate"`, and the keyword arguments of
+        `run`, `export`, `train` or `evaluate`.
     """
     parser = argparse.ArgumentParser(
         prog="deepmds", description="3D face landmarks from a single image."
@@ -54,12 +66,13 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add = predict.add_argument
     add("sources", nargs="+", metavar="SOURCE",
         help="photo, folder of photos, video, or landmarks (csv, npy, pts, json) of "
-        f"{said_sizes()} points")  # fmt: skip
+        f"{said_sizes()} points, or as many as the model has")  # fmt: skip
     add("--recursive", action="store_true", help="include photos in subfolders")
     add("--out", type=Path, default=Path("deepmds-out"), metavar="DIR",
         help="folder of the results (default: deepmds-out)")  # fmt: skip
     add("--format", dest="formats", type=_formats, default=("csv",), metavar="LIST",
-        help=f"any of {', '.join(FORMATS)}, in addition to the picture (default: csv)")  # fmt: skip
+        help=f"any of {', '.join(FORMATS)}, in addition to the picture (default: csv); glb is the "
+        "head of --mesh for Blender, Unity and the web (extra mesh)")  # fmt: skip
     add("--overwrite", action="store_true",
         help="redo finished sources, and replace existing files")  # fmt: skip
     add("--view", action="store_true",
@@ -73,6 +86,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="file of a face landmarker (.task), for a MediaPipe of 0.10.30 or later that you "
         "installed yourself; the extra mediapipe installs 0.10.21")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--scheme", metavar="NAME|FILE", help=_SCHEME)
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
         help="x and y in files of landmarks are fractions of an image of this size, as from "
         "MediaPipe")  # fmt: skip
@@ -98,6 +112,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
         help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
         "%(default)s)")  # fmt: skip
+    export.add_argument("--scheme", metavar="NAME|FILE", help=_SCHEME)
+    _add_train(commands)
     evaluate = commands.add_parser(
         "evaluate",
         help="errors of lifting on your true 3D landmarks",
@@ -106,11 +122,14 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     add = evaluate.add_argument
     add("truth", metavar="TRUTH",
-        help="npy (n, 51 or 68, 3), or csv with columns x, y, z and face, one landmark per row; "
-        "faces as the camera sees them")  # fmt: skip
+        help="npy (n, L, 3), L = 51, 68 or the model's, or csv with columns x, y, z and face, one "
+        "landmark per row; faces as the camera sees them")  # fmt: skip
     add("--landmarks", metavar="FILE",
         help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
     add("--y-up", action="store_true", help="y grows upwards in that file")
+    add("--model", metavar="FILE",
+        help="a file of LandmarkLifter.save(), of a face or other objects (default: the shipped "
+        "weights)")  # fmt: skip
     add("--eos", metavar="DIR",
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
@@ -120,6 +139,34 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     if options.command == "predict" and options.detector is None:
         options.detector = "mediapipe" if options.landmarker else default_detector()
     return options
+
+
+def _add_train(commands: argparse._SubParsersAction) -> None:
+    train = commands.add_parser(
+        "train",
+        help="a lifter of other objects from their 3D shapes",
+        description="Trains a lifter on random views of given shapes and reports its error on "
+        "shapes that it has not seen, beside the mean shape and ridge regression. The same command "
+        "resumes a stopped training. It needs pip install '.[keras]', from the repository.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = train.add_argument
+    add("source", metavar="SHAPES",
+        help="npy (n, L, 3): L landmarks of 50 or more shapes, +y up, any unit")  # fmt: skip
+    add("out", metavar="OUT", help="new file, such as chair.npz, for predict --model")
+    for name, help_text in _ANGLES.items():
+        default = inspect.signature(sample_views).parameters[name].default
+        number = _number(-1e-300, "a number, not negative")
+        option = f"--{name.replace('_', '-')}"
+        add(option, type=number, default=default, metavar="DEGREES", help=help_text)
+    add("--noise", type=_number(-1e-300, "a number, not negative"), default=0.05, metavar="SD",
+        help="largest errors of the landmarks, in r.m.s. radii of a view")  # fmt: skip
+    add("--missing", type=_number(-1e-300, "a number, not negative"), default=0.2, metavar="SHARE",
+        help="largest share of landmarks that are hidden")  # fmt: skip
+    add("--steps", type=_number(0, "1 or more", int), default=4000, metavar="N",
+        help="number of mini-batches")  # fmt: skip
+    add("--seed", type=_number(-1, "0 or more", int), default=0, metavar="N",
+        help="of everything that is random")  # fmt: skip
 
 
 def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""`deepmds evaluate`: errors of lifted faces on a user's true 3D landmarks."""
+"""`deepmds evaluate`: errors of lifted faces, or other objects, on a user's true 3D landmarks."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from deepmds_keras.errors import InputError, MissingPackageError, needs
 from deepmds_keras.files import map_npy, write_bytes
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.geometry.camera import camera_angles
-from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.geometry.units import centre
+from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
+from deepmds_keras.tool.predict.models import given_scheme, weights_path
 
-_SCHEMES = {51: "ibug51", 68: "ibug68"}
+_SIZES = (51, 68)  # of shipped weights that are scored
 _CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 _YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
 _COLUMNS = ("landmarks", "method", "yaw", "n_faces", "error", "standard_error")
@@ -31,6 +33,7 @@ def evaluate(
     *,
     landmarks: str | Path | None = None,
     y_up: bool = False,
+    model: str | None = None,
     eos: str | Path | None = None,
     out: str | Path = "deepmds-evaluation",
     overwrite: bool = False,
@@ -40,15 +43,17 @@ def evaluate(
     A face's error is the mean squared difference of coordinates after alignment by a similarity,
     relative to the squared distance between the outer corners of the eyes. It leaves out the jaw
     line, whose depth schemes define differently; 68 landmarks are also scored with it. With eos, it
-    covers the landmarks that its model has.
+    covers the landmarks that its model has. For other objects than faces the error is relative to
+    the mean squared coordinate of the shape, once centred.
 
     Args:
-        truth: `.npy` `(n, 51, 3)` or `(n, 68, 3)`, or with coordinates first, `(n, 3, 68)`, as
-            3DDFA has AFLW2000-3D; or `.csv` with one landmark per row: columns `x`, `y`, `z` and,
-            for several faces, `face`. Faces as the camera sees them, in any unit; the directions
-            of y and z are inferred from the faces.
+        truth: `.npy` `(n, L, 3)`, L 51 or 68, or as many as the model has; or with coordinates
+            first, `(n, 3, 68)`, as 3DDFA has AFLW2000-3D; or `.csv` with one landmark per row:
+            columns `x`, `y`, `z` and, for several faces, `face`. Faces as the camera sees them, in
+            any unit; the directions of y and z are inferred from the faces.
         landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
         y_up: Whether y grows upwards in `landmarks`.
+        model: File of `LandmarkLifter.save`; None is the shipped weights.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
         out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
         overwrite: Whether existing files may be replaced.
@@ -64,15 +69,16 @@ def evaluate(
     for file in files if not overwrite else ():
         if file.exists():
             raise InputError(f"{file} must be a new file, or --overwrite given. It exists.")
-    shapes = read_truth(truth)
-    scheme = _SCHEMES[shapes.shape[1]]
-    lifter = LandmarkLifter.pretrained(scheme)
-    mean = lifter.mean_shape_.astype(float)
+    lifter = None if model is None else LandmarkLifter.load(weights_path(model))
+    shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
+    scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
+    lifter = lifter or LandmarkLifter.pretrained(scheme)
+    is_face, mean = load_scheme(scheme).is_face, lifter.mean_shape_.astype(float)
     shapes = _oriented(shapes, scheme, mean)
     if landmarks is None:
         views = shapes[..., :2]
     else:
-        views = read_landmarks(landmarks, y_up=y_up) * (1, -1)
+        views = read_landmarks(landmarks, y_up=y_up, scheme=scheme) * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(
                 f"{landmarks} must have {shapes.shape[1]} landmarks of {len(shapes)} faces, as "
@@ -85,10 +91,11 @@ def evaluate(
             )
     predicted = {
         "mean shape": np.broadcast_to(mean, shapes.shape),
-        "lifting": lifter.predict(views),
+        "lifting": lifter.predict(views, check_orientation=is_face),
     }
     if landmarks is None:
-        predicted["lifting, exact"] = lifter.predict(views, landmark_sd=0)
+        exact = lifter.predict(views, landmark_sd=0, check_orientation=is_face)
+        predicted["lifting, exact"] = exact
     if eos is not None:
         from deepmds_keras.tool.command.eos_fit import EosFit
 
@@ -96,18 +103,19 @@ def evaluate(
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")
     rows = [*_rows(predicted, shapes, scheme, mean)]
     write_bytes(files[0], _csv(rows).encode())
-    _print(rows, len(shapes))
+    unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"
+    _print(rows, len(shapes), unit)
     try:
         with needs("matplotlib", "evaluate"):
-            write_bytes(files[1], _figure(rows))
+            write_bytes(files[1], _figure(rows, unit))
         print(*files, sep="\n")
     except MissingPackageError as error:
         print(files[0], f"No figure: {error}", sep="\n")
     return rows
 
 
-def read_truth(path: str | Path) -> np.ndarray:
-    """True landmarks, `(n, 51, 3)` or `(n, 68, 3)`, see `evaluate`.
+def read_truth(path: str | Path, sizes: tuple[int, ...] = _SIZES) -> np.ndarray:
+    """True landmarks, `(n, L, 3)`, L one of the sizes, see `evaluate`.
 
     Raises:
         InputError: The file is missing, damaged, or holds anything else.
@@ -117,12 +125,12 @@ def read_truth(path: str | Path) -> np.ndarray:
     shapes = _read_csv(path) if is_table else np.asarray(map_npy(path))
     shapes = shapes[None] if shapes.ndim == 2 else shapes
     if shapes.dtype.kind not in "fiu" or shapes.ndim != 3 or not len(shapes):
-        raise InputError(f"{path} must hold numbers (n, 51, 3) or (n, 68, 3). It does not.")
-    if shapes.shape[1] == 3 and shapes.shape[2] in _SCHEMES:
+        raise InputError(f"{path} must hold numbers (n, {said_sizes(sizes)}, 3). It does not.")
+    if shapes.shape[1] == 3 and shapes.shape[2] in sizes:
         shapes = shapes.swapaxes(1, 2)
-    if shapes.shape[1] not in _SCHEMES or shapes.shape[2] != 3:
+    if shapes.shape[1] not in sizes or shapes.shape[2] != 3:
         raise InputError(
-            f"{path} must hold 51 or 68 landmarks of x, y and z a face. "
+            f"{path} must hold {said_sizes(sizes)} landmarks of x, y and z a face. "
             f"Received shape {shapes.shape}."
         )
     if not np.isfinite(shapes).all():
@@ -165,17 +173,23 @@ def _rows(
 ) -> Iterator[dict]:
     rotation = procrustes(np.broadcast_to(mean, shapes.shape), shapes, reflection=False).rotation
     yaw = np.abs(camera_angles(np.swapaxes(rotation, 1, 2))[0])
-    right, left = map(load_scheme(scheme).index, _CORNERS)
-    eyes = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
-    inner = np.array(load_scheme(scheme).numbers) >= load_scheme("ibug51").numbers[0]
+    known = load_scheme(scheme)
+    if known.is_face:
+        right, left = map(known.index, _CORNERS)
+        size = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
+    else:
+        size = np.sqrt((centre(shapes) ** 2).mean((1, 2)))
+    inner = np.ones(len(known), bool)
+    if scheme == "ibug68":
+        inner = np.array(known.numbers) >= load_scheme("ibug51").numbers[0]
     for shape in predicted.values():
         inner &= np.isfinite(shape).all((0, 2))
-    every = [inner] if scheme == "ibug51" or "eos" in predicted else [inner, inner | True]
+    every = [inner] if inner.all() or "eos" in predicted else [inner, inner | True]
     for scored in every:
         truth = shapes[:, scored]
         for method, shape in predicted.items():
             off = align(shape[:, scored], truth, reflection=False) - truth
-            errors = (off**2).mean((1, 2)) / eyes**2
+            errors = (off**2).mean((1, 2)) / size**2
             bins = [("all", np.ones(len(yaw), bool))]
             for low, high in zip(_YAWS, _YAWS[1:], strict=False):
                 bins.append((f"{low} to {high}", (yaw >= low) & (yaw < high)))
@@ -194,9 +208,9 @@ def _csv(rows: list[dict]) -> str:
     return text.getvalue()
 
 
-def _print(rows: list[dict], n: int) -> None:
+def _print(rows: list[dict], n: int, unit: str) -> None:
     yaws = [*dict.fromkeys(row["yaw"] for row in rows)]
-    print(f"{n:,} faces; mean squared coordinate in 10⁻³ of the squared eye distance, by yaw (°)")
+    print(f"{n:,} faces; mean squared error in 10⁻³ of the {unit}, by yaw (°)")
     cells = {(row["landmarks"], row["method"], row["yaw"]): row["error"] for row in rows}
     print(f"{'landmarks, method':26}", *(f"{yaw:>9}" for yaw in yaws))
     for landmarks, method in dict.fromkeys((key[0], key[1]) for key in cells):
@@ -204,7 +218,7 @@ def _print(rows: list[dict], n: int) -> None:
         print(f"{landmarks}, {method:22}", *(f"{error:9.3f}" for error in errors))
 
 
-def _figure(rows: list[dict]) -> bytes:
+def _figure(rows: list[dict], unit: str) -> bytes:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3.5), layout="constrained")
@@ -222,7 +236,7 @@ def _figure(rows: list[dict]) -> bytes:
             label=method,
         )
     axes.set(xlabel="Yaw to either side (degrees)", ylim=(0, None))
-    axes.set_ylabel("MSE (10⁻³ squared eye distances)")
+    axes.set_ylabel(f"MSE (10⁻³ of the {unit})")
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=150)

@@ -15,12 +15,18 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
 from deepmds_keras.lifting.unrolled_fit import UNIT, lift
 from deepmds_keras.tool.command.outputs import AXES, SCALE
-from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES, weights_path
+from deepmds_keras.tool.predict.models import (
+    DEFAULT,
+    FALLBACK,
+    FAMILIES,
+    given_scheme,
+    weights_path,
+)
 from deepmds_keras.weights import PRETRAINED
 
 _OPSET, _IR_VERSION = 18, 8  # from the end of 2022; runtimes in use read them
 _DOC = """\
-3D face landmarks from the 2D landmarks of one image (deepmds-keras). The batch n may be any.
+3D landmarks from the 2D landmarks of one image (deepmds-keras). The batch n may be any.
 Inputs: view (n, L, 2), x to the right and y UP, any scale and place, NaN where a landmark is
 missing; visible (n, L), false where one is missing, at least 6 true; landmark_sd (n, L), standard
 deviations of the errors of a coordinate in the unit of the view, NaN for those of good landmarks.
@@ -30,7 +36,7 @@ sees S at P = rotation S, at scale P_xy / (1 - perspective P_z) + translation of
 units are in the metadata."""
 
 
-def export(path: str | Path, model: str) -> None:
+def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     """Write a lifter as an ONNX model, whole or not at all.
 
     Its inputs are those of `LandmarkLifter.estimate`, its outputs the shapes, their standard
@@ -40,10 +46,12 @@ def export(path: str | Path, model: str) -> None:
     Args:
         path: File to write; it must not exist.
         model: File that `LandmarkLifter.save` wrote, or name of shipped weights.
+        scheme: Scheme of its landmarks, as for `load_scheme`; None is a face's, told by their
+            number, or unnamed.
 
     Raises:
-        InputError: The weights cannot be read, the package onnx is not installed, or the file
-            exists or cannot be written.
+        InputError: The weights or the scheme cannot be read or do not fit each other, the package
+            onnx is not installed, or the file exists or cannot be written.
     """
     if Path(path).exists():
         raise InputError(f"{path} must be the name of a new file. Received one that exists.")
@@ -56,7 +64,12 @@ def export(path: str | Path, model: str) -> None:
         )
     weights = weights_path(model)
     lifter = LandmarkLifter.load(weights)
-    scheme = load_scheme(scheme_of(lifter.n_landmarks))
+    described = load_scheme(given_scheme(scheme, model) or scheme_of(lifter.n_landmarks))
+    if len(described) != lifter.n_landmarks:
+        raise InputError(
+            f"{scheme} must have the {lifter.n_landmarks} landmarks of {model}. "
+            f"Received {len(described)}."
+        )
     shipped = weights.parent == PRETRAINED
     source = "shipped with deepmds-keras" if shipped else "given by the user"
     with needs("onnx", "onnx"):
@@ -72,9 +85,9 @@ def export(path: str | Path, model: str) -> None:
     helper.set_model_props(
         written,
         {
-            "scheme": scheme.name,
-            "landmark_numbers": json.dumps(scheme.numbers),
-            "landmark_names": json.dumps(scheme.names),
+            "scheme": described.name,
+            "landmark_numbers": json.dumps(described.numbers),
+            "landmark_names": json.dumps(described.names),
             "unit": f"normalised: {SCALE['normalised']}",
             "axes": AXES["shape"],
             "view_axes": "x to the right, y up",

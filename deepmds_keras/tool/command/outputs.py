@@ -6,18 +6,21 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import BinaryIO
 
 import numpy as np
 
 from deepmds_keras import __version__
+from deepmds_keras.errors import needs
 from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.predict.faces import Face
 from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_triangles
 
 AXES = {
-    "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front",
+    "shape": "+x to the subject's left, +y up, +z out of the face; seen from the front. Of another "
+    "object those of the training",
     "landmarks": "x to the right, y down; pixels of the photo or of the frame, or the unit of the "
     "landmarks given",
     "std": "standard deviations of the errors of x, y, z, in the same unit",
@@ -36,8 +39,8 @@ TIME = (
 )
 SCALE = {
     "mm": "millimetres, set by a distance that was given: one view does not show the true size",
-    "normalised": "no unit of length: one view does not show the true size; the largest extent of "
-    "a face is about 0.8 with 51 landmarks, 0.67 with the others",
+    "normalised": "no unit of length: one view does not show the true size; by the shipped "
+    "weights the largest extent of a face is about 0.8 with 51 landmarks, 0.67 with the others",
 }
 _COLUMNS = "number,name,x,y,z,std_x,std_y,std_z,image_x,image_y,image_z,residual"
 # Lines of the comments above a table.
@@ -205,6 +208,30 @@ def obj_text(faces: Sequence[Face], model: Mapping, *, mesh: bool = False) -> It
     yield text + "".join(f"l {' '.join(str(i + 1) for i in line)}\n" for line in lines)
 
 
+def write_glb(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
+    """One face: the head as binary glTF 2.0, whose axes are ours, and its unit the metre.
+
+    A head of no known size keeps its numbers.
+    """
+    trimesh = import_trimesh()
+    vertices, comments = _vertices(faces, model, True)
+    metres = vertices / 1000 if faces[0].unit == "mm" else vertices
+    head = trimesh.Trimesh(metres, surface_triangles(), process=False)
+    scene = trimesh.Scene(head, metadata={"description": comments})
+    file.write(scene.export(file_type="glb", include_normals=True))
+
+
+def import_trimesh() -> ModuleType:
+    """trimesh, imported only when a GLB is written.
+
+    Raises:
+        MissingPackageError: It is not installed.
+    """
+    with needs("trimesh, which writes GLB,", "mesh"):
+        import trimesh
+    return trimesh
+
+
 def _common(faces: Sequence[Face], model: Mapping) -> dict:
     unit = faces[0].unit
     return {
@@ -226,7 +253,7 @@ def description(faces: Sequence[Face], model: Mapping) -> list[str]:
     if detector is not None:
         terms.append(f"landmarks found by {detector['name']}, licence: {detector['licence']}")
     return [
-        f"3D face landmarks by deepmds-keras {__version__}, model {json.dumps(model['name'])}",
+        f"3D landmarks by deepmds-keras {__version__}, model {json.dumps(model['name'])}",
         f"scheme: {scheme.name}, numbers {scheme.numbers[0]} to {scheme.numbers[-1]} in this "
         "order; right and left are the subject's",
         f"unit of x, y, z: {unit} ({SCALE[unit]})",
@@ -291,6 +318,7 @@ FORMATS = {
     "npz": write_npz,
     "ply": _as_text(ply_text),
     "obj": _as_text(obj_text),
+    "glb": write_glb,
 }
 MESH_FORMATS = {
     "mesh.ply": _as_text(partial(ply_text, mesh=True)),

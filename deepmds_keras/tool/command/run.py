@@ -16,10 +16,15 @@ from joblib import Parallel, cpu_count, delayed
 from tqdm import tqdm
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.command.cli import fault_of, lines_about, printable
-from deepmds_keras.tool.command.outputs import MESH_FORMATS, output_files, write_output
+from deepmds_keras.tool.command.outputs import (
+    MESH_FORMATS,
+    import_trimesh,
+    output_files,
+    write_output,
+)
 from deepmds_keras.tool.command.overlay import write_overlay
 from deepmds_keras.tool.command.page import write_page
 from deepmds_keras.tool.command.sources import (
@@ -38,6 +43,7 @@ from deepmds_keras.tool.predict.models import (
     DEFAULT,
     FAMILIES,
     describe_model,
+    given_scheme,
     load_model,
     name_for,
     target_scheme,
@@ -174,6 +180,10 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
     """Sources that the installed packages can process; reports the others before the work."""
     if settings["model"] not in (None, *FAMILIES):
         load_model(settings["model"])
+    if settings["scheme"] is not None:
+        load_scheme(settings["scheme"])
+    if "glb" in settings["formats"]:
+        import_trimesh()
     given = [pair for pair in todo if kind_of(pair[0]) == "landmarks"]
     if len(given) == len(todo):
         return todo
@@ -199,6 +209,7 @@ def _note_without_effect(paths: list[Path], settings: dict) -> None:
         "--every": settings["every"] > 1 and not videos,
         "--y-up": settings["y_up"] and not files,
         "--image-size": settings["image_size"] and not files,
+        "--scheme": settings["scheme"] and not files,
     }
     if paths and any(without.values()):
         options = ", ".join(option for option, idle in without.items() if idle)
@@ -272,6 +283,7 @@ def _detect(
     every: int,
     y_up: bool,
     image_size: tuple[float, float] | None,
+    scheme: str | None,
     jobs: int,
     **_,
 ) -> tuple[np.ndarray | None, Detections]:
@@ -295,8 +307,9 @@ def _detect(
         if not detections.names:
             raise no_face(source, detector, "whichever side is up")
         return photo, detections
-    landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size)
-    n, scheme = len(landmarks), scheme_of(landmarks.shape[1])
+    scheme = given_scheme(scheme, model)
+    landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
+    n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
     odd = check_y_axis(landmarks, scheme, str(source))
     target = target_scheme(scheme, model)
     landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing

@@ -12,14 +12,14 @@ import numpy as np
 from PIL import Image
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.detection.photos import check_photo, in_colour, open_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
-from deepmds_keras.tool.predict.models import target_scheme
+from deepmds_keras.tool.predict.models import given_scheme, target_scheme
 from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
@@ -35,7 +35,8 @@ class FaceLifter:
         detector: `"mediapipe"` or `"dlib"`; None uses the first that is installed.
         landmarker: File of a face landmarker (`.task`) for a MediaPipe later than 0.10.21.
         model: `"lifting"` (the default), `"deepmds"`, the paper's method, or a file that
-            `LandmarkLifter.save` or `DeepMDS.save` wrote.
+            `LandmarkLifter.save` or `DeepMDS.save` wrote. A lifter of other objects takes
+            landmarks alone.
         interocular: Millimetres between the outer corners of the eyes, which sets the scale.
 
     Raises:
@@ -106,7 +107,7 @@ class FaceLifter:
     def predict_landmarks(
         self,
         points: np.ndarray,
-        scheme: str | None = None,
+        scheme: str | Path | None = None,
         visible: np.ndarray | None = None,
         landmark_sd: float | np.ndarray | None = None,
     ) -> list[Face]:
@@ -114,9 +115,11 @@ class FaceLifter:
 
         Args:
             points: `(n, L, 2)` or `(L, 2)`, x to the right and y down, as in an image; 51 or 68 of
-                iBUG, the paper's 72, or 468 or 478 of MediaPipe. A landmark that is NaN or masked
-                is missing; a face without any landmark gives a gap.
-            scheme: Name of the landmark scheme; None infers it from L.
+                iBUG, the paper's 72, or 468 or 478 of MediaPipe; or those of the objects that the
+                model lifts. A landmark that is NaN or masked is missing; a face without any
+                landmark gives a gap.
+            scheme: Name of the landmark scheme, or a table of your own, as for `load_scheme`; None
+                infers it from L, or from the model.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
                 points: one number, `(n,)` or `(n, L)`; None assumes 2.5 % of their r.m.s. radius,
@@ -132,7 +135,7 @@ class FaceLifter:
         """
         points = _check_points(points)
         n, size = points.shape[:2]
-        scheme = scheme_of(size) if scheme is None else load_scheme(scheme).name
+        scheme = given_scheme(scheme, self.model) or scheme_of(size)
         target = target_scheme(scheme, self.model)
         if visible is not None:
             # What is masked is not known to be visible.
@@ -231,7 +234,7 @@ def predict_photo(
 def predict_landmarks(
     landmarks: np.ndarray,
     *,
-    scheme: str | None = None,
+    scheme: str | Path | None = None,
     visible: np.ndarray | None = None,
     landmark_sd: float | np.ndarray | None = None,
     model: str | Path | None = None,

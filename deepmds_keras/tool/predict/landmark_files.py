@@ -30,9 +30,13 @@ _SHOWN = 80  # quoted characters of a file's content
 
 
 def read_landmarks(
-    path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
+    path: str | Path,
+    *,
+    y_up: bool = False,
+    image_size: tuple[float, float] | None = None,
+    scheme: str | Path | None = None,
 ) -> np.ndarray:
-    """Read 2D landmarks of one or more faces, all with the same L, one of `face_sizes`.
+    """Read 2D landmarks of one or more faces, or other objects, all with the same L.
 
     x and y must be in the same unit, or fractions of the width and of the height, as MediaPipe
     gives them. A third coordinate is ignored.
@@ -53,6 +57,7 @@ def read_landmarks(
         path: The file; its suffix gives the format.
         y_up: Whether y grows upwards in the file; it is returned negated.
         image_size: Width and height of the image if x and y are fractions of them.
+        scheme: Scheme of the landmarks, as for `load_scheme`; None is any of a face, told by L.
 
     Returns:
         `(n, L, 2)` float64, x right, y down, in the unit of the file, or in pixels with
@@ -64,7 +69,7 @@ def read_landmarks(
             landmarks, or is one point or one line; x and y seem to be fractions and there is no
             `image_size`, or the reverse.
     """
-    points, faults = read_faces(path, y_up=y_up, image_size=image_size)
+    points, faults = read_faces(path, y_up=y_up, image_size=image_size, scheme=scheme)
     for face, fault in faults.items():
         raise InputError(f"{path}, face {face + 1} of {len(points)}, {fault}.")
     return points
@@ -72,7 +77,11 @@ def read_landmarks(
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers that are not finite are refused
 def read_faces(
-    path: str | Path, *, y_up: bool = False, image_size: tuple[float, float] | None = None
+    path: str | Path,
+    *,
+    y_up: bool = False,
+    image_size: tuple[float, float] | None = None,
+    scheme: str | Path | None = None,
 ) -> tuple[np.ndarray, dict[int, str]]:
     """`read_landmarks`, with unusable faces turned into gaps.
 
@@ -86,9 +95,10 @@ def read_faces(
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise InputError(f"{path} must end in {', '.join(SUFFIXES)}. Received {suffix!r}.")
+    sizes = face_sizes() if scheme is None else load_scheme(scheme).sizes
     try:
         _check_size(path, _MAX_BYTES[suffix])
-        points = _READERS[suffix](path)
+        points = _READERS[suffix](path, sizes)
     except (OSError, MemoryError, RecursionError) as error:
         raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
     points[np.isnan(points).any(2)] = np.nan  # half a landmark is none
@@ -170,11 +180,11 @@ def _check_size(path: Path, max_bytes: int) -> None:
     raise InputError(f"{path} must be a file of landmarks, of {most}. Received {received}.")
 
 
-def _read_npy(path: Path) -> np.ndarray:
-    return _as_faces(path, map_npy(path))
+def _read_npy(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
+    return _as_faces(path, map_npy(path), sizes)
 
 
-def _read_json(path: Path) -> np.ndarray:
+def _read_json(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
@@ -192,7 +202,7 @@ def _read_json(path: Path) -> np.ndarray:
             f"{path} must hold [x, y] for each landmark, as many in each face. "
             "Received lists of other lengths."
         ) from None
-    return _as_faces(path, points)
+    return _as_faces(path, points, sizes)
 
 
 def _points(item):
@@ -219,7 +229,7 @@ def _without_null(item):
     return None if known is None else [gap if each is None else each for each in items]
 
 
-def _as_faces(path: Path, points: np.ndarray) -> np.ndarray:
+def _as_faces(path: Path, points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     """`(n, L, 2)` float64, of one face or of several, with or without depth."""
     if points.dtype.kind not in "iuf":
         kind = "text, null or objects" if points.dtype.kind in "OUS" else f"{points.dtype}"
@@ -229,11 +239,11 @@ def _as_faces(path: Path, points: np.ndarray) -> np.ndarray:
             f"{path} must have shape (landmarks, 2) or (faces, landmarks, 2), and at least one "
             f"face. Received {points.shape}."
         )
-    _check_count(path, points.shape[-2])
+    _check_count(path, points.shape[-2], sizes)
     return np.array(points.reshape(-1, *points.shape[-2:])[..., :2], float)
 
 
-def _read_pts(path: Path) -> np.ndarray:
+def _read_pts(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     match = re.fullmatch(r"(.*?)^\s*\{\s*$(.*?)^\s*\}\s*$.*", text, re.DOTALL | re.MULTILINE)
     if not match:
@@ -255,11 +265,11 @@ def _read_pts(path: Path) -> np.ndarray:
         raise InputError(
             f"{path} must have as many landmarks as it states, {stated[1]}. Received {len(points)}."
         )
-    _check_count(path, len(points))
+    _check_count(path, len(points), sizes)
     return np.array([points]) - _MATLAB_ORIGIN
 
 
-def _read_csv(path: Path) -> np.ndarray:
+def _read_csv(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     with open(path, encoding="utf-8-sig", errors="replace", newline="") as file:
         first = next((line for line in file if line.strip() and not line.startswith("#")), "")
         rows = csv.reader(chain([first], file), skipinitialspace=True, strict=True)
@@ -290,7 +300,7 @@ def _read_csv(path: Path) -> np.ndarray:
     if not end:
         raise InputError(f"{path} must be a table of numbers. Received no rows.")
     table = np.array(values).reshape(-1, len(columns))[:end]
-    size = _landmarks_per_face(path, faces[:end], face is not None)
+    size = _landmarks_per_face(path, faces[:end], face is not None, sizes)
     numbers = table[:, 2:].reshape(-1, size) if len(columns) > 2 else np.empty((0, size))
     if (np.diff(numbers) != 1).any() or (numbers[:, 0] != numbers[:1, 0]).any():
         raise InputError(
@@ -300,7 +310,7 @@ def _read_csv(path: Path) -> np.ndarray:
     return table[:, :2].reshape(-1, size, 2)
 
 
-def _landmarks_per_face(path: Path, faces: list[str], named: bool) -> int:
+def _landmarks_per_face(path: Path, faces: list[str], named: bool, sizes: tuple[int, ...]) -> int:
     """L of a table with one landmark per row, where a face is a run of one value of `face`."""
     runs = [(face, len([*run])) for face, run in groupby(faces)]
     size = runs[0][1]
@@ -310,13 +320,17 @@ def _landmarks_per_face(path: Path, faces: list[str], named: bool) -> int:
                 f"{path} must have the same number of landmarks in each face. Received {size}, "
                 f"and {count} for the face {brief(face, _SHOWN)!r}."
             )
-    _check_count(path, size, "" if named else " rows, and no column face that tells several apart")
+    _check_count(
+        path, size, sizes, "" if named else " rows, and no column face that tells several apart"
+    )
     return size
 
 
-def _check_count(path: Path, n: int, where: str = "") -> None:
-    if n not in face_sizes():
-        raise InputError(f"{path} must have {said_sizes()} landmarks a face. Received {n}{where}.")
+def _check_count(path: Path, n: int, sizes: tuple[int, ...], where: str = "") -> None:
+    if n not in sizes:
+        raise InputError(
+            f"{path} must have {said_sizes(sizes)} landmarks a face. Received {n}{where}."
+        )
 
 
 def _number(cell: str) -> float:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepmds_keras.errors import check_choice
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import procrustes
 
@@ -53,7 +54,11 @@ def fit_surfaces(shapes: np.ndarray, scheme: str) -> np.ndarray:
 
     Returns:
         `(n, V, 3)` float32 vertices in the frame and unit of the shapes.
+
+    Raises:
+        InputError: Another scheme.
     """
+    check_choice(scheme, "the scheme of a head", _head().landmarks)
     parts = [shapes[start : start + _CHUNK] for start in range(0, len(shapes), _CHUNK)]
     return np.concatenate([_fit(part, scheme) for part in parts])
 

@@ -14,9 +14,9 @@ import numpy as np
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.camera import HeadPose, head_poses, refit
-from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks import convert, face_sizes, load_scheme, scheme_of, unnamed
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.weights import pretrained_path
+from deepmds_keras.weights import PRETRAINED, pretrained_path
 
 _MIT = "MIT licence"
 
@@ -29,7 +29,7 @@ class LifterModel:
     trained_on = (
         "landmarks of the open head (CC0 assets) and of ICT-FaceKit (MIT), no photo of a person"
     )
-    turns: ClassVar = {"yaw": 90, "pitch": 40}  # degrees to either side, in training
+    turns: Mapping = {"yaw": 90, "pitch": 40}  # degrees to either side, in training
     # Residual of a pose above which landmarks hardly belong to the shape: with errors of 2 mm it is
     # 0.01 to 0.03 for correct landmarks, 0.09 (median) with swapped brows.
     max_residual = 0.045
@@ -38,6 +38,8 @@ class LifterModel:
     def __init__(self, path: Path):
         self._lifter = LandmarkLifter.load(path)
         self.n_landmarks = self._lifter.n_landmarks
+        if path.parent != PRETRAINED:
+            self.turns = {}  # nobody knows
 
     def predict(
         self,
@@ -65,7 +67,7 @@ class PaperNetworks:
         "landmarks of the open head (CC0 assets), centred, at a learning rate that decays along a "
         "cosine, no photo of a person"
     )
-    turns: ClassVar = {"yaw": 50, "pitch": 25, "roll": 30}
+    turns: Mapping = {"yaw": 50, "pitch": 25, "roll": 30}
     max_residual = 0.12
 
     def __init__(self, path: Path):
@@ -102,6 +104,24 @@ FAMILIES: Mapping[str, type[Model]] = {row.family: row for row in (LifterModel, 
 DEFAULT, FALLBACK = LifterModel.family, "ibug51"  # for landmarks that have no weights
 
 
+def given_scheme(scheme: str | Path | None, model: str | None) -> str | None:
+    """The scheme of landmarks that are given for a model.
+
+    Returns:
+        That which is named; without a name, that of a lifter of other objects; None for faces,
+        whose scheme their number tells.
+
+    Raises:
+        InputError: There is no such model.
+    """
+    if scheme is not None:
+        return str(scheme)
+    if model is None or model in FAMILIES:
+        return None
+    n_landmarks = load_model(model).n_landmarks
+    return None if n_landmarks in face_sizes() else unnamed(n_landmarks)
+
+
 def target_scheme(scheme: str, model: str | None) -> str:
     """The scheme to which landmarks must be converted for a model.
 
@@ -109,13 +129,21 @@ def target_scheme(scheme: str, model: str | None) -> str:
         Its name; that of the landmarks if they lack some that the model needs.
 
     Raises:
-        InputError: There is no such model, or its landmarks are of no known scheme.
+        InputError: There is no such model, or it is of other objects than the landmarks.
     """
     name = model or DEFAULT
     if name in FAMILIES:
         return scheme if scheme in FAMILIES[name].shipped else FALLBACK
-    target = scheme_of(load_model(name).n_landmarks)
-    points = np.zeros((len(load_scheme(scheme)), 2))
+    given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
+    if len(given) == n_landmarks:
+        return scheme
+    if n_landmarks not in face_sizes():
+        raise InputError(
+            f"The model {name} must be given its {n_landmarks} landmarks, of no face: it takes no "
+            f"photos or videos. Received {len(given)}."
+        )
+    target = scheme_of(n_landmarks)
+    points = np.zeros((len(given), 2))
     lacking = np.isnan(convert(points, scheme, target, missing="nan")).any()
     return scheme if lacking else target
 

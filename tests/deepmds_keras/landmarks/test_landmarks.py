@@ -76,7 +76,7 @@ def test_the_number_of_landmarks_tells_the_scheme():
     assert actual == ["ibug51", "ibug68", "bfm72", "mediapipe", "mediapipe"]
     with pytest.raises(InputError, match=r"51, 68, 72, 468 or 478 landmarks. Received 70\."):
         scheme_of(70)
-    with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe. Received 'bfm73'"):
+    with pytest.raises(InputError, match="bfm72, ibug68, ibug51, mediapipe, or .* 'bfm73'"):
         load_scheme("bfm73")
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from deepmds_keras.tool.predict.faces import Face
 from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_landmarks, surface_triangles
 
 MODEL = {"name": "deepmds-bfm72", "trained_on": "20,000 faces of the open head"}
+TEXTS = [kind for kind in FORMATS if kind != "glb"]  # and arrays: without the extra
 ODD = 'ä "x",#1%s\n'
 
 
@@ -143,9 +145,60 @@ def test_meshes_are_read_back(tmp_path):
     assert any("a note" in line for line in header) and len(shape[1]) == 51
 
 
+def glb_by_hand(path):
+    """JSON of a GLB, and an accessor's numbers by its index, by the specification of glTF 2.0."""
+    content = path.read_bytes()
+    magic, version, size, json_size, kind = struct.unpack("<4s2II4s", content[:20])
+    assert (magic, version, size, kind) == (b"glTF", 2, len(content), b"JSON")
+    described = json.loads(content[20 : 20 + json_size])
+    binary_size, kind = struct.unpack("<I4s", content[20 + json_size : 28 + json_size])
+    binary = content[28 + json_size :]
+    assert kind == b"BIN\0" and binary_size == len(binary) and not (json_size % 4 or size % 4)
+    assert described["buffers"] == [{"byteLength": binary_size}]
+    types = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+
+    def numbers(index):
+        accessor = described["accessors"][index]
+        view = described["bufferViews"][accessor["bufferView"]]
+        start = view["byteOffset"] + accessor.get("byteOffset", 0)
+        n = accessor["count"] * {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+        read = np.frombuffer(binary, types[accessor["componentType"]], n, start)
+        read = read.reshape(accessor["count"], -1)
+        assert np.array_equal(read.min(0), np.float32(accessor["min"]))
+        assert np.array_equal(read.max(0), np.float32(accessor["max"]))
+        return read
+
+    return described, numbers
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("normalised", 1)])
+def test_a_glb_is_the_head_by_the_specification(tmp_path, unit, metres):
+    pytest.importorskip("trimesh", reason="trimesh is an extra")
+    face = make_face("é", "ibug51", unit=unit, notes=("a note",))
+    (path,) = written(tmp_path, ["glb"], face)
+    described, numbers = glb_by_hand(path)
+    (node,) = described["scenes"][described["scene"]]["nodes"]
+    while "mesh" not in described["nodes"][node]:
+        (node,) = described["nodes"][node]["children"]
+    assert not {"matrix", "scale", "rotation", "translation"} & described["nodes"][node].keys()
+    (primitive,) = described["meshes"][described["nodes"][node]["mesh"]]["primitives"]
+    assert primitive.get("mode", 4) == 4  # triangles
+    head = fit_surfaces(face.xyz[None], "ibug51")[0]
+    assert_close(numbers(primitive["attributes"]["POSITION"]), head * metres)
+    triangles = numbers(primitive["indices"]).reshape(-1, 3)
+    assert np.array_equal(triangles, surface_triangles())
+    # Normals are of unit length, and point to where triangles are seen counter-clockwise.
+    normals = numbers(primitive["attributes"]["NORMAL"])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    a, b, c = (head[triangles[:, i]] for i in range(3))
+    towards = (np.cross(b - a, c - a) * normals[triangles[:, 0]]).sum(1)
+    assert (towards > 0).mean() > 0.9
+    assert "a note" in str(described["scenes"])
+
+
 def test_tables_hold_all_faces_and_wireframes_one(tmp_path):
     faces = [make_face("run-1"), make_face("run-2", seed=1)]
-    paths = written(tmp_path / "new" / "folder", FORMATS, *faces)
+    paths = written(tmp_path / "new" / "folder", TEXTS, *faces)
     names = ["run.csv", "run.json", "run.npz", "run-1.ply", "run-2.ply", "run-1.obj", "run-2.obj"]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in paths[0].parent.iterdir()) == sorted(names)
@@ -156,7 +209,7 @@ def test_tables_hold_all_faces_and_wireframes_one(tmp_path):
 def test_no_name_adds_rows_comments_or_elements(tmp_path, name):
     face = make_face("a", notes=("note",))
     face = Face(**vars(face) | {"name": name})
-    for kind in FORMATS:
+    for kind in TEXTS:
         write_output(tmp_path / f"a.{kind}", [face], {"name": name})
     with open(tmp_path / "a.csv", encoding="utf-8", newline="") as file:
         rows = [row for row in csv.reader(file) if not row[0].startswith("#")]

@@ -299,7 +299,7 @@ def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landm
     assert (out / "a.csv").read_text() == "mine"
     assert written(out) == ["a.csv", "b.csv", "b.png"]
     assert predict(first, second, "--overwrite")[0] == 0
-    assert (out / "a.csv").read_text().startswith("# 3D face landmarks")
+    assert (out / "a.csv").read_text().startswith("# 3D landmarks")
 
 
 def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):

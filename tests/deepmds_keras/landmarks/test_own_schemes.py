@@ -1,0 +1,85 @@
+"""Schemes of other objects: a table gives names, pairs and lines; contradictions are named."""
+
+import numpy as np
+import pytest
+
+from deepmds_keras import InputError, convert, load_scheme
+from deepmds_keras.landmarks import unnamed
+from deepmds_keras.landmarks.y_axis import check_y_axis
+
+STOOL = """# of a stool
+number,name,mirror
+3,front_right_leg,4
+4,front_left_leg,3
+5,back_leg,
+6,seat,6
+"""
+
+
+@pytest.fixture
+def stool(tmp_path):
+    """Writes the table, perhaps changed, and its lines; gives its path."""
+
+    def write(old="", new="", lines="1,3-6-4\n2,5-6\n"):
+        path = tmp_path / "stool.csv"
+        path.write_text(STOOL.replace(old, new) if old else STOOL)
+        (tmp_path / "stool_polylines.csv").write_text("polyline,landmarks\n" + lines)
+        return path
+
+    return write
+
+
+def test_a_table_gives_numbers_names_pairs_and_lines(stool):
+    scheme = load_scheme(stool())
+    assert scheme.numbers == (3, 4, 5, 6) and scheme.names[3] == "seat" and not scheme.is_face
+    assert scheme.mirror.tolist() == [1, 0, 2, 3] and scheme.polylines == ((0, 3, 1), (2, 3))
+    assert load_scheme(scheme.name) is scheme
+    points = np.random.default_rng(0).random((5, 4, 2))
+    assert np.array_equal(convert(points, scheme.name, scheme.name), points)
+    assert check_y_axis(points * (1, -1), scheme.name, "points") == {}
+
+
+def test_a_table_that_was_changed_is_read_again(stool):
+    before = load_scheme(stool())
+    after = load_scheme(stool("back_leg", "rear_leg"))
+    assert (before.names[2], after.names[2]) == ("back_leg", "rear_leg")
+
+
+def test_a_table_with_points_of_ibug_is_a_face_and_converts(stool):
+    path = stool()
+    path.with_name("stool_ibug68.csv").write_text("number,ibug68\n3,37\n4,46\n5,31\n6,58\n")
+    assert load_scheme(path).is_face
+    points = np.random.default_rng(0).random((2, 68, 2))
+    np.testing.assert_array_equal(convert(points, "ibug68", str(path)), points[:, [36, 45, 30, 57]])
+
+
+def test_any_landmarks_have_a_scheme_without_names():
+    scheme = load_scheme(unnamed(14))
+    assert len(scheme) == 14 and scheme.names[13] == "landmark_14" and not scheme.is_face
+    assert scheme.polylines == () and scheme.mirror.tolist() == [*range(14)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("5,back", "7,back", r"numbers count up by one. Received \[3, 4, 7, 6\]"),
+        ("seat", "back_leg", "each landmark a name of its own"),
+        ("seat", "", "each landmark a name of its own"),
+        ("front_left_leg,3", "front_left_leg,5", "mirror, each the other's. Received 4 for .* 3"),
+        ("number,name", "id,name", "columns number and name.* Received KeyError: 'number'"),
+        ("3,front", "three,front", "columns number and name.* Received ValueError"),
+        ("3,front_right_leg,4\n4,front_left_leg,3\n5,back_leg,\n6,seat,6\n", "", "count up"),
+    ],
+)
+def test_a_table_that_contradicts_itself_is_refused(stool, old, new, message):
+    with pytest.raises(InputError, match=f"stool.csv must .*{message}"):
+        load_scheme(stool(old, new))
+
+
+def test_lines_of_unknown_landmarks_and_missing_tables_are_refused(stool, tmp_path):
+    with pytest.raises(InputError, match="stool_polylines.csv must join .* Received 9, which"):
+        load_scheme(stool(lines="1,3-9\n"))
+    with pytest.raises(InputError, match="none.csv must be a table"):
+        load_scheme(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="or a table of your own .* Received 'stool'"):
+        load_scheme("stool")

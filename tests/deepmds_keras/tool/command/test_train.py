@@ -1,0 +1,121 @@
+"""`deepmds train`: what it holds out, reports and writes, a stopped run, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from deepmds_keras import InputError, LandmarkLifter
+from deepmds_keras.__main__ import main
+from deepmds_keras.lifting import trainer
+from deepmds_keras.tool.command import train as module
+from deepmds_keras.tool.command.train import train
+
+L, N = 9, 70
+OPTIONS = {"steps": 3, "noise": 0.05, "missing": 0.2, "seed": 0}
+
+
+@pytest.fixture
+def source(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_VIEWS", 300)
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(0, 30, (L, 3)), rng.normal(0, 6, (2, L, 3))
+    shapes = mean + np.tensordot(rng.standard_normal((N, 2)), basis, 1) + 500
+    np.save(tmp_path / "shapes.npy", np.concatenate([shapes, shapes[:20]]))
+    return tmp_path / "shapes.npy"
+
+
+@pytest.fixture
+def untrained(monkeypatch):
+    """Training is left out; the principal components remain. What it was given is kept."""
+    given = []
+
+    def train_lifting_net(initial, block, held_out, *, checkpoint, **_):
+        given.extend([block(0, 400), held_out])
+        checkpoint.touch()
+        return initial, {"train": [], "inference": []}
+
+    monkeypatch.setattr(trainer, "train_lifting_net", train_lifting_net)
+    return given
+
+
+def test_the_command_writes_a_lifter_and_reports_beside_mean_and_ridge(
+    source, untrained, tmp_path, capsys
+):
+    with pytest.raises(SystemExit) as ended:
+        main(["train", str(source), str(tmp_path / "new.npz"), "--pitch", "30", "--noise", "0.1"])
+    output = capsys.readouterr()
+    assert ended.value.code == 0, output.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.npz", "shapes.npy"]
+    lifter = LandmarkLifter.load(tmp_path / "new.npz")
+    assert (lifter.n_landmarks, lifter.noise, lifter.missing, lifter.steps) == (L, 0.1, 0.2, 4000)
+    head, levels, *rows = output.out.splitlines()
+    assert "9 landmarks, trained on 63 shapes. Error on 7 others" in head
+    assert levels.split()[-2:] == ["0", "0.05"]
+    assert [row[:18].strip() for row in rows] == ["mean shape", "ridge regression", "lifter"]
+    assert "step" in output.err and "note" not in output.err
+
+
+def test_shapes_of_the_report_are_not_those_of_the_training(source, untrained, tmp_path):
+    errors = train(source, tmp_path / "new.npz", **OPTIONS, field_of_view=0.0)
+    block, held_out = untrained
+    seen = {shape.tobytes() for faces in (block, held_out) for shape in faces.shapes}
+    assert len(seen) == 63 and len({shape.tobytes() for shape in held_out.shapes}) == 6
+    # Two components span the shapes, so that exact views give them away.
+    assert errors["lifter"][0] < 0.02 * errors["mean shape"][0]
+    assert errors["lifter"][0] < errors["lifter"][1] < errors["mean shape"][1]
+    assert errors["mean shape"][0] == pytest.approx(errors["mean shape"][1])
+
+
+def test_the_error_is_of_all_landmarks_in_squared_radii(source, untrained, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "align", lambda shapes, truth, **_: truth + (0.03, 0, 0.04))
+    errors = train(source, tmp_path / "new.npz", **OPTIONS)
+    assert all(error == pytest.approx(0.0025) for row in errors.values() for error in row)
+
+
+@pytest.mark.slow
+def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(trainer, "STEPS_PER_BLOCK", 2)
+    whole, stopped = tmp_path / "whole.npz", tmp_path / "stopped.npz"
+    train(source, whole, **OPTIONS)
+
+    class Bar(module.tqdm):
+        def update(self, n):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(module, "tqdm", Bar)
+        train(source, stopped, **OPTIONS)
+    assert not stopped.exists() and (tmp_path / "stopped.npz.checkpoint").exists()
+    with pytest.raises(InputError, match="stopped.npz.checkpoint is of another run"):
+        train(source, stopped, **OPTIONS | {"seed": 1})
+    train(source, stopped, **OPTIONS)
+    assert not (tmp_path / "stopped.npz.checkpoint").exists()
+    first, second = map(LandmarkLifter.load, (whole, stopped))
+    assert first.history_ == second.history_ and len(first.history_["train"]) == 2
+    for name, array in first.weights_.items():
+        assert np.array_equal(array, second.weights_[name]), name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: s[..., :2], r"must hold shapes \(n, L, 3\).* Received \(90, 9, 2\)"),
+        (lambda s: s[:, :5], r"of 6 landmarks or more. Received \(90, 5, 3\)"),
+        (lambda s: s[:9], "must hold 10 different shapes or more.* Received 9"),
+        (lambda s: np.repeat(s[:1], 30, 0), "10 different shapes or more.* Received 1"),
+        (lambda s: np.where(s == s[4, 2, 1], np.nan, s), "must be finite. Received NaN .*face 4"),
+        (lambda s: s.astype(str), "must hold numbers"),
+    ],
+)
+def test_unusable_shapes_are_named(source, tmp_path, change, message):
+    np.save(source, change(np.load(source)))
+    with pytest.raises(InputError, match=f"shapes.npy.* {message}"):
+        train(source, tmp_path / "new.npz", **OPTIONS)
+    assert not (tmp_path / "new.npz").exists()
+
+
+def test_files_that_exist_or_are_no_npz_are_refused(source, tmp_path):
+    (tmp_path / "old.npz").touch()
+    with pytest.raises(InputError, match="old.npz must be the name of a new file.* exists"):
+        train(source, tmp_path / "old.npz", **OPTIONS)
+    with pytest.raises(InputError, match="new.onnx must be .*npz. Received the suffix '.onnx'"):
+        train(source, tmp_path / "new.onnx", **OPTIONS)

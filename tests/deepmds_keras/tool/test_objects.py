@@ -1,0 +1,152 @@
+"""The tool on other objects than faces: a saved lifter of 14 landmarks, with names and without."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from deepmds_keras import (
+    FaceLifter,
+    InputError,
+    LandmarkLifter,
+    predict_landmarks,
+    read_landmarks,
+    sample_views,
+)
+from deepmds_keras.__main__ import main
+from deepmds_keras.geometry.units import centre_and_scale
+from deepmds_keras.lifting.unrolled_fit import initial_weights
+from deepmds_keras.tool.command.evaluation import evaluate
+from deepmds_keras.tool.command.onnx_export import export
+
+L = 14
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(0, 30, (L, 3)), rng.normal(0, 4, (3, L, 3))
+    return mean + np.tensordot(rng.standard_normal((60, 3)), basis, 1)
+
+
+@pytest.fixture(scope="module")
+def model(shapes, tmp_path_factory):
+    """File of a lifter that has learnt no more than the principal components."""
+    lifter, known = LandmarkLifter(L), centre_and_scale(shapes)
+    lifter.weights_ = initial_weights(np.swapaxes(known, 1, 2), 0)
+    lifter.mean_shape_, lifter.default_sd_, lifter.history_ = known.mean(0), 0.0, {}
+    path = tmp_path_factory.mktemp("model") / "chair.npz"
+    lifter.save(path)
+    return path
+
+
+@pytest.fixture
+def points(shapes, tmp_path):
+    """File of five views in pixels, y down."""
+    views, _ = sample_views(shapes[:5], 1, field_of_view=0)
+    np.save(tmp_path / "points.npy", views * (4, -4) + 300)
+    return tmp_path / "points.npy"
+
+
+@pytest.fixture
+def scheme(tmp_path):
+    rows = [f"{i},part_{i}" for i in range(L)]
+    (tmp_path / "parts.csv").write_text("\n".join(["number,name", *rows]))
+    (tmp_path / "parts_polylines.csv").write_text("polyline,landmarks\n1,0-1-2-3\n")
+    return tmp_path / "parts.csv"
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, arguments)])
+    return ended.value.code
+
+
+def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, capsys):
+    out = tmp_path / "out"
+    given = ("predict", points, "--model", model, "--out", out, "--view", "--jobs", 1)
+    assert run(*given, "--format", "csv,json,npz,ply,obj") == 0, capsys.readouterr().err
+    views = np.load(points) * (1, -1)
+    expected = LandmarkLifter.load(model).predict(views)
+    arrays = np.load(out / "points.npz")
+    np.testing.assert_allclose(arrays["shape"], expected, atol=1e-5)
+    table = pd.read_csv(out / "points.csv", comment="#")
+    assert [*table.name[:L]] == [f"landmark_{i}" for i in range(1, L + 1)]
+    seen = table[["image_x", "image_y"]].to_numpy().reshape(5, L, 2)
+    np.testing.assert_allclose(seen, np.load(points), atol=1e-3)
+    assert np.array_equal(read_landmarks(out / "points.csv", scheme="unnamed-14"), seen)
+    with Image.open(out / "points.png") as picture:
+        assert picture.size == (1500, 300)
+    assert "landmark_14" in (out / "points.html").read_text(encoding="utf-8")
+    assert run(*given, "--scheme", scheme, "--format", "json,obj", "--overwrite") == 0
+    content = json.loads((out / "points.json").read_bytes())
+    assert content["landmark_names"] == [f"part_{i}" for i in range(L)]
+    assert content["landmark_numbers"] == [*range(L)]
+    assert "l 1 2 3 4" in (out / "points-1.obj").read_text()
+
+
+def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
+    faces = predict_landmarks(np.load(points), model=model)
+    named = predict_landmarks(np.load(points), model=model, scheme=scheme)
+    for face, same in zip(faces, named, strict=True):
+        assert np.array_equal(face.xyz, same.xyz) and not face.notes
+        assert face.residuals.max() < 0.03 * np.ptp(face.landmarks, axis=0).max()
+    lifter = FaceLifter(model=model)
+    with pytest.raises(InputError, match="chair.npz must be given its 14 landmarks, of no face"):
+        lifter.predict(np.zeros((64, 64, 3), np.uint8))
+    with pytest.raises(InputError, match=r"L = 14.* Received \(1, 51, 2\)"):
+        lifter.predict_landmarks(np.zeros((51, 2)))
+    with pytest.raises(InputError, match="must have 51, 68, 72, 468 or 478 .* Received 14"):
+        predict_landmarks(np.load(points))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--mesh"], "the scheme of a head must be one of .* Received 'unnamed-14'"),
+        (["--interocular", "90"], "must have a landmark right_eye_outer_corner"),
+        (["--scheme", "ibug51"], "points.npy must have 51 landmarks a face. Received 14"),
+        (["--scheme", "no.csv"], "no.csv must be a table"),
+    ],
+)
+def test_what_only_faces_have_is_refused(model, points, tmp_path, capsys, arguments, message):
+    out = tmp_path / "out"
+    code = run("predict", points, "--model", model, "--out", out, "--jobs", 1, *arguments)
+    output = f"{code} {capsys.readouterr().err}"
+    assert code != 0 and pd.Series([output]).str.contains(message).all(), output
+    assert not [*out.glob("points*")]
+
+
+def test_it_is_exported_with_the_names_of_its_landmarks(model, points, scheme, tmp_path):
+    onnx = pytest.importorskip("onnx", reason="onnx is an extra")
+    runtime = pytest.importorskip("onnxruntime", reason="no wheel")
+    export(tmp_path / "chair.onnx", str(model))
+    views = np.float32(np.load(points) * (1, -1))
+    inputs = {"view": views, "visible": np.ones((5, L), bool),
+              "landmark_sd": np.full((5, L), np.nan, "f")}  # fmt: skip
+    shape = runtime.InferenceSession(tmp_path / "chair.onnx").run(None, inputs)[0]
+    assert np.abs(shape - LandmarkLifter.load(model).predict(views)).max() < 1e-4
+    assert run("export", tmp_path / "named.onnx", "--model", model, "--scheme", scheme) == 0
+    for file, first in (("chair", "landmark_1"), ("named", "part_0")):
+        metadata = onnx.load(tmp_path / f"{file}.onnx").metadata_props
+        names = next(json.loads(entry.value) for entry in metadata if entry.key == "landmark_names")
+        assert names[0] == first
+    with pytest.raises(InputError, match="ibug51 must have the 14 landmarks of .*chair.npz"):
+        export(tmp_path / "other.onnx", str(model), "ibug51")
+
+
+def test_it_is_evaluated_in_the_size_of_the_shapes(model, shapes, tmp_path, capsys):
+    turned = shapes @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    np.save(tmp_path / "truth.npy", 9 * turned + 70)
+    rows = evaluate(tmp_path / "truth.npy", model=str(model), out=tmp_path)
+    error = {row["method"]: row["error"] for row in rows if row["yaw"] == "all"}
+    known = centre_and_scale(shapes)
+    off = ((known - known.mean(0)) ** 2).mean() / (known**2).mean()
+    assert error["mean shape"] == pytest.approx(off, rel=0.3)
+    assert error["lifting, exact"] < 0.02 * error["mean shape"]
+    assert "mean squared coordinate of the truth" in capsys.readouterr().out
+    np.save(tmp_path / "few.npy", shapes[:, :12])
+    with pytest.raises(InputError, match="few.npy must hold 14 landmarks"):
+        evaluate(tmp_path / "few.npy", model=str(model), out=tmp_path / "few")
