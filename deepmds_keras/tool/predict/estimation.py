@@ -186,7 +186,7 @@ def _notes(poses: HeadPose, quarters: np.ndarray, model: Model) -> list[list[str
         if residual > model.max_residual:
             notes[i].append(
                 f"the shape, turned back, misses the landmarks by {100 * residual:.0f} % of the "
-                "face's size (RMS): they may be in another order, or not those of a face"
+                "face's size (RMS): they may be in another order, or of another thing"
             )
         if not model.centred:
             notes[i].append(

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from places import ROOT, SHARED
 
 from deepmds_keras import InputError, LandmarkLifter
 from deepmds_keras.__main__ import main
 from deepmds_keras.lifting import trainer
 from deepmds_keras.tool.command import train as module
 from deepmds_keras.tool.command.train import train
+from experiments.objects.shapes import read_shapes
 
 L, N = 9, 70
 OPTIONS = {"steps": 3, "noise": 0.05, "missing": 0.2, "seed": 0}
@@ -93,6 +95,22 @@ def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
     assert first.history_ == second.history_ and len(first.history_["train"]) == 2
     for name, array in first.weights_.items():
         assert np.array_equal(array, second.weights_[name]), name
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (SHARED / "objects").is_dir(), reason="../shared/objects is absent")
+def test_the_page_on_objects_has_what_the_command_prints(tmp_path, capsys):
+    np.save(tmp_path / "chairs.npy", read_shapes(SHARED / "objects" / "chairs.npz"))
+    with pytest.raises(SystemExit):
+        main(["train", str(tmp_path / "chairs.npy"), str(tmp_path / "chair.npz")])
+    head, *rows = capsys.readouterr().out.splitlines()
+    page = (ROOT / "docs" / "objects.md").read_text(encoding="utf-8")
+    first, *shown = page[page.index("chair.npz: ") :].splitlines()[: len(rows) + 1]
+    assert head.endswith(first)
+    for row, wanted in zip(rows, shown, strict=True):
+        assert row[:18] == wanted[:18]
+        numbers, expected = ([float(cell) for cell in x[18:].split()] for x in (row, wanted))
+        assert numbers == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize(
