@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
-
 from deepmds_keras import __version__
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme, scheme_of
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.onnx_graph import TYPES, Graph, Tracer
-from deepmds_keras.lifting.unrolled_fit import UNIT, lift
+from deepmds_keras.lifting.onnx_graph import TYPES
+from deepmds_keras.lifting.traced import trace
 from deepmds_keras.tool.command.outputs import AXES, SCALE
 from deepmds_keras.tool.predict.models import (
     DEFAULT,
@@ -55,15 +53,7 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     """
     if Path(path).exists():
         raise InputError(f"{path} must be the name of a new file. Received one that exists.")
-    lifters = FAMILIES[DEFAULT].shipped
-    model = lifters[FALLBACK] if model == DEFAULT else model
-    if model not in lifters.values() and not Path(model).is_file():
-        raise InputError(
-            f"model must be {', '.join(lifters.values())} or a file of LandmarkLifter.save(): the "
-            f"networks of deepmds are not exported. Received {str(model)!r}."
-        )
-    weights = weights_path(model)
-    lifter = LandmarkLifter.load(weights)
+    lifter, weights = open_lifter(model)
     described = load_scheme(given_scheme(scheme, model) or scheme_of(lifter.n_landmarks))
     if len(described) != lifter.n_landmarks:
         raise InputError(
@@ -75,7 +65,7 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     with needs("onnx", "onnx"):
         from onnx import checker, helper
     written = helper.make_model(
-        _traced(lifter),
+        _graph(lifter),
         opset_imports=[helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="deepmds-keras",
@@ -101,42 +91,28 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     write_bytes(path, written.SerializeToString())
 
 
-@np.errstate(all="ignore")  # of the examples
-def _traced(lifter: LandmarkLifter):
-    """The graph of `predict`, including what `prepare_views` does, in float32."""
+def open_lifter(model: str) -> tuple[LandmarkLifter, Path]:
+    """A lifter, and the file of its weights, by the name of shipped weights or by its file.
+
+    Raises:
+        InputError: It is neither, or the file cannot be read.
+    """
+    lifters = FAMILIES[DEFAULT].shipped
+    model = lifters[FALLBACK] if model == DEFAULT else model
+    if model not in lifters.values() and not Path(model).is_file():
+        raise InputError(
+            f"model must be {', '.join(lifters.values())} or a file of LandmarkLifter.save(): the "
+            f"networks of deepmds are not lifters. Received {str(model)!r}."
+        )
+    weights = weights_path(model)
+    return LandmarkLifter.load(weights), weights
+
+
+def _graph(lifter: LandmarkLifter):
+    """The traced lifter as a graph of ONNX."""
     from onnx import helper, numpy_helper
 
-    graph, xp, n_landmarks = Graph(), Tracer(), lifter.n_landmarks
-    view = graph.input("view", (n_landmarks, 2))
-    visible = graph.input("visible", (n_landmarks,), "?")
-    landmark_sd = graph.input("landmark_sd", (n_landmarks,))
-    inputs = [view, visible, landmark_sd]
-
-    points = xp.transpose(view, (0, 2, 1))
-    known = visible & ~(xp.isnan(points[:, 0]) | xp.isnan(points[:, 1]))
-    points = xp.where(known[:, None], points, 0)
-    seen = xp.float32(known)
-    share = xp.mean(seen, 1, keepdims=True)[:, None]
-    middles = []
-    for _ in range(2):  # the second pass removes rounding errors
-        middles.append(xp.mean(points, 2, keepdims=True) / share)
-        points = (points - middles[-1]) * seen[:, None]
-    centre = middles[1] + middles[0]
-    square = xp.mean(points * points, 2, keepdims=True) / share
-    radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
-    sd = landmark_sd / radius[:, 0]
-    sd = xp.where(xp.isnan(sd), lifter.default_sd_, sd)
-    lifted = lift(xp, lifter.weights_, points / radius, seen, sd)
-    shape, log_sd = (xp.transpose(a, (0, 2, 1)) for a in (lifted.shapes, lifted.log_sd))
-    camera, radius = lifted.camera, radius[:, 0]
-    outputs = {
-        "shape": shape,
-        "shape_sd": UNIT * xp.exp(log_sd),
-        "rotation": camera.rotation,
-        "scale": (camera.scale * radius)[:, 0],
-        "translation": camera.shift * radius + centre[:, :, 0],
-        "perspective": camera.perspective[:, 0],
-    }
+    graph, inputs, outputs = trace(lifter)
 
     def described(name, tensor):
         kind = TYPES[tensor.example.dtype.kind]

@@ -40,8 +40,7 @@ def weights(shapes, tmp_path_factory):
         name: array if array.any() else np.float32(0.1 * rng.standard_normal(array.shape))
         for name, array in arrays.items()
     }
-    lifter.mean_shape_ = shapes.mean(0)
-    lifter.default_sd_, lifter.history_ = 0.01, []
+    lifter.mean_shape_, lifter.default_sd_, lifter.history_ = shapes.mean(0), 0.01, []
     path = tmp_path_factory.mktemp("weights") / "lifter.npz"
     lifter.save(path)
     return path
