@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import html
 import io
-import json
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +12,13 @@ import numpy as np
 from deepmds_keras import __version__
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.tool.command.html_parts import (
+    STYLE,
+    WIREFRAME,
+    filled,
+    in_base64,
+    json_in_html,
+)
 from deepmds_keras.tool.command.outputs import AXES, SCALE, or_null
 from deepmds_keras.tool.command.overlay import cut_out
 from deepmds_keras.tool.predict.faces import Face
@@ -25,7 +28,6 @@ _FOLDER = Path(__file__).parent
 _DIGITS = {"mm": 2}  # after the point; normalised shapes get more
 _BARE_SIDE, _BARE_MARGIN = 1000, 120  # of a drawing without a photo
 _MOST = 32767  # of an int16
-_HASHED = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
 
 
 def write_page(
@@ -56,28 +58,21 @@ def write_page(
     }
     shown = {"faces": described, "schemes": schemes, "axes": AXES["shape"]}
     if mesh:
-        shown["triangles"] = _base64(surface_triangles().astype("<u2").tobytes())
+        shown["triangles"] = in_base64(surface_triangles().astype("<u2").tobytes())
         for face, shown_face in zip(faces, described, strict=True):
             shown_face["mesh"] = _mesh(face)
     title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
     page = (_FOLDER / "page.html").read_text(encoding="utf-8")
-    page = page.replace("{{script}}", (_FOLDER / "page.js").read_text(encoding="utf-8"))
     values = {
-        "policy": _policy(page),
+        "style": STYLE,
+        "script": WIREFRAME,
         "version": __version__,
         "title": html.escape(title),
         "faces": json_in_html(shown),
     }
-    # In one pass, so that a name that looks like a field stays a name.
-    page = re.sub(r"\{\{(\w+)\}\}", lambda field: values[field[1]], page)
+    page = filled(page, values, {"img-src": "data:"})
     # A file name may contain bytes that are not text.
     write_bytes(path, page.encode("utf-8", "replace"))
-
-
-def json_in_html(value: object) -> str:
-    """JSON that is safe in a script element: its text can neither end the element nor open one."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")
 
 
 def _described(face: Face, photo: np.ndarray | None) -> dict:
@@ -110,7 +105,7 @@ def _picture(face: Face, photo: np.ndarray | None) -> dict:
     else:
         cutout, buffer = cut_out(photo, seen), io.BytesIO()
         cutout.image.save(buffer, "jpeg", quality=85, optimize=True)
-        jpeg = "data:image/jpeg;base64," + _base64(buffer.getvalue())
+        jpeg = "data:image/jpeg;base64," + in_base64(buffer.getvalue())
         place, (width, height) = cutout.place, cutout.image.size
     return {
         "jpeg": jpeg,
@@ -127,21 +122,4 @@ def _mesh(face: Face) -> dict:
     lowest = vertices.min(0)
     step = np.ptp(vertices, axis=0).max() / _MOST
     steps = np.round((vertices - lowest) / step).astype("<i2")
-    return {"lowest": lowest.tolist(), "step": step, "vertices": _base64(steps.tobytes())}
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode()
-
-
-def _policy(page: str) -> str:
-    """Content-Security-Policy: only the page's scripts and styles run, only its pictures load."""
-    allowed: dict[str, list[str]] = {"script": [], "style": []}
-    for kind, content in _HASHED.findall(page):
-        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
-        allowed[kind].append(f"'sha256-{digest}'")
-    scripts, styles = (" ".join(hashes) for hashes in allowed.values())
-    return (
-        f"default-src 'none'; img-src data:; script-src {scripts}; style-src {styles}; "
-        "base-uri 'none'; form-action 'none'"
-    )
+    return {"lowest": lowest.tolist(), "step": step, "vertices": in_base64(steps.tobytes())}
