@@ -38,6 +38,11 @@ def main(arguments: list[str] | None = None) -> None:
 
             export(options["out"], options["model"], options["scheme"])
             print(f"{options['model']} → {options['out']}")
+        elif command == "live":
+            from deepmds_keras.tool.live.live_page import write_live_page
+
+            write_live_page(**options)
+            print(f"{options['path']}: open it in a browser.")
         else:
             # Not before: --help and wrong arguments are answered without its many imports.
             from deepmds_keras.tool.command.run import run

@@ -48,8 +48,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; wrong arguments end the process, with the usage and status 2.
 
     Returns:
-        `command`, `"predict"`, `"export"`, `"train"` or `"evaluate"`, and the keyword arguments of
-        `run`, `export`, `train` or `evaluate`.
+        `command`, `"predict"`, `"live"`, `"export"`, `"train"` or `"evaluate"`, and the keyword
+        arguments of `run`, `write_live_page`, `export`, `train` or `evaluate`.
     """
     parser = argparse.ArgumentParser(
         prog="deepmds", description="3D face landmarks from a single image."
@@ -102,6 +102,21 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
     add("--jobs", type=_number(0, "1 or more, or -1", int), default=-1, metavar="N",
         help="number of processes (default: one per core)")  # fmt: skip
+    live = commands.add_parser(
+        "live",
+        help="write a page that shows faces of a camera in 3D",
+        description="Writes one HTML file of 7 MB that finds the faces of a camera, photo or video "
+        "by MediaPipe and shows them in 3D, in a browser, without a network. To write it, "
+        "MediaPipe's package for browsers is downloaded from registry.npmjs.org (10 MB), unless it "
+        "is given.",
+    )
+    add = live.add_argument
+    add("path", type=Path, metavar="OUT", help="new file, such as live.html")
+    add("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
+        help="weights of a lifter for 51 landmarks: shipped ones, or a file of "
+        "LandmarkLifter.save() (default: %(default)s)")  # fmt: skip
+    add("--tasks-vision", type=Path, metavar="FILE|DIR",
+        help="that package, as npm pack writes it, or its folder")  # fmt: skip
     export = commands.add_parser(
         "export",
         help="write a lifter as an ONNX model",

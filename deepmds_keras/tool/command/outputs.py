@@ -117,7 +117,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
 def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """Everything known about the faces, one face per line."""
     scheme = load_scheme(faces[0].scheme)
-    described = _common(faces, model) | {"landmark_numbers": scheme.numbers}
+    described = common(faces, model) | {"landmark_numbers": scheme.numbers}
     described["landmark_names"] = scheme.names
     yield "{\n"
     yield from (f" {json.dumps(key)}: {json.dumps(value)},\n" for key, value in described.items())
@@ -173,7 +173,7 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
         **measured,
         landmark_numbers=np.array(scheme.numbers),
         landmark_names=np.array(scheme.names),
-        description=np.array(json.dumps(_common(faces, model))),
+        description=np.array(json.dumps(common(faces, model))),
     )
 
 
@@ -232,7 +232,8 @@ def import_trimesh() -> ModuleType:
     return trimesh
 
 
-def _common(faces: Sequence[Face], model: Mapping) -> dict:
+def common(faces: Sequence[Face], model: Mapping) -> dict:
+    """What the JSON of faces says of all of them."""
     unit = faces[0].unit
     return {
         "generator": f"deepmds-keras {__version__}",

@@ -13,8 +13,9 @@ function element(tag, attributes = {}, ...children) {
 No library: one with 3D, such as plotly, would add 4.5 MB to every page.
 
 const view = drawWireframe(canvas, {
-  shapes,   // [{name, points: [[x, y, z], …], colour}]: one, or several drawn over one another.
-            // colour: of CSS, or the name of a custom property ("--face"); default: of the text.
+  shapes,   // [{name, points: [[x, y, z], …], colour, discs}]: one, or several drawn over one
+            // another. colour: of CSS, or the name of a custom property ("--face"); default: of
+            // the text. discs: radii of faint discs around the points, in their unit; default: none
   lines,    // [[0, 1, 2], …] positions of the landmarks that each line joins
   title,    // said by screen readers; optional, as is all that follows
   names,    // of the landmarks
@@ -25,7 +26,8 @@ const view = drawWireframe(canvas, {
   surface,  // of shadedMesh: drawn behind the lines, in the colour of --surface (#rrggbb)
   around,   // points that shall be seen too, such as those of the surface
 });
-view.turnTo({yaw, pitch, roll});  view.reset();  view.show(shapes);  view.showNumbers(true);
+view.turnTo({yaw, pitch, roll}, ms);  // takes a quarter of a second, or so many milliseconds
+view.reset();  view.show(shapes);  view.showNumbers(true);
 view.showSurface(true);  // null if there is none
 view.mark(position);  // shows which landmark it is, null none
 wireframeButtons(view, photo)  // → element with buttons; photo: angles of "as in the photo", or null
@@ -97,6 +99,10 @@ function drawWireframe(canvas, options) {
         }
       }
       for (const a of points) marks.push({ depth: a[2] + 0.01, colour, a });
+      [pen.fillStyle, pen.globalAlpha] = [colour, 0.13];
+      for (const [i, radius] of (shape.discs ?? []).entries()) {
+        pen.beginPath(), pen.arc(points[i][0], points[i][1], scale() * radius, 0, 7), pen.fill();
+      }
     }
     for (const { depth, colour, a, b } of marks.sort((m, n) => m.depth - n.depth)) {
       const near = Math.min(Math.max((depth + 0.8) / 1.6, 0), 1);
@@ -219,13 +225,13 @@ function drawWireframe(canvas, options) {
     zoom = next;
     redraw();
   }
-  function turnTo(target) {
+  function turnTo(target, ms = 250) {
     cancelAnimationFrame(motion);
     const from = { ...angles }, begun = performance.now();
     from.yaw = target.yaw - wrapped(target.yaw - from.yaw); // the shorter way round
     const to = { yaw: target.yaw, pitch: target.pitch, roll: target.roll };
     const step = (now) => {
-      const t = calm.matches ? 1 : Math.min(Math.max((now - begun) / 250, 0), 1);
+      const t = calm.matches || !ms ? 1 : Math.min(Math.max((now - begun) / ms, 0), 1);
       const eased = t * t * (3 - 2 * t);
       for (const name in to) angles[name] = from[name] + eased * (to[name] - from[name]);
       if (t < 1) motion = requestAnimationFrame(step);
@@ -294,7 +300,7 @@ function drawWireframe(canvas, options) {
   return {
     turnTo, reset,
     mark: (landmark) => mark(landmark === null || !shapes.length ? null : { shape: 0, landmark }),
-    show: (others) => { [shapes, marked] = [others, null]; redraw(); },
+    show: (others) => { [shapes, marked] = [others, others[marked?.shape] ? marked : null]; redraw(); },
     showNumbers: (on) => { numbered = on; redraw(); },
     showSurface: options.surface
       ? (on) => { surface = on ? options.surface : null; redraw(); } : null,

@@ -64,7 +64,7 @@ def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
         detector: One of `DETECTORS`.
         scheme: Scheme of the landmarks; without a row in the table they do not move.
     """
-    rows = _measured(detector, scheme)
+    rows = measured(detector, scheme)
     return landmarks if rows is None else move(landmarks, scheme, rows[:, :2])
 
 
@@ -98,12 +98,12 @@ def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
         `(L,)` in root mean square radii of the face's landmarks `ibug51`; None where the table has
         no such landmarks.
     """
-    rows = _measured(detector, scheme)
+    rows = measured(detector, scheme)
     return None if rows is None else rows[:, 2]
 
 
 @cache
-def _measured(detector: str, scheme: str) -> np.ndarray | None:
+def measured(detector: str, scheme: str) -> np.ndarray | None:
     """`(L, 3)` of the table: offsets x and y, standard deviation."""
     table = read_table(FOLDER / "detectors.csv")
     rows = {
