@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -98,18 +99,29 @@ def one_thread():
 
 
 @pytest.fixture(scope="session")
-def browser():
-    """A headless Chromium, the one that the system has."""
+def launch():
+    """Starts headless Chromiums, the one that the system has: `launch(*options)`."""
     playwright = pytest.importorskip("playwright.sync_api")
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     if chromium is None:
         pytest.skip("no Chromium on the path (Debian and Ubuntu: apt install chromium)")
     # Chromium's own sandbox refuses to run as root.
-    options = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=chromium, args=options)
-        yield opened
-        opened.close()
+    needed = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with playwright.sync_playwright() as driver, ExitStack() as opened:
+
+        def launch(*options: str):
+            args = [*needed, *options]
+            started = driver.chromium.launch(executable_path=chromium, args=args)
+            opened.callback(started.close)
+            return started
+
+        yield launch
+
+
+@pytest.fixture(scope="session")
+def browser(launch):
+    """A Chromium of `launch`."""
+    return launch()
 
 
 @pytest.fixture
