@@ -189,7 +189,7 @@ def test_every_target_and_variable_of_make_is_in_the_makefile(page):
 
 def test_every_option_of_the_command_is_one():
     options = set()
-    for command in ("predict", "export", "train", "evaluate"):
+    for command in ("predict", "live", "export", "train", "evaluate"):
         words = [sys.executable, "-m", "deepmds_keras", command, "--help"]
         done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

@@ -2,7 +2,7 @@
 "use strict";
 
 const LOST = 1; // seconds after which a face that comes back is another
-const REACH = 1; // radii of a face that it moves at most from one frame to the next
+const REACH = 2; // radii that a face moves at most from a frame to the next; neighbours are 4 apart
 
 const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 const middleOf = (points) => [0, 1].map((k) => mean(points.map((point) => point[k])));
@@ -47,9 +47,10 @@ function smoothed(past, landmarks, time) {
 It returns `{track, landmarks}` of each face, the largest first in the first frame: its number,
 which it keeps from frame to frame, and its landmarks, smoothed if that is asked for. */
 function follower() {
-  let tracks = [], count = 0;
+  let tracks = [], count = 0, last = 0;
   return (faces, time, isSmooth) => {
-    tracks = tracks.filter((track) => time - track.time < LOST);
+    tracks = tracks.filter((track) => last - track.time < LOST); // however late this frame is
+    last = time;
     const pairs = faces.flatMap((landmarks) => tracks.map((track) => {
       const [here, there] = [landmarks, track.landmarks].map(middleOf);
       const away = Math.hypot(here[0] - there[0], here[1] - there[1]) / radiusOf(landmarks);
