@@ -92,13 +92,10 @@ $(READY): setup.cfg constraints.txt
 	  "Python 3.11 to 3.13 is needed; $(PYTHON) is %d.%d. Name another: make PYTHON=python3.12" % v)'
 	@echo 'Installing into $(VENV), which takes about a minute and a half.'
 	@$(PYTHON) -m venv $(VENV)
-	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[experiments,fast,dlib,video,heic,mesh,test]'
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt \
+	  -e '.[experiments,fast,mediapipe,dlib,video,heic,mesh,test]'
 	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: eos-py \
 	  || echo 'eos-py has no wheel here: the tests that need it will skip.'
-# Without its dependencies: FaceMesh loads none of what MediaPipe asks for, half a gigabyte that excludes NumPy 2.
-	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt --only-binary=:all: --no-deps mediapipe \
-	  || echo 'MediaPipe 0.10.21 has no wheel here (it has for Python 3.11 and 3.12 on x86-64 and' \
-	  'macOS): photos are read by dlib, and make reproduce-flame needs MEDIAPIPE=no.'
 	@touch $@
 
 # What each is made of, and in which order, is in experiments/Snakefile.

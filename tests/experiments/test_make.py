@@ -246,7 +246,7 @@ def test_a_wrong_variable_is_one_line(tmp_path, monkeypatch, capsys, target, var
 
 def test_without_mediapipe_its_row_must_be_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(make, "has_face_mesh", lambda: False)
+    monkeypatch.setattr(make, "has_mediapipe", lambda: False)
     monkeypatch.setattr(make, "_planned", lambda command: "")
     with pytest.raises(SystemExit):
         make.main(["reproduce-flame", "DRY=1"])

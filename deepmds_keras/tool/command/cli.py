@@ -82,9 +82,11 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--detector", choices=DETECTORS,
         help="; or ".join(f"{name} ({row.licence})" for name, row in DETECTORS.items())
         + " (default: the first that is installed)")  # fmt: skip
-    add("--landmarker", metavar="FILE",
-        help="file of a face landmarker (.task), for a MediaPipe of 0.10.30 or later that you "
-        "installed yourself; the extra mediapipe installs 0.10.21")  # fmt: skip
+    add(
+        "--landmarker",
+        metavar="FILE",
+        help="file of a face landmarker (.task) of MediaPipe's (default: the one in the package)",
+    )
     add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
     add("--scheme", metavar="NAME|FILE", help=_SCHEME)
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),

@@ -144,7 +144,7 @@ def _open_dlib(landmarker: str | None) -> Find:
 
 DETECTORS = {
     "mediapipe": Detector(
-        "mediapipe", _open_mediapipe, mediapipe_landmarks.has_face_mesh, "Apache 2.0"
+        "mediapipe", _open_mediapipe, mediapipe_landmarks.has_mediapipe, "Apache 2.0"
     ),
     "dlib": Detector(
         "ibug68",

@@ -1,19 +1,23 @@
 """FaceMesh's 468 points of faces in images, by MediaPipe, and the 51 landmarks of them.
 
-FaceMesh (Kartynnik et al. 2019, arXiv:1907.06724) comes with MediaPipe up to 0.10.21; later
-releases contain no model and need a face landmarker file (`.task`) from the user.
+The model is FaceMesh (Kartynnik et al. 2019, arXiv:1907.06724) with its detector of faces, in
+`face_landmarker.task`, which `data_gen/build_landmarker.py` makes.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import sys
+import weakref
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stderr
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec, module_from_spec
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
@@ -23,12 +27,9 @@ from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.tool.detection.photos import check_photo
 
 N_POINTS = 468
-_GRAPH = "modules/face_landmark/face_landmark_front_cpu.binarypb"
-_POINTS, _DETECTIONS = "multi_face_landmarks", "face_detections"
-_HOW_TO = (
-    "from the repository, pip install '.[mediapipe]', for Python 3.11 and 3.12 on x86-64 and "
-    "macOS; a later MediaPipe takes a model by --landmarker FILE; or take --detector dlib"
-)
+LANDMARKER = Path(__file__).with_name("face_landmarker.task")
+_DETECTOR = "face_detector.tflite"  # in the bundle
+_MOST_FACES = 100
 
 
 @cache
@@ -41,22 +42,44 @@ class MediaPipeLandmarks:
     """Finds the points of the faces in an image; not for two threads at once.
 
     Args:
-        landmarker: File of a face landmarker (`.task`), for a MediaPipe later than 0.10.21; None
-            uses the FaceMesh in 0.10.21.
-        max_faces: Maximum number of faces per image.
+        landmarker: File of a face landmarker (`.task`); None uses the one in the package.
 
     Raises:
-        InputError: No such MediaPipe is installed, or the file is not such a model.
+        InputError: MediaPipe is not installed, or the file is not such a model.
     """
 
-    def __init__(self, landmarker: str | Path | None = None, *, max_faces: int = 20):
+    def __init__(self, landmarker: str | Path | None = None):
+        self._path = LANDMARKER if landmarker is None else Path(landmarker)
         with _silenced():
-            self._find: _FaceMesh | _FaceLandmarker = (
-                _FaceMesh(max_faces)
-                if landmarker is None
-                else _FaceLandmarker(landmarker, max_faces)
+            self._open()
+        self._process, self._has_found = os.getpid(), False
+
+    def _open(self) -> None:
+        mp = _import_mediapipe()
+        try:
+            bundle = self._path.read_bytes()
+            with zipfile.ZipFile(io.BytesIO(bundle)) as files:
+                detector = files.read(_DETECTOR)
+            vision, base = mp.tasks.vision, mp.tasks.BaseOptions
+            self._landmarker = vision.FaceLandmarker.create_from_options(
+                vision.FaceLandmarkerOptions(
+                    base_options=base(model_asset_buffer=bundle), num_faces=_MOST_FACES
+                )
             )
-        self._has_found = False
+            # The landmarker keeps the scores of its detector to itself.
+            self._detector = vision.FaceDetector.create_from_options(
+                vision.FaceDetectorOptions(base_options=base(model_asset_buffer=detector))
+            )
+        except (AttributeError, TypeError) as error:
+            raise _no_mediapipe(error) from None
+        except (RuntimeError, ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
+            cause = f"{type(error).__name__}: {brief(error).rstrip('.')}"
+            raise self._no_landmarker(getattr(error, "strerror", None) or cause) from None
+        for model in (self._landmarker, self._detector):
+            # Its own release, when the interpreter ends, prints an error.
+            release, model.close = model.close, lambda: None
+            weakref.finalize(self, release).atexit = False
+        self._image = lambda data: mp.Image(mp.ImageFormat.SRGB, data)
 
     def detect_all(self, image: np.ndarray) -> np.ndarray:
         """Points of every face, without the scores of `detect_scored`."""
@@ -71,30 +94,55 @@ class MediaPipeLandmarks:
         Returns:
             `(n, 468, 3)` float32 pixels, x right and y down from the upper left corner, z in the
             same scale and growing towards the viewer; n may be 0. `(n,)` scores: above 0.9 for
-            most upright faces, and less if the image lies on its side or is upside down; NaN for
-            a landmarker, which gives none.
+            most upright faces, and less if the image lies on its side or is upside down.
 
         Raises:
             InputError: Not such an image.
         """
-        image = np.ascontiguousarray(check_photo(image))
-        # The library logs only until it has found a face.
-        with nullcontext() if self._has_found else _silenced():
-            faces, scores = self._find(image)
-        self._has_found |= len(faces) > 0
-        height, width = image.shape[:2]
-        points = (faces * (width, height, -width)).astype(np.float32)
+        points, scores = self._find(np.ascontiguousarray(check_photo(image)))
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]
 
+    def _find(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Faces of one size of image, as `detect_scored` returns them, in any order.
+
+        Each face takes the score of the nearest detected box.
+        """
+        frame, (height, width) = self._image(image), image.shape[:2]
+        # The library logs only until it has found a face.
+        with nullcontext() if self._has_found else _silenced():
+            faces = self._landmarker.detect(frame).face_landmarks
+            detections = self._detector.detect(frame).detections
+        if not faces:
+            return np.empty((0, N_POINTS, 3), np.float32), np.empty(0)
+        self._has_found = True
+        points = np.array([[(point.x, point.y, point.z) for point in face] for face in faces])
+        points = points[:, :N_POINTS] * (width, height, -width)
+        boxes = [detection.bounding_box for detection in detections]
+        centres = [(b.origin_x + b.width / 2, b.origin_y + b.height / 2) for b in boxes]
+        apart = np.linalg.norm(points[:, None, :, :2].mean(2) - np.array(centres), axis=2)
+        nearest = apart.argmin(1)
+        # The unit of z is that of the line between the detected eyes, drawn in the unit square.
+        eyes = np.array([[(k.x, k.y) for k in detections[i].keypoints[:2]] for i in nearest])
+        lines = np.diff(eyes, axis=1)[:, 0]
+        z = np.linalg.norm(lines * (1, height / width), axis=1) / np.linalg.norm(lines, axis=1)
+        points[..., 2] *= z[:, None]
+        scores = np.array([detections[i].categories[0].score for i in nearest])
+        return points.astype(np.float32), scores
+
+    def _no_landmarker(self, received: str) -> InputError:
+        return InputError(
+            f"{self._path} must be a face landmarker of MediaPipe's. Received: {received}."
+        )
+
 
 def detect(images: Iterable[np.ndarray]) -> np.ndarray:
-    """Points of the most prominent face in each image `(H, W, 3)` uint8 RGB, by FaceMesh.
+    """Points of the largest face in each image `(H, W, 3)` uint8 RGB.
 
     Returns:
         `(n, 468, 3)` float32 as from `MediaPipeLandmarks.detect_all`; NaN where no face is found.
     """
-    detector = MediaPipeLandmarks(max_faces=1)
+    detector = shared_detector()
     none = np.full((N_POINTS, 3), np.nan, np.float32)
     faces = [next(iter(detector.detect_all(image)), none) for image in images]
     return np.reshape(faces, (-1, N_POINTS, 3)).astype(np.float32)
@@ -119,150 +167,37 @@ def landmarks51(points: np.ndarray, which: str = "corrected") -> np.ndarray:
     return points[:, numbers] * np.array((1, -1, 1), points.dtype)
 
 
-def has_face_mesh() -> bool:
-    """Whether a MediaPipe that contains FaceMesh is installed; loads nothing."""
-    return _face_mesh_file() is not None
+def has_mediapipe() -> bool:
+    """Whether MediaPipe is installed; loads nothing."""
+    return find_spec("mediapipe") is not None
 
 
-class _FaceMesh:
-    """The model in MediaPipe 0.10.21, as a function of one image."""
+def _import_mediapipe() -> ModuleType:
+    """MediaPipe, without TensorFlow.
 
-    def __init__(self, max_faces: int):
-        file = _face_mesh_file()
-        if file is None:
-            raise _no_mediapipe(f"MediaPipe with FaceMesh must be installed: {_HOW_TO}")
-        try:
-            with _bare_package():
-                import mediapipe.python as mp
-                from mediapipe.framework.formats import (  # noqa: F401 what comes out is of these
-                    detection_pb2,
-                    landmark_pb2,
-                )
-        except ImportError as error:
-            raise _no_mediapipe(f"MediaPipe must be whole: {_HOW_TO}", error) from None
-        self._mp, self._n_images = mp, 0
-        self._packets: dict[str, list] = {_POINTS: [], _DETECTIONS: []}
-        mp.resource_util.set_resource_dir(str(file.parents[3]))
-        self._graph = mp.CalculatorGraph(binary_graph_path=str(file))
-        for name, packets in self._packets.items():
-            self._graph.observe_output_stream(
-                name, lambda _, packet, packets=packets: packets.append(packet)
-            )
-        make = mp.packet_creator
-        self._graph.start_run(
-            {
-                "num_faces": make.create_int(max_faces),
-                "with_attention": make.create_bool(False),
-                # Otherwise the search for a face would begin where the last image had one.
-                "use_prev_landmarks": make.create_bool(False),
-            }
-        )
-        self._graph.wait_until_idle()  # until its threads have loaded the models
-
-    def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`(n, 468, 3)`: x, z in units of the width, y of the height, z smaller when nearer.
-
-        Also `(n,)` scores: each face takes that of the nearest detected box.
-        """
-        mp = self._mp
-        frame = mp.packet_creator.create_image_frame(image, image_format=mp.ImageFormat.SRGB)
-        self._n_images += 1  # its time stamp, which must grow
-        for packets in self._packets.values():
-            packets.clear()
-        self._graph.add_packet_to_input_stream("image", frame.at(self._n_images))
-        self._graph.wait_until_idle()
-        faces, detections = (
-            [proto for packet in packets for proto in mp.packet_getter.get_proto_list(packet)]
-            for packets in self._packets.values()
-        )
-        points = _points(face.landmark for face in faces)
-        if not faces:
-            return points, np.empty(0)
-        boxes = [detection.location_data.relative_bounding_box for detection in detections]
-        centres = [(box.xmin + box.width / 2, box.ymin + box.height / 2) for box in boxes]
-        apart = np.linalg.norm(points[:, None, :, :2].mean(2) - np.array(centres), axis=2)
-        return points, np.array([detections[i].score[0] for i in apart.argmin(1)])
-
-
-class _FaceLandmarker:
-    """The model in the user's file, by a MediaPipe that has the task API.
-
-    It must be released before the interpreter ends, or MediaPipe prints an error.
+    Where that is installed MediaPipe loads it, 6 s, to mark parts of its own documentation.
     """
-
-    def __init__(self, path: str | Path, max_faces: int):
-        try:
-            content = Path(path).read_bytes()
-        except OSError as error:
-            raise _no_landmarker(path, error.strerror or brief(error)) from None
-        try:
-            import mediapipe as mp
-
-            options = mp.tasks.vision.FaceLandmarkerOptions(
-                base_options=mp.tasks.BaseOptions(model_asset_buffer=content),
-                num_faces=max_faces,
-            )
-            self._model = mp.tasks.vision.FaceLandmarker.create_from_options(options)
-        except (ImportError, AttributeError, TypeError) as error:
-            needed = "--landmarker needs a whole MediaPipe 0.10.30 or later, which is not that of "
-            raise _no_mediapipe(f"{needed}the extra mediapipe", error) from None
-        except (RuntimeError, ValueError, OSError) as error:
-            raise _no_landmarker(
-                path, f"{type(error).__name__}: {brief(error).rstrip('.')}"
-            ) from None
-        self._path, self._image = path, lambda data: mp.Image(mp.ImageFormat.SRGB, data)
-
-    def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As for `_FaceMesh`, without the points of the irises; scores are NaN."""
-        faces = _points(self._model.detect(self._image(image)).face_landmarks)
-        if faces.shape[1] < N_POINTS:
-            raise _no_landmarker(self._path, f"{faces.shape[1]} points a face")
-        return faces[:, :N_POINTS], np.full(len(faces), np.nan)
+    name = "mediapipe.tasks.python.core.optional_dependencies"
+    marks = ModuleType(name)
+    vars(marks)["doc_controls"] = SimpleNamespace(do_not_generate_docs=lambda part: part)
+    sys.modules.setdefault(name, marks)
+    try:
+        import mediapipe
+    except (ImportError, OSError) as error:  # the latter for a compiled library that cannot load
+        raise _no_mediapipe(error) from None
+    return mediapipe
 
 
-def _points(faces: Iterable) -> np.ndarray:
-    points = [[(point.x, point.y, point.z) for point in face] for face in faces]
-    return np.array(points) if points else np.empty((0, N_POINTS, 3))
-
-
-def _face_mesh_file() -> Path | None:
-    spec = find_spec("mediapipe")
-    folders = spec.submodule_search_locations or () if spec else ()
-    return next((path for path in (Path(f, _GRAPH) for f in folders) if path.is_file()), None)
-
-
-def _no_mediapipe(needed: str, error: Exception | None = None) -> InputError:
+def _no_mediapipe(error: Exception) -> InputError:
     try:
         received = f"MediaPipe {version('mediapipe')}"
     except PackageNotFoundError:
         received = "no MediaPipe"
-    cause = f", {type(error).__name__}: {brief(error)}" if error else ""
-    return InputError(f"{needed}. Received {received}{cause}.")
-
-
-def _no_landmarker(path: str | Path, received: str) -> InputError:
-    return InputError(f"{path} must be a face landmarker of MediaPipe's. Received: {received}.")
-
-
-@contextmanager
-def _bare_package() -> Iterator[None]:
-    """Allow parts of MediaPipe to be imported without all of it.
-
-    The package's `__init__` imports OpenCV, matplotlib and, if installed, TensorFlow and JAX;
-    FaceMesh needs none of them (0.2 s instead of 5 to 20 s, and no libGL). A later import of
-    MediaPipe gets all of it, with the same compiled library.
-    """
-    spec = find_spec("mediapipe")
-    if spec is None or "mediapipe" in sys.modules:
-        yield
-        return
-    sys.modules["mediapipe"] = module_from_spec(spec)
-    try:
-        yield
-    finally:
-        for name in [name for name in sys.modules if name.partition(".")[0] == "mediapipe"]:
-            if not name.startswith("mediapipe.python._framework_bindings"):
-                del sys.modules[name]
+    return InputError(
+        "MediaPipe 0.10.30 or later must be installed: from the repository, pip install "
+        f"'.[mediapipe]'; or take --detector dlib. Received {received}, "
+        f"{type(error).__name__}: {brief(error).rstrip('.')}."
+    )
 
 
 @contextmanager

@@ -33,7 +33,8 @@ class FaceLifter:
 
     Args:
         detector: `"mediapipe"` or `"dlib"`; None uses the first that is installed.
-        landmarker: File of a face landmarker (`.task`) for a MediaPipe later than 0.10.21.
+        landmarker: File of a face landmarker (`.task`) of MediaPipe's; None uses the one in
+            the package.
         model: `"lifting"` (the default), `"deepmds"`, the paper's method, or a file that
             `LandmarkLifter.save` or `DeepMDS.save` wrote. A lifter of other objects takes
             landmarks alone.
