@@ -71,8 +71,8 @@ class LandmarkLifter:
 
     Attributes:
         weights_: Trained arrays by name.
-        mean_shape_: `(L, 3)` mean of the training faces, in the unit of `predict`; read
-            from a file of before version 0.4, which lacks it, the network's own, which is near.
+        mean_shape_: `(L, 3)` mean of the training faces, in the unit of `predict`; None if read
+            from a file of before version 0.4, which lacks it.
         default_sd_: Standard deviation that `predict` assumes if none is given, in units of the
             root mean square radius: `DEFAULT_SD`, or the mean in training if that is less.
         history_: Losses of each block of 100 steps.
@@ -269,7 +269,9 @@ class LandmarkLifter:
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights to one `.npz` file, whole or not at all."""
-        arrays = check_fitted(self, "weights_", _SETTERS) | {_MEAN_SHAPE: self.mean_shape_}
+        arrays = dict(check_fitted(self, "weights_", _SETTERS))
+        if self.mean_shape_ is not None:
+            arrays[_MEAN_SHAPE] = self.mean_shape_
         described = {
             "parameters": self.get_params(),
             "default_sd": self.default_sd_,
@@ -290,8 +292,7 @@ class LandmarkLifter:
             lifter._check_parameters()
             mean_shape = arrays.pop(_MEAN_SHAPE, None)
             check_weights(arrays, lifter.n_landmarks)
-            mean_shape = arrays["mean"].T if mean_shape is None else mean_shape
-            if mean_shape.shape != (lifter.n_landmarks, 3):
+            if mean_shape is not None and mean_shape.shape != (lifter.n_landmarks, 3):
                 raise ValueError(f"{_MEAN_SHAPE} has shape {mean_shape.shape}")
             lifter.default_sd_ = float(described["default_sd"])
             lifter.history_ = described["history"]

@@ -73,8 +73,8 @@ def evaluate(
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
     scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
     lifter = lifter or LandmarkLifter.pretrained(scheme)
-    is_face, mean = load_scheme(scheme).is_face, lifter.mean_shape_.astype(float)
-    shapes = _oriented(shapes, scheme, mean)
+    is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)
+    shapes = _oriented(shapes, scheme, frame)
     if landmarks is None:
         views = shapes[..., :2]
     else:
@@ -89,10 +89,9 @@ def evaluate(
                 f"{landmarks} must have landmarks of each face. Received none of face {face + 1}: "
                 "leave it out of both files."
             )
-    predicted = {
-        "mean shape": np.broadcast_to(mean, shapes.shape),
-        "lifting": lifter.predict(views, check_orientation=is_face),
-    }
+    predicted = {"lifting": lifter.predict(views, check_orientation=is_face)}
+    if lifter.mean_shape_ is not None:  # as it is in older files
+        predicted = {"mean shape": np.broadcast_to(lifter.mean_shape_, shapes.shape)} | predicted
     if landmarks is None:
         exact = lifter.predict(views, landmark_sd=0, check_orientation=is_face)
         predicted["lifting, exact"] = exact
@@ -101,7 +100,7 @@ def evaluate(
 
         fitted = EosFit(eos).predict(views)
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")
-    rows = [*_rows(predicted, shapes, scheme, mean)]
+    rows = [*_rows(predicted, shapes, scheme, frame)]
     write_bytes(files[0], _csv(rows).encode())
     unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"
     _print(rows, len(shapes), unit)
