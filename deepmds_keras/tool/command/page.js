@@ -300,7 +300,10 @@ function drawWireframe(canvas, options) {
   return {
     turnTo, reset,
     mark: (landmark) => mark(landmark === null || !shapes.length ? null : { shape: 0, landmark }),
-    show: (others) => { [shapes, marked] = [others, others[marked?.shape] ? marked : null]; redraw(); },
+    show(others) {
+      [shapes, marked] = [others, others[marked?.shape] ? marked : null];
+      redraw();
+    },
     showNumbers: (on) => { numbered = on; redraw(); },
     showSurface: options.surface
       ? (on) => { surface = on ? options.surface : null; redraw(); } : null,

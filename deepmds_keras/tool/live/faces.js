@@ -58,7 +58,8 @@ function follower() {
     })).filter(({ away }) => away < REACH).sort((one, other) => one.away - other.away);
     const known = new Map(); // landmarks → track: the nearest first, each once
     for (const { landmarks, track } of pairs) {
-      if (!known.has(landmarks) && ![...known.values()].includes(track)) known.set(landmarks, track);
+      const isTaken = [...known.values()].includes(track);
+      if (!known.has(landmarks) && !isTaken) known.set(landmarks, track);
     }
     return faces.toSorted((one, other) => radiusOf(other) - radiusOf(one)).map((landmarks) => {
       let track = known.get(landmarks);

@@ -15,8 +15,8 @@ const stepsOf = (dims) => dims.map((_, axis) => product(dims.slice(axis + 1)));
 
 /* Where elements lie, in order, if they begin at `first` and axes have these steps. */
 function placesOf(dims, steps, first = 0) {
-  const along = (places, axis) =>
-    places.flatMap((place) => Array.from({ length: dims[axis] }, (_, i) => place + i * steps[axis]));
+  const along = (places, axis) => places.flatMap((place) =>
+    Array.from({ length: dims[axis] }, (_, i) => place + i * steps[axis]));
   return Int32Array.from([...dims.keys()].reduce(along, [first]));
 }
 

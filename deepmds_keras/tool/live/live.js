@@ -85,7 +85,7 @@ function tell(face, count) {
 
 function drawPhoto(image, width, height, faces) {
   const canvas = at("photo"), pen = canvas.getContext("2d");
-  if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+  [canvas.width, canvas.height] = [width, height];
   pen.drawImage(image, 0, 0, width, height);
   const fine = Math.max(width, height) / 640;
   pen.font = `${16 * fine}px system-ui, sans-serif`;
