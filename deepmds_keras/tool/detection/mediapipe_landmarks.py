@@ -25,6 +25,7 @@ from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.tool.detection.photos import check_photo
+from deepmds_keras.tool.detection.small_faces import find_faces
 
 N_POINTS = 468
 LANDMARKER = Path(__file__).with_name("face_landmarker.task")
@@ -79,7 +80,7 @@ class MediaPipeLandmarks:
             # Its own release, when the interpreter ends, prints an error.
             release, model.close = model.close, lambda: None
             weakref.finalize(self, release).atexit = False
-        self._image = lambda data: mp.Image(mp.ImageFormat.SRGB, data)
+        self._image = lambda data: mp.Image(mp.ImageFormat.SRGB, np.ascontiguousarray(data))
 
     def detect_all(self, image: np.ndarray) -> np.ndarray:
         """Points of every face, without the scores of `detect_scored`."""
@@ -99,14 +100,14 @@ class MediaPipeLandmarks:
         Raises:
             InputError: Not such an image.
         """
-        points, scores = self._find(np.ascontiguousarray(check_photo(image)))
+        points, scores = find_faces(check_photo(image), self._find, self._find_boxes)
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]
 
     def _find(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Faces of one size of image, as `detect_scored` returns them, in any order.
+        """Large faces, as `detect_scored` returns them, in any order.
 
-        Each face takes the score of the nearest detected box.
+        Each takes the score of the nearest detected box.
         """
         frame, (height, width) = self._image(image), image.shape[:2]
         # The library logs only until it has found a face.
@@ -118,17 +119,20 @@ class MediaPipeLandmarks:
         self._has_found = True
         points = np.array([[(point.x, point.y, point.z) for point in face] for face in faces])
         points = points[:, :N_POINTS] * (width, height, -width)
-        boxes = [detection.bounding_box for detection in detections]
-        centres = [(b.origin_x + b.width / 2, b.origin_y + b.height / 2) for b in boxes]
-        apart = np.linalg.norm(points[:, None, :, :2].mean(2) - np.array(centres), axis=2)
-        nearest = apart.argmin(1)
+        boxes = _boxes(detections)
+        centres = (boxes[:, :2] + boxes[:, 2:4]) / 2
+        nearest = np.linalg.norm(points[:, None, :, :2].mean(2) - centres, axis=2).argmin(1)
         # The unit of z is that of the line between the detected eyes, drawn in the unit square.
         eyes = np.array([[(k.x, k.y) for k in detections[i].keypoints[:2]] for i in nearest])
         lines = np.diff(eyes, axis=1)[:, 0]
         z = np.linalg.norm(lines * (1, height / width), axis=1) / np.linalg.norm(lines, axis=1)
         points[..., 2] *= z[:, None]
-        scores = np.array([detections[i].categories[0].score for i in nearest])
-        return points.astype(np.float32), scores
+        return points.astype(np.float32), boxes[nearest, 4]
+
+    def _find_boxes(self, image: np.ndarray) -> np.ndarray:
+        """`(n, 5)` boxes of faces: left, top, right, bottom in pixels, score."""
+        with nullcontext() if self._has_found else _silenced():
+            return _boxes(self._detector.detect(self._image(image)).detections)
 
     def _no_landmarker(self, received: str) -> InputError:
         return InputError(
@@ -165,6 +169,13 @@ def landmarks51(points: np.ndarray, which: str = "corrected") -> np.ndarray:
     column = "number" if which == "corrected" else "authors"
     numbers = [int(row[column]) for row in read_table(FOLDER / "mediapipe_ibug68.csv")]
     return points[:, numbers] * np.array((1, -1, 1), points.dtype)
+
+
+def _boxes(detections: Iterable) -> np.ndarray:
+    boxes = [(each.bounding_box, each.categories[0].score) for each in detections]
+    sides = [(b.origin_x, b.origin_y, b.origin_x + b.width, b.origin_y + b.height, score)
+             for b, score in boxes]  # fmt: skip
+    return np.reshape(np.array(sides, float), (-1, 5))
 
 
 def has_mediapipe() -> bool:

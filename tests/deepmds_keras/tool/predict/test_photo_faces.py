@@ -2,9 +2,16 @@
 
 import numpy as np
 import pytest
+from PIL import Image
+from places import MEDIAPIPE, ROOT
 
+from deepmds_keras import FaceLifter
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.tool.predict.photo_faces import find_upright
+
+# A face of 68 landmarks, all but its eyes and mouth in one place.
+FACE = np.zeros((68, 2))
+FACE[36:42], FACE[42:48], FACE[48:] = (-1, -1), (1, -1), (0, 1)
 
 
 @pytest.mark.parametrize("unsure", [0.0, 0.8])
@@ -20,16 +27,31 @@ def test_a_photo_that_lies_on_its_side_is_turned_and_its_landmarks_turned_back(q
         upright = height > width and x < width / 2 and y < height / 2
         # One that is wrong, and less sure, where the photo is not upright.
         score = 0.95 if upright else unsure
-        return np.full((1, 68, 2), (x, y) if upright else (3, 3)), np.array([score])
+        return FACE[None] + ((x, y) if upright else (3, 3)), np.array([score])
 
     photo = np.zeros((120, 90, 3), np.uint8)
     photo[30:32, 20:24] = 255
     photo = np.rot90(photo, -quarters)
-    faces, scores = find_upright(photo, detect)
+    faces, scores = find_upright(photo, detect, "ibug68")
     assert len(looked_at) == (4 if quarters else 1), "what is found upright is not turned"
     y, x = np.argwhere(photo[..., 0]).mean(0) + 0.5
-    np.testing.assert_array_equal(faces, np.full((1, 68, 2), (x, y)))
+    turned = FACE @ np.linalg.matrix_power([[0, 1], [-1, 0]], quarters)
+    np.testing.assert_allclose(faces, turned[None] + (x, y), atol=1e-9)
     assert scores == [0.95]
+
+
+@pytest.mark.parametrize(
+    ("as_stored", "turned", "taken"),
+    [((0.8, 0), (0.7, 0), 0), ((0.6, 0), (0.74, 0), 0), ((0.6, 0), (0.8, 0), 1),
+     ((0.8, 1), (0.78, 0), 1), ((0.8, 1), (0.95, 1), 0)],
+)  # fmt: skip
+def test_a_turn_must_bring_an_upright_face_that_scores_well(as_stored, turned, taken):
+    def detect(photo):
+        score, lies = turned if photo.shape[0] > photo.shape[1] else as_stored
+        return FACE[None] @ np.linalg.matrix_power([[0, 1], [-1, 0]], lies), np.array([score])
+
+    _, scores = find_upright(np.zeros((60, 90, 3), np.uint8), detect, "ibug68")
+    assert scores == [(as_stored, turned)[taken][0]]
 
 
 @pytest.mark.parametrize("score", [1.0, np.nan])
@@ -37,13 +59,51 @@ def test_faces_come_from_left_to_right_with_their_scores(score):
     places = np.array([300.0, 20, 100])
 
     def detect(photo):
-        return places[:, None, None] + np.zeros((3, 68, 2)), np.array([score, 0.1, 0.2])
+        return places[:, None, None] + FACE, np.array([score, 0.1, 0.2])
 
-    faces, scores = find_upright(np.zeros((50, 400, 3), np.uint8), detect)
+    faces, scores = find_upright(np.zeros((50, 400, 3), np.uint8), detect, "ibug68")
     assert [*faces[:, 0, 0]] == [20, 100, 300]
     np.testing.assert_array_equal(scores, [0.1, 0.2, score])
     none = np.empty((0, 68, 2)), np.empty(0)
-    assert [len(each) for each in find_upright(np.zeros((9, 9, 3)), lambda _: none)] == [0, 0]
+    found = find_upright(np.zeros((9, 9, 3)), lambda _: none, "ibug68")
+    assert [len(each) for each in found] == [0, 0]
+
+
+@pytest.fixture(scope="module")
+def head():
+    """A square of the astronaut's face, whose inner landmarks span 0.45 of it."""
+    return Image.open(ROOT / "docs/pictures/astronaut.jpg").crop((157, 57, 291, 191))
+
+
+@pytest.fixture(scope="module")
+def predict():
+    if not MEDIAPIPE:
+        pytest.skip("MediaPipe is not installed")
+    return FaceLifter("mediapipe").predict
+
+
+def placed(head, side, *corners):
+    photo = Image.new("RGB", (1200, 1200), (118, 121, 116))
+    for corner in corners:
+        photo.paste(head.resize((side, side), Image.Resampling.LANCZOS), corner)
+    return photo
+
+
+@pytest.mark.parametrize("share", [0.04, 0.06, 0.08])
+def test_small_faces_have_the_shape_of_the_large_one(predict, head, share):
+    (large,) = predict(head.resize((500, 500), Image.Resampling.LANCZOS))
+    (small,) = predict(placed(head, round(2.2 * share * 1200), (430, 710)))
+    assert np.linalg.norm(small.xyz - large.xyz, axis=1).mean() < 0.006
+
+
+def test_no_small_face_is_missed_found_twice_or_turned(predict, head):
+    rng = np.random.default_rng(0)
+    for side in (110, 160, 220):
+        faces = predict(placed(head, side, tuple(map(int, rng.integers(0, 1200 - side, 2)))))
+        assert len(faces) == 1 and abs(faces[0].pose.roll) < 20
+    corners = [(30 + 230 * (i % 5), 30 + 230 * (i // 5)) for i in range(25)]
+    faces = predict(placed(head, 190, *corners))
+    assert len(faces) == 25 and all(abs(face.pose.roll) < 20 for face in faces)
 
 
 def test_landmarks_of_mediapipe_move_with_the_face_and_those_of_dlib_stay():
