@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 KERAS_BACKENDS = ("jax", "openvino", "torch")  # packages that Keras loads if it is told to
 _LONGEST = 200
+_used_in: dict[str, int] = {}  # the process in which each library with threads was used first
 
 
 class InputError(ValueError):
@@ -30,6 +32,19 @@ def escape_unprintable() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+
+
+def check_fork(library: str) -> None:
+    """Refuse a library in a fork of the process that used it: its threads are not in there.
+
+    Raises:
+        InputError: This is such a fork, which would wait for them for ever.
+    """
+    if _used_in.setdefault(library, os.getpid()) != os.getpid():
+        raise InputError(
+            f"{library} must be used in a process that is no fork of one in which it was used: "
+            "start processes by multiprocessing.get_context('spawn'). Received a fork."
+        )
 
 
 def check_choice(value: object, name: str, choices: Collection[str]) -> None:

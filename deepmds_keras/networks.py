@@ -9,7 +9,7 @@ import keras
 import numpy as np
 from keras import layers
 
-from deepmds_keras.errors import check_choice
+from deepmds_keras.errors import check_choice, check_fork
 from deepmds_keras.proximities import VARIANTS
 from deepmds_keras.validation import check_n_landmarks
 
@@ -98,6 +98,7 @@ def dense_block(
     normalised: bool = True,
 ) -> keras.KerasTensor:
     """The trio of both networks: dense, LeakyReLU, batch normalisation; `seed` is of the kernel."""
+    check_fork("Keras")
     initial = keras.initializers.GlorotUniform(seed=seed)
     x = layers.Dense(units, kernel_initializer=initial, name=name)(x)
     if activated:
@@ -121,7 +122,11 @@ def forward(network: keras.Model, inputs: np.ndarray, batch_size: int = 1 << 15)
         network: Model with one input and one output.
         inputs: `(n, …)`.
         batch_size: Rows at a time, which bounds the memory.
+
+    Raises:
+        InputError: In a fork of a process that has used Keras.
     """
+    check_fork("Keras")
     batches = range(0, len(inputs), batch_size)
     outputs = [network.predict_on_batch(inputs[i : i + batch_size]) for i in batches]
     return np.concatenate(outputs)

@@ -21,7 +21,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, check_fork
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.tool.detection.photos import check_photo
@@ -46,14 +46,16 @@ class MediaPipeLandmarks:
         landmarker: File of a face landmarker (`.task`); None uses the one in the package.
 
     Raises:
-        InputError: MediaPipe is not installed, or the file is not such a model.
+        InputError: MediaPipe is not installed, the file is not such a model, or this is a fork of
+            a process that has used MediaPipe.
     """
 
     def __init__(self, landmarker: str | Path | None = None):
+        check_fork("MediaPipe")
         self._path = LANDMARKER if landmarker is None else Path(landmarker)
         with _silenced():
             self._open()
-        self._process, self._has_found = os.getpid(), False
+        self._has_found = False
 
     def _open(self) -> None:
         mp = _import_mediapipe()
@@ -98,8 +100,9 @@ class MediaPipeLandmarks:
             most upright faces, and less if the image lies on its side or is upside down.
 
         Raises:
-            InputError: Not such an image.
+            InputError: Not such an image, or in a fork of the process.
         """
+        check_fork("MediaPipe")
         points, scores = find_faces(check_photo(image), self._find, self._find_boxes)
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]

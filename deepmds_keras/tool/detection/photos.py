@@ -18,31 +18,34 @@ MIN_SIDE, MAX_PIXELS = 32, 256_000_000
 _MAX_BYTES = 1 << 29
 
 
-def open_photo(source: str | Path | bytes | BinaryIO) -> np.ndarray:
+def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarray:
     """A photo, in colour and upright.
 
     A grey photo gets three equal channels, transparency becomes white, and the camera's
-    orientation tag is applied.
+    orientation tag is applied. If grey values have more than 8 bits, the largest tells how many.
 
     Args:
-        source: File, its content, or an open binary file. Any format that Pillow reads except
-            PostScript, and HEIC if pillow-heif is installed; the first of several frames.
+        source: File, its content, an open binary file, or what Pillow opened. Any format that
+            Pillow reads except PostScript, and HEIC if pillow-heif is installed; the first of
+            several frames.
 
     Returns:
         `(H, W, 3)` uint8, RGB.
 
     Raises:
         InputError: The file is missing, damaged or not a photo, has a side below 32 pixels or more
-            than 256 million pixels, or is larger than 512 MiB.
+            than 256 million pixels, is larger than 512 MiB, or has values in no known range.
     """
     name = source if isinstance(source, (str, os.PathLike)) else "image"
     try:
+        if isinstance(source, Image.Image):
+            return _pixels(source)
         content = _content(source)
         # By the content: telephones send HEIC files called `.jpg`.
         is_heic = content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis")
         with _opened_heic(content, name) if is_heic else _opened(content) as photo:
             _check_head(photo)
-            return np.array(in_colour(ImageOps.exif_transpose(photo)))
+            return _pixels(photo)
     except MissingPackageError:
         raise
     except FileNotFoundError:
@@ -73,14 +76,27 @@ def check_photo(photo: np.ndarray) -> np.ndarray:
     return photo
 
 
-def in_colour(photo: Image.Image) -> Image.Image:
-    """The photo as RGB; transparency becomes white."""
-    if photo.mode.startswith("I"):  # 16 bits per pixel, which Pillow would clip at 255
-        photo = Image.fromarray(np.uint8(np.asarray(photo, float).clip(0, 65535) / 257))
+def _pixels(photo: Image.Image) -> np.ndarray:
+    photo = ImageOps.exif_transpose(photo)
+    if photo.mode.startswith(("I", "F")):  # more than 8 bits per pixel, which Pillow would clip
+        photo = Image.fromarray(_in_8_bits(np.asarray(photo, float)))
     if photo.has_transparency_data:
         photo = photo.convert("RGBA")
         photo = Image.alpha_composite(Image.new("RGBA", photo.size, "white"), photo)
-    return photo.convert("RGB")
+    return np.array(photo.convert("RGB"))
+
+
+def _in_8_bits(grey: np.ndarray) -> np.ndarray:
+    """Grey values from 0 to 255; white is 1, or the largest number of as few bits as hold them."""
+    largest, whites = grey.max(), [2**bits - 1 for bits in (1, 8, 10, 12, 14, 16)]
+    # A little more than 1 may be of either range; NaN is of none.
+    if not (grey.min() >= 0 and largest <= whites[-1]) or 1 < largest < 2:
+        raise InputError(
+            "must have grey values from 0 to 1, to 255 or to 65535; bring them to 0 to 255. "
+            f"Received {grey.min():.6g} to {largest:.6g}."
+        )
+    white = next(white for white in whites if largest <= white)
+    return np.rint(grey * (255 / white)).astype(np.uint8)
 
 
 def _opened_heic(content: bytes, name: object) -> Image.Image:

@@ -15,7 +15,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
-from deepmds_keras.tool.detection.photos import check_photo, in_colour, open_photo
+from deepmds_keras.tool.detection.photos import check_photo, open_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
@@ -89,9 +89,7 @@ class FaceLifter:
         """
         image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
-        if isinstance(image, Image.Image):
-            pixels = check_photo(np.asarray(in_colour(image)))
-        elif isinstance(image, (str, os.PathLike, bytes)):
+        if isinstance(image, (str, os.PathLike, bytes, Image.Image)):
             pixels = open_photo(image)
         else:
             pixels = check_photo(image)

@@ -33,6 +33,41 @@ def test_grey_photos_become_three_equal_channels(tmp_path, grey):
     assert np.array_equal(photo, np.repeat(np.tile(expected, (64, 1))[..., None], 3, axis=2))
 
 
+@pytest.mark.parametrize(
+    ("kind", "white"),
+    [(np.uint16, 255), (np.uint16, 1023), (np.uint16, 4095), (np.int32, 65535),
+     (np.float32, 1), (np.float32, 255), (np.float32, 65535)],
+)  # fmt: skip
+def test_the_largest_grey_value_tells_the_range(tmp_path, kind, white):
+    grey = np.tile(RAMP / 255 * white, (64, 1)).astype(kind)
+    photo = open_photo(saved(tmp_path, grey, "photo.tif"))
+    assert np.abs(photo[..., 0].astype(int) - RAMP).max() <= 1 and photo.max() == 255
+    assert np.array_equal(open_photo(Image.fromarray(grey)), photo)
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [(np.float32, 0, np.nan), (np.float32, -1, 1), (np.float32, 0, 1.2), (np.int32, 0, 70000)],
+)
+def test_grey_values_in_no_known_range_are_refused(tmp_path, kind, low, high):
+    grey = np.linspace(low, high, 64 * 64).reshape(64, 64).astype(kind)
+    for source, name in (
+        (saved(tmp_path, grey, "a.tif"), "a.tif"),
+        (Image.fromarray(grey), "^image"),
+    ):
+        with pytest.raises(InputError, match=f"{name} must have grey values from 0 to 1, to 255"):
+            open_photo(source)
+
+
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_what_pillow_opened_is_brought_upright_as_its_file_is(tmp_path, colour, tag):
+    exif = Image.Exif()
+    exif[0x0112] = tag
+    path = saved(tmp_path, colour[:40], exif=exif)
+    with Image.open(path) as opened:
+        assert np.array_equal(open_photo(opened), open_photo(path))
+
+
 def test_transparent_is_white(tmp_path, colour):
     alpha = np.full((64, 64, 1), 255, np.uint8)
     alpha[:, 32:] = 0

@@ -1,5 +1,9 @@
 """Any detector finds the landmarks of photos, whichever side is up; its errors are known."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -122,3 +126,45 @@ def test_errors_of_each_detector_are_known_in_its_schemes():
         sd = detector_sd(detector, scheme)
         assert sd.shape == (n,) and (sd > 0.02).all() and (sd < 0.5).all()
     assert detector_sd("mediapipe", "bfm72") is None
+
+
+FORKED = """
+from multiprocessing import get_context
+import numpy as np
+from deepmds_keras import DeepMDS, FaceLifter, InputError
+
+VIEW = np.random.default_rng(0).normal(size=(51, 2))
+
+def use(_):
+    try:
+        {use}
+    except InputError as error:
+        return str(error)
+
+if __name__ == "__main__":
+    lifter = FaceLifter("mediapipe")
+    use(0)
+    with get_context("fork").Pool(1) as pool:
+        print(pool.apply_async(use, (0,)).get(timeout=60))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.parametrize(
+    ("library", "use"),
+    [
+        ("MediaPipe", "lifter.predict(np.zeros((64, 64, 3), np.uint8))"),
+        pytest.param(
+            "Keras",
+            "DeepMDS.pretrained('deepmds-ibug51').predict(VIEW, check_orientation=False)",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_in_a_fork_it_is_refused_instead_of_waiting_for_ever(library, use):
+    if library == "MediaPipe" and not MEDIAPIPE:
+        pytest.skip("MediaPipe is not installed")
+    command = [sys.executable, "-c", FORKED.replace("{use}", use)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.startswith(f"{library} must be used in a process that is no fork")
+    assert "get_context('spawn')" in done.stdout
