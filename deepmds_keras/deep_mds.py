@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator
 
 from deepmds_keras import networks, weights
 from deepmds_keras.embedding import SOLVERS, embed
-from deepmds_keras.errors import InputError, check_choice
+from deepmds_keras.errors import InputError, check_choice, check_fork
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.orientation import front_landmark, resolve_orientation
 from deepmds_keras.geometry.units import centre, normalise
@@ -232,8 +232,10 @@ class DeepMDS(BaseEstimator):
         """Read what `save` wrote.
 
         Raises:
-            InputError: Missing or damaged file, or weights of another shape.
+            InputError: Missing or damaged file, weights of another shape, or a fork of a process
+                that has used Keras.
         """
+        check_fork("Keras")
         arrays, described = read_arrays(path)
         try:
             parameters = described["parameters"]

@@ -35,7 +35,7 @@ from deepmds_keras.tool.command.sources import (
     name_sources,
 )
 from deepmds_keras.tool.detection import DETECTORS
-from deepmds_keras.tool.detection.photos import open_photo
+from deepmds_keras.tool.detection.photos import count_pictures, open_photo
 from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
@@ -300,12 +300,19 @@ def _detect(
             jobs=jobs,
         )
     if kind_of(source) == "photo":
-        photo = open_photo(source)
+        photo, n_pictures = open_photo(source), count_pictures(source)
         detections = find_in_photo(
-            photo, source, name, detector=detector, landmarker=landmarker, model=model
+            photo,
+            source,
+            name,
+            detector=detector,
+            landmarker=landmarker,
+            model=model,
+            n_pictures=n_pictures,
         )
         if not detections.names:
-            raise no_face(source, detector, "whichever side is up")
+            of = f" in the first of {n_pictures} pictures" if n_pictures > 1 else ""
+            raise no_face(source, detector, f"whichever side is up{of}")
         return photo, detections
     scheme = given_scheme(scheme, model)
     landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)

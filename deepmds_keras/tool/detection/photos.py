@@ -16,6 +16,7 @@ from deepmds_keras.errors import InputError, MissingPackageError, brief, needs
 
 MIN_SIDE, MAX_PIXELS = 32, 256_000_000
 _MAX_BYTES = 1 << 29
+_ANIMATED = ("AVIF", "GIF", "PNG", "WEBP")
 
 
 def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarray:
@@ -59,6 +60,16 @@ def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarra
         elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
             received = "a folder"
         raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
+
+
+def count_pictures(source: str | Path | bytes) -> int:
+    """Number of pictures in what `open_photo` has opened: more than 1 in an animation.
+
+    Others in a camera's file, such as small copies, do not count.
+    """
+    with suppress(UnidentifiedImageError), _opened(_content(source)) as photo:  # HEIC is none here
+        return getattr(photo, "n_frames", 1) if photo.format in _ANIMATED else 1
+    return 1
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
-from deepmds_keras.tool.detection.photos import check_photo, open_photo
+from deepmds_keras.tool.detection.photos import check_photo, count_pictures, open_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
@@ -78,7 +78,8 @@ class FaceLifter:
 
         Args:
             image: A file, its content, an open binary file, a Pillow image, or an array
-                `(H, W, 3)` uint8 in RGB order (OpenCV's is BGR: `image[..., ::-1]`).
+                `(H, W, 3)` uint8 in RGB order (OpenCV's is BGR: `image[..., ::-1]`). Of an
+                animation the first picture is read, which a note on each face says.
 
         Returns:
             The faces from left to right; an empty list if there is none.
@@ -89,7 +90,10 @@ class FaceLifter:
         """
         image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
-        if isinstance(image, (str, os.PathLike, bytes, Image.Image)):
+        n_pictures = 1
+        if isinstance(image, (str, os.PathLike, bytes)):
+            pixels, n_pictures = open_photo(image), count_pictures(image)
+        elif isinstance(image, Image.Image):
             pixels = open_photo(image)
         else:
             pixels = check_photo(image)
@@ -100,6 +104,7 @@ class FaceLifter:
             detector=self.detector,
             landmarker=self.landmarker,
             model=self.model,
+            n_pictures=n_pictures,
         )
         return self._estimate(found)
 

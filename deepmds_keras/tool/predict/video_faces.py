@@ -15,7 +15,13 @@ from deepmds_keras.landmarks import convert
 from deepmds_keras.tool.detection import DETECTORS, describe_detector, to_ibug
 from deepmds_keras.tool.predict.faces import Detections, FrameRef, name_faces
 from deepmds_keras.tool.predict.models import target_scheme
-from deepmds_keras.tool.predict.photo_faces import no_face, open_detector
+from deepmds_keras.tool.predict.photo_faces import (
+    SURE,
+    best_turn,
+    no_face,
+    open_detector,
+    turn_back,
+)
 from deepmds_keras.tool.predict.videos import Video
 
 # Mean distance of the landmarks beyond which it is another face, relative to the larger side of
@@ -26,6 +32,7 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 # much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
+_TRIED_FRAMES = 8  # of a video, in all orientations
 
 
 def find_in_video(
@@ -56,12 +63,13 @@ def find_in_video(
     changes, before = [], None
     frames_left, scheme = iter(video), DETECTORS[detector].scheme
     target = target_scheme(scheme, model)
+    turn = _turn_of(video, detector, landmarker)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
     find = delayed(_points_in)
     # Frames are sent to the processes through memory, not files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
         while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
-            detections = parallel(find(frame.image, detector, landmarker) for frame in batch)
+            detections = parallel(find(frame.image, turn, detector, landmarker) for frame in batch)
             faces += [to_ibug(convert(p, scheme, target), detector, target) for p in detections]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
@@ -178,9 +186,26 @@ def smooth_over_time(
     return smooth
 
 
-def _points_in(image: np.ndarray, detector: str, landmarker: str | None) -> np.ndarray:
+def _turn_of(video: Video, detector: str, landmarker: str | None) -> int:
+    """Quarter turns to the left that show a video's faces upright, for `np.rot90`.
+
+    Frames are tried, as photos are, until one has an upright face that is certain.
+    """
+    find, scheme = open_detector(detector, landmarker), DETECTORS[detector].scheme
+    step = max(1, (video.n_frames or 1) * video.every // _TRIED_FRAMES)
+    turns = {0: 0.0}  # the best score of each
+    for frame in islice(Video(video.path, step), _TRIED_FRAMES):
+        score, turn, _, _ = best_turn(frame.image, find, scheme)
+        turns[turn] = max(score, turns.get(turn, 0))
+        if score >= SURE:
+            break
+    return max(turns, key=lambda turn: turns[turn])
+
+
+def _points_in(image: np.ndarray, turn: int, detector: str, landmarker: str | None) -> np.ndarray:
     """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
-    return open_detector(detector, landmarker)(image)[0]
+    turned = np.ascontiguousarray(np.rot90(image, turn))
+    return turn_back(open_detector(detector, landmarker)(turned)[0], turn, image)
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:

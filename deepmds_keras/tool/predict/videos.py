@@ -86,8 +86,7 @@ class Video:
             if index % self.every == 0:
                 width = round(frame.width * self._stretch)
                 image = frame.to_ndarray(width=width, format="rgb24")
-                upright = np.rot90(image, round(frame.rotation / 90))
-                yield Frame(index, time, np.ascontiguousarray(upright))
+                yield Frame(index, time, np.ascontiguousarray(_shown(image, frame)))
         if index < 0:
             raise self._unreadable("no frame that can be decoded")
 
@@ -125,6 +124,17 @@ class Video:
 
     def _unreadable(self, received: str) -> InputError:
         return InputError(f"{self.path} must be a video that can be read. Received: {received}.")
+
+
+def _shown(image: np.ndarray, frame) -> np.ndarray:
+    """A frame's image as a player shows it: turned and mirrored by the file's display matrix."""
+    data = frame.side_data.get(_import_av().sidedata.sidedata.Type.DISPLAYMATRIX)
+    if data is None:
+        return image
+    (x_of_x, y_of_x, _), (x_of_y, y_of_y, _), _ = np.frombuffer(data, np.int32).reshape(3, 3)
+    if abs(y_of_x) > abs(x_of_x):  # x becomes y
+        image, x_of_x, y_of_y = image.swapaxes(0, 1), x_of_y, y_of_x
+    return image[:: -1 if y_of_y < 0 else 1, :: -1 if x_of_x < 0 else 1]
 
 
 def portraits(faces: Sequence[Face], most: int) -> list[Face]:

@@ -110,6 +110,15 @@ def test_no_small_face_is_missed_found_twice_or_turned(predict, head):
     assert len(faces) == 25 and all(abs(face.pose.roll) < 20 for face in faces)
 
 
+def test_the_first_picture_of_an_animation_is_read_and_a_note_says_so(predict, head, tmp_path):
+    path = tmp_path / "a.gif"
+    rest = [Image.new("RGB", head.size, colour) for colour in ("black", "white")]
+    head.save(path, save_all=True, append_images=rest)
+    for source in (path, path.read_bytes()):
+        (face,) = predict(source)
+        assert any("the first of 3 pictures of the file" in note for note in face.notes)
+
+
 def test_landmarks_of_mediapipe_move_with_the_face_and_those_of_dlib_stay():
     views = np.random.default_rng(0).normal(0, 90, (4, 51, 2)) + 300
     moved = to_ibug(views, "mediapipe", "ibug51") - views

@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 from fractions import Fraction
 
 import numpy as np
@@ -124,6 +125,55 @@ def test_frames_are_turned_as_a_player_turns_them(tmp_path, turns):
     assert np.abs(image.astype(int) - upright[0]).mean() < 10
     wide = next(iter(Video(write_video(tmp_path / "b.mp4", upright, pixel="4/3")))).image
     assert wide.shape == (64, 128, 3), "pixels that are no squares become squares"
+
+
+def set_matrix(path, a, b, c, d):
+    """Note in an MP4 that a player moves x to (a x, b x), and y to (c y, d y)."""
+    content = bytearray(path.read_bytes())
+    start = content.find(b"tkhd") + 44
+    matrix = (a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
+    content[start : start + 36] = struct.pack(">9i", *matrix)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("x", [1, -1])
+@pytest.mark.parametrize("y", [1, -1])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_frames_are_mirrored_and_turned_by_the_display_matrix(tmp_path, x, y, swapped):
+    upright = counted(2)
+    stored = upright[:, ::y, ::x]
+    stored = np.ascontiguousarray(stored.swapaxes(1, 2) if swapped else stored)
+    path = write_video(tmp_path / "a.mp4", stored)
+    set_matrix(path, *((0, y, x, 0) if swapped else (x, 0, 0, y)))
+    image = next(iter(Video(path))).image
+    assert image.shape == upright[0].shape and image.flags.c_contiguous
+    assert np.abs(image.astype(int) - upright[0]).mean() < 10
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatch, turn):
+    looked_at = []
+
+    def find(image):
+        looked_at.append(image.shape)
+        y, x = np.argwhere(image.min(-1) > 180).mean(0)
+        # Right eye, left eye, mouth; found where the white square is in the left upper quarter.
+        face = np.zeros((68, 2)) + (x, y)
+        face[36:42] += (-3, -3)
+        face[42:48] += (3, -3)
+        upright = image.shape[0] > image.shape[1] and x < SIDE / 2 and y < 2 * SIDE
+        return face[None], np.array([0.95 if upright else 0.5])
+
+    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
+    monkeypatch.setitem(DETECTORS, "square", row)
+    frame = np.full((4 * SIDE, SIDE, 3), 90, np.uint8)
+    frame[40:50, 16:26] = 255
+    frame = np.ascontiguousarray(np.rot90(frame, -turn))
+    path = write_video(tmp_path / "a.mp4", [frame] * 5)
+    found = find_in_video(path, "a", detector="square")
+    assert len(looked_at) == 5 + (4 if turn else 1)
+    y, x = np.argwhere(frame.min(-1) > 180).mean(0)
+    np.testing.assert_allclose(found.landmarks[:, 0], [[x, y]] * 5, atol=2)
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
