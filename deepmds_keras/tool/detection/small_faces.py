@@ -23,8 +23,9 @@ _TILE, _N_TILES = 3 / 8, 4
 _SEARCHED_SIDE = 1024  # pixels: a tile has three times what the detector sees
 _CROP = 3  # side of the crop around a face, in sides of the face
 _SAME = 0.5  # of the smaller of two boxes that lies in the other, if they are of one face
-# A face found in a tile is found again in its crop, and one of the two scores is at least this: of
-# faces in photos all, of what is none but looks alike (seen there twice, at 0.62) none.
+# A face found in a tile is found again in its crop, and the higher of the two scores is at least
+# this. Of 109 candidates in 25 pictures without a face, in four orientations, one was found again,
+# a cat, with 0.62; upright faces in photos had 0.77 or more.
 _CERTAIN = 0.75
 
 
