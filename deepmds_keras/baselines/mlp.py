@@ -8,7 +8,7 @@ import keras
 import numpy as np
 
 from deepmds_keras.baselines.base import NetworkMethod, dense_network
-from deepmds_keras.geometry.units import centre, rms_radius
+from deepmds_keras.geometry.units import centre_to_radius_1
 from deepmds_keras.networks import forward
 from deepmds_keras.training import Recipe
 from deepmds_keras.validation import (
@@ -91,5 +91,4 @@ class MLP(NetworkMethod):
 
 
 def _flat(views: np.ndarray) -> np.ndarray:
-    scaled = centre(views) / rms_radius(views)[:, None, None]
-    return np.float32(scaled).reshape(len(views), -1)
+    return np.float32(centre_to_radius_1(views)).reshape(len(views), -1)

@@ -67,3 +67,8 @@ def centre_and_scale(points: np.ndarray) -> np.ndarray:
 def rms_radius(points: np.ndarray) -> np.ndarray:
     """Root mean square distance of the landmarks from their mean: `(n, L, d)` → `(n,)`."""
     return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))
+
+
+def centre_to_radius_1(points: np.ndarray) -> np.ndarray:
+    """Each face centred, in r.m.s. radii: `(n, L, d)` → `(n, L, d)`."""
+    return centre(points) / rms_radius(points)[:, None, None]

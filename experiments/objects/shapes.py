@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
-from deepmds_keras.geometry.units import centre, rms_radius
+from deepmds_keras.geometry.units import centre_to_radius_1
 from experiments.run import Run
 from experiments.streams import Stream
 
@@ -61,8 +61,7 @@ def read_shapes(path: Path) -> np.ndarray:
             f"{path}: at least 10 shapes must have the same 6 landmarks. "
             f"Received {len(points)} with {points.shape[1]}."
         )
-    points = centre(points)
-    return points / rms_radius(points)[:, None, None]
+    return centre_to_radius_1(points)
 
 
 def views_of(run: Run, name: str, seed: int, noise: float) -> tuple[Views, Views]:

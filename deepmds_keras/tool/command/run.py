@@ -35,7 +35,7 @@ from deepmds_keras.tool.command.sources import (
     name_sources,
 )
 from deepmds_keras.tool.detection import DETECTORS
-from deepmds_keras.tool.detection.photos import count_pictures, open_photo
+from deepmds_keras.tool.detection.photos import read_photo
 from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
@@ -300,7 +300,7 @@ def _detect(
             jobs=jobs,
         )
     if kind_of(source) == "photo":
-        photo, n_pictures = open_photo(source), count_pictures(source)
+        photo, n_pictures = read_photo(source)
         detections = find_in_photo(
             photo,
             source,

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import map_npy
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import centre, normalise, rms_radius
+from deepmds_keras.geometry.units import centre_to_radius_1, normalise
 from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
 from deepmds_keras.lifting.lifter import LandmarkLifter
@@ -101,7 +101,7 @@ def _read_shapes(path: Path) -> np.ndarray:
             f"{path} must hold {_HELD_OUT} different shapes or more, some for the report. "
             f"Received {len(shapes)}."
         )
-    return centre(shapes) / rms_radius(shapes)[:, None, None]
+    return centre_to_radius_1(shapes)
 
 
 def _errors(

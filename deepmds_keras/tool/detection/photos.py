@@ -20,7 +20,12 @@ _ANIMATED = ("AVIF", "GIF", "PNG", "WEBP")
 
 
 def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarray:
-    """A photo, in colour and upright.
+    """The photo of `read_photo` alone."""
+    return read_photo(source)[0]
+
+
+def read_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> tuple[np.ndarray, int]:
+    """A photo, in colour and upright, and the number of pictures in its file.
 
     A grey photo gets three equal channels, transparency becomes white, and the camera's
     orientation tag is applied. If grey values have more than 8 bits, the largest tells how many.
@@ -31,7 +36,8 @@ def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarra
             several frames.
 
     Returns:
-        `(H, W, 3)` uint8, RGB.
+        `(H, W, 3)` uint8, RGB; and how many pictures an animation has, 1 for all else: small
+        copies in a camera's file do not count.
 
     Raises:
         InputError: The file is missing, damaged or not a photo, has a side below 32 pixels or more
@@ -40,13 +46,14 @@ def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarra
     name = source if isinstance(source, (str, os.PathLike)) else "image"
     try:
         if isinstance(source, Image.Image):
-            return _pixels(source)
+            return _pixels(source), 1
         content = _content(source)
         # By the content: telephones send HEIC files called `.jpg`.
         is_heic = content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis")
         with _opened_heic(content, name) if is_heic else _opened(content) as photo:
             _check_head(photo)
-            return _pixels(photo)
+            n_pictures = getattr(photo, "n_frames", 1) if photo.format in _ANIMATED else 1
+            return _pixels(photo), n_pictures
     except MissingPackageError:
         raise
     except FileNotFoundError:
@@ -60,16 +67,6 @@ def open_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> np.ndarra
         elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
             received = "a folder"
         raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
-
-
-def count_pictures(source: str | Path | bytes) -> int:
-    """Number of pictures in what `open_photo` has opened: more than 1 in an animation.
-
-    Others in a camera's file, such as small copies, do not count.
-    """
-    with suppress(UnidentifiedImageError), _opened(_content(source)) as photo:  # HEIC is none here
-        return getattr(photo, "n_frames", 1) if photo.format in _ANIMATED else 1
-    return 1
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:

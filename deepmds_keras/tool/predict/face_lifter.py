@@ -15,7 +15,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
-from deepmds_keras.tool.detection.photos import check_photo, count_pictures, open_photo
+from deepmds_keras.tool.detection.photos import check_photo, read_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import find_unusable
@@ -90,13 +90,10 @@ class FaceLifter:
         """
         image = image.read() if hasattr(image, "read") else image
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
-        n_pictures = 1
-        if isinstance(image, (str, os.PathLike, bytes)):
-            pixels, n_pictures = open_photo(image), count_pictures(image)
-        elif isinstance(image, Image.Image):
-            pixels = open_photo(image)
+        if isinstance(image, (str, os.PathLike, bytes, Image.Image)):
+            pixels, n_pictures = read_photo(image)
         else:
-            pixels = check_photo(image)
+            pixels, n_pictures = check_photo(image), 1
         found = find_in_photo(
             pixels,
             path,

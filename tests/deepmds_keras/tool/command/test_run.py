@@ -255,7 +255,7 @@ def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, fa
         Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")
     read = []
     monkeypatch.setattr(
-        run, "open_photo", lambda path, real=run.open_photo: read.append(path) or real(path)
+        run, "read_photo", lambda path, real=run.read_photo: read.append(path) or real(path)
     )
     options = ("--detector", "dlib", "--view", "--format", "ply")
     assert predict(*sorted(tmp_path.glob("*.png")), *options)[0] == 0
