@@ -15,9 +15,11 @@ from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
+from deepmds_keras.landmarks.arrays import as_faces
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
+from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
 from deepmds_keras.tool.predict.models import given_scheme, weights_path
 
 _SIZES = (51, 68)  # of shipped weights that are scored
@@ -48,9 +50,9 @@ def evaluate(
 
     Args:
         truth: `.npy` `(n, L, 3)`, L 51 or 68, or as many as the model has; or with coordinates
-            first, `(n, 3, 68)`, as 3DDFA has AFLW2000-3D; or `.csv` with one landmark per row:
-            columns `x`, `y`, `z` and, for several faces, `face`. Faces as the camera sees them, in
-            any unit; the directions of y and z are inferred from the faces.
+            first, `(n, 3, 68)`, as 3DDFA has AFLW2000-3D; or `.csv` with columns `x`, `y` and `z`,
+            see `read_landmark_table`. Faces as the camera sees them, in any unit; the directions
+            of y and z are inferred from the faces.
         landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
         y_up: Whether y grows upwards in `landmarks`.
         model: File of `LandmarkLifter.save`; None is the shipped weights.
@@ -120,42 +122,18 @@ def read_truth(path: str | Path, sizes: tuple[int, ...] = _SIZES) -> np.ndarray:
         InputError: The file is missing, damaged, or holds anything else.
     """
     path = Path(path)
-    is_table = path.suffix.lower() == ".csv"
-    shapes = _read_csv(path) if is_table else np.asarray(map_npy(path))
-    shapes = shapes[None] if shapes.ndim == 2 else shapes
-    if shapes.dtype.kind not in "fiu" or shapes.ndim != 3 or not len(shapes):
-        raise InputError(f"{path} must hold numbers (n, {said_sizes(sizes)}, 3). It does not.")
-    if shapes.shape[1] == 3 and shapes.shape[2] in sizes:
-        shapes = shapes.swapaxes(1, 2)
-    if shapes.shape[1] not in sizes or shapes.shape[2] != 3:
+    if path.suffix.lower() == ".csv":
+        shapes = read_landmark_table(path, tuple("xyz"), sizes=sizes)
+    else:
+        shapes = as_faces(map_npy(path), str(path), sizes)
+    if not len(shapes) or shapes.shape[1] not in sizes or shapes.shape[2] != 3:
         raise InputError(
-            f"{path} must hold {said_sizes(sizes)} landmarks of x, y and z a face. "
+            f"{path} must hold {said_sizes(sizes)} landmarks of x, y and z a face, (n, L, 3). "
             f"Received shape {shapes.shape}."
         )
     if not np.isfinite(shapes).all():
-        raise InputError(f"{path} must hold finite numbers. Received NaN or infinity.")
+        raise InputError(f"{path} must hold finite numbers. Received NaN, text or infinity.")
     return shapes.astype(float)
-
-
-def _read_csv(path: Path) -> np.ndarray:
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = (line for line in file if not line.startswith("#"))
-            rows = [*csv.DictReader(lines)]
-        faces: dict[str, list[list[float]]] = {}
-        for row in rows:
-            point = [float(row[axis]) for axis in "xyz"]
-            faces.setdefault(row.get("face", ""), []).append(point)
-        return np.array([*faces.values()])
-    except KeyError as error:
-        raise InputError(
-            f"{path} must be a table with x, y and z: missing column {error}."
-        ) from None
-    except (OSError, UnicodeDecodeError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path} must be a table with columns x, y, z and, of several faces, face, and as many "
-            f"rows for each face. Received: {type(error).__name__}: {error}."
-        ) from None
 
 
 def _oriented(shapes: np.ndarray, scheme: str, mean: np.ndarray) -> np.ndarray:

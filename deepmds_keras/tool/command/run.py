@@ -268,8 +268,9 @@ def _process(
     except OSError as error:
         place = folder.parent / Path(error.filename or name).name
         return [], [], f"{place} cannot be written: {error.strerror}."
-    written, lines = [path.name for path in files], [*lines_about(source, faces, _DRAWN_FACES)]
-    return written, lines, fault_of(source, faces)
+    lines = [*lines_about(source, faces, _DRAWN_FACES)]
+    lines[1:1] = [f"  {remark}" for remark in detections.remarks]
+    return [path.name for path in files], lines, fault_of(source, faces)
 
 
 def _detect(
@@ -315,7 +316,7 @@ def _detect(
             raise no_face(source, detector, f"whichever side is up{of}")
         return photo, detections
     scheme = given_scheme(scheme, model)
-    landmarks, faults = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
+    landmarks, faults, remarks = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
     n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
     odd = check_y_axis(landmarks, scheme, str(source))
     target = target_scheme(scheme, model)
@@ -340,7 +341,8 @@ def _detect(
         landmarks=landmarks,
         is_photo=False,
         faults=faults,
-        notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},
+        notes={i: [f"stands unlike the other faces: {fault}"] for i, fault in odd.items()},
+        remarks=remarks,
     )
 
 

@@ -15,6 +15,7 @@ from deepmds_keras.landmarks.y_axis import quarter_turns
 from deepmds_keras.tool.detection import detector_sd
 from deepmds_keras.tool.predict.faces import Detections, Face
 from deepmds_keras.tool.predict.models import Model, load_model, name_for
+from deepmds_keras.validation import check_number
 
 _POSE_ERROR = 5  # root mean square error of head poses, degrees
 # A landmark is misplaced if its distance from the projected shape is this many times the median of
@@ -94,7 +95,7 @@ def estimate_faces(
             xyz=shapes[k],
             unit="normalised" if interocular is None else "mm",
             pose=poses[k],
-            notes=tuple(notes[k]) + ((detections.notes[i],) if i in detections.notes else ()),
+            notes=(*notes[k], *detections.notes.get(i, ())),
             detector=detections.detector,
             frame_ref=None if detections.frame_refs is None else detections.frame_refs[i],
             std=None if std is None else std[k],
@@ -111,8 +112,8 @@ def estimate_faces(
 
 def check_interocular(interocular: float | None) -> None:
     """Raise InputError unless it is None, or positive and finite."""
-    if interocular is not None and not 0 < interocular < np.inf:
-        raise InputError(f"interocular must be millimetres, above 0. Received {interocular}.")
+    if interocular is not None:
+        check_number(interocular, "interocular")
 
 
 def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) -> np.ndarray | None:

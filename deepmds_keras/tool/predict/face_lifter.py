@@ -12,13 +12,14 @@ import numpy as np
 from PIL import Image
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.landmarks import convert, load_scheme, scheme_of
+from deepmds_keras.landmarks.arrays import as_faces, seem_fractions
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.detection.photos import check_photo, read_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
-from deepmds_keras.tool.predict.landmark_files import find_unusable
+from deepmds_keras.tool.predict.landmark_files import FRACTIONS, Z_UNUSED, find_unusable
 from deepmds_keras.tool.predict.models import given_scheme, target_scheme
 from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.video_faces import find_in_video
@@ -116,8 +117,9 @@ class FaceLifter:
 
         Args:
             points: `(n, L, 2)` or `(L, 2)`, x to the right and y down, as in an image; 51 or 68 of
-                iBUG, the paper's 72, or 468 or 478 of MediaPipe; or those of the objects that the
-                model lifts. A landmark that is NaN or masked is missing; a face without any
+                iBUG, the paper's 72, or 468 or 478 of MediaPipe, in pixels; or those of the objects
+                that the model lifts. See `as_faces` for what else is taken; of three coordinates, z
+                is not used. A landmark that is NaN, None or masked is missing; a face without any
                 landmark gives a gap.
             scheme: Name of the landmark scheme, or a table of your own, as for `load_scheme`; None
                 infers it from L, or from the model.
@@ -131,13 +133,16 @@ class FaceLifter:
             a note.
 
         Raises:
-            InputError: Landmarks of another shape; most faces are upside down or mirrored; a face
-                has fewer than six landmarks, or all on one line; or an unknown model.
+            InputError: Landmarks of another shape, or fractions of an image; most faces are upside
+                down or mirrored; a face has fewer than six landmarks, or all on one line; or an
+                unknown model.
         """
-        points = _check_points(points)
+        points, remarks = _check_points(points)
         n, size = points.shape[:2]
         scheme = given_scheme(scheme, self.model) or scheme_of(size)
         target = target_scheme(scheme, self.model)
+        if load_scheme(scheme).is_face and seem_fractions(points):
+            raise InputError(f"landmarks must be in pixels. {FRACTIONS}.")
         if visible is not None:
             # What is masked is not known to be visible.
             seen = _broadcast(np.ma.filled(visible, False), "visible", bool, (n, size))
@@ -150,6 +155,7 @@ class FaceLifter:
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
         needed = "y must grow downwards; negate it where it grows upwards."
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
+        notes = {i: [f"seems to stand otherwise than the other faces: {odd[i]}"] for i in odd}
         landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
         return self._estimate(
@@ -159,10 +165,7 @@ class FaceLifter:
                 scheme=target,
                 landmarks=landmarks,
                 is_photo=False,
-                notes={
-                    i: f"seems to stand otherwise than the other faces: {fault}"
-                    for i, fault in odd.items()
-                },
+                notes={i: [*notes.get(i, []), *remarks] for i in range(n)},
                 landmark_sd=landmark_sd,
             )
         )
@@ -258,16 +261,13 @@ def predict_landmarks(
     return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
 
 
-def _check_points(points) -> np.ndarray:
-    """`(n, L, 2)` floats, NaN where the input is masked."""
-    points = as_numbers(points, "landmarks")
-    if points.ndim not in (2, 3) or points.shape[-1] != 2:
-        raise InputError(
-            f"landmarks must be of shape (n, L, 2) or (L, 2). Received shape {points.shape}."
-        )
+def _check_points(points) -> tuple[np.ndarray, list[str]]:
+    """`(n, L, 2)` floats, NaN where a landmark is missing, and notes on all of them."""
+    faces = as_faces(points, "landmarks")
+    points = faces[..., :2]
     if np.isinf(points).any():
         raise InputError("landmarks must be finite, or NaN where they are missing.")
-    return points if points.ndim == 3 else points[None]
+    return points, [Z_UNUSED] if faces.shape[2] > 2 else []
 
 
 def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:

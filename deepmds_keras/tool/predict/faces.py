@@ -43,6 +43,7 @@ class Detections:
         frame_refs: Where in the video each face is; None for other sources.
         scores: The detector's scores `(n,)`, 0 to 1, NaN or None if it has none.
         notes: Number of a face, 0-based, → what a reader must know about it.
+        remarks: What a reader must know about the source.
         landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
             landmarks: one number, `(n,)` or `(n, L)`; None if unknown.
     """
@@ -56,7 +57,8 @@ class Detections:
     detector: dict[str, str] | None = None
     frame_refs: Sequence[FrameRef] | None = None
     scores: np.ndarray | None = None
-    notes: Mapping[int, str] = field(default_factory=dict)
+    notes: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
     landmark_sd: float | np.ndarray | None = None
 
 

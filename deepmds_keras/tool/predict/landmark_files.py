@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
-from array import array
-from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import map_npy
-from deepmds_keras.landmarks import face_sizes, load_scheme, said_sizes
+from deepmds_keras.landmarks import face_sizes, load_scheme
+from deepmds_keras.landmarks.arrays import LARGEST_FRACTION, as_faces, seem_fractions
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
+from deepmds_keras.tool.predict.landmark_tables import check_count, encoding_of, read_landmark_table
 from deepmds_keras.validation import find_faults
 
-_FRACTION = 2  # largest fraction of the width or height of an image; a face may reach beyond it
 _TOO_LARGE = 1e9  # for any image; squares of far larger numbers overflow
 _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
 SUFFIXES = tuple(_MAX_BYTES)
-_KEYS = ("faces", "landmarks", "faceLandmarks")  # the last is MediaPipe's in JavaScript
+# Of landmarks in JSON: of this program, of MediaPipe in Python and JavaScript, of TensorFlow.js.
+_KEYS = (
+    *("faces", "landmarks", "landmark", "face_landmarks", "faceLandmarks", "multi_face_landmarks"),
+    *("multiFaceLandmarks", "keypoints"),
+)
 _MATLAB_ORIGIN = 0.5  # MATLAB's first pixel has its middle at (1, 1), ours at (0.5, 0.5)
-# Columns with one landmark per row; x and y in our own output are those of the 3D shape.
-_PAIRS = (("image_x", "image_y"), ("x", "y"))
-_EMPTY = ("", "nan", "null", "none")  # cells of a gap
-_SHOWN = 80  # quoted characters of a file's content
+# Columns of landmarks; x and y in our own tables are those of the 3D shape.
+_AXES = (("image_x", "image_y"), ("x", "y", "z"), ("x", "y"))
+Z_UNUSED = "z of the landmarks is not used: the shape is estimated from x and y"
+FRACTIONS = (
+    "Received coordinates between 0 and 1, which seem to be fractions of an image: multiply x by "
+    "its width and y by its height, or both by 1000 if they are in one unit"
+)
 
 
 def read_landmarks(
@@ -39,16 +44,15 @@ def read_landmarks(
     """Read 2D landmarks of one or more faces, or other objects, all with the same L.
 
     x and y must be in the same unit, or fractions of the width and of the height, as MediaPipe
-    gives them. A third coordinate is ignored.
+    gives them. A third coordinate is not used.
 
-    - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)` or `(n, L, 3)`.
-    - `.csv`, with commas and a header; comments (`#`) may come first. One landmark per row:
-      columns `image_x` and `image_y`, as `deepmds predict` writes them, or `x` and `y`; several
-      faces need a column `face`; a column `number` must count up. Other columns are ignored.
+    - `.npy`: `(L, 2)`, `(n, L, 2)`, `(L, 3)` or `(n, L, 3)`, or with coordinates first.
+    - `.csv`: with a header, see `read_landmark_table`. Columns `image_x` and `image_y`, as
+      `deepmds predict` writes them, or `x` and `y`; or `x_0`, …, `y_0`, …, as OpenFace has them.
     - `.pts` (iBUG 300-W), one face, in MATLAB's pixels: 0.5 is subtracted.
     - `.json`: a list of `[x, y]` or, like MediaPipe's, of `{"x": …, "y": …}`; a list of such
-      faces; `{"landmarks": …}`, `{"faceLandmarks": …}` or `{"faces": [{"landmarks": …}, …]}`, as
-      `deepmds predict` writes it.
+      faces; or either under a key: `faces`, `landmarks`, `landmark`, `face_landmarks`,
+      `faceLandmarks`, `multi_face_landmarks`, `multiFaceLandmarks` or `keypoints`.
 
     NaN, empty cells and null are missing landmarks; a face without any landmark is a gap. Nothing
     in the file is executed.
@@ -69,7 +73,7 @@ def read_landmarks(
             landmarks, or is one point or one line; x and y seem to be fractions and there is no
             `image_size`, or the reverse.
     """
-    points, faults = read_faces(path, y_up=y_up, image_size=image_size, scheme=scheme)
+    points, faults, _ = read_faces(path, y_up=y_up, image_size=image_size, scheme=scheme)
     for face, fault in faults.items():
         raise InputError(f"{path}, face {face + 1} of {len(points)}, {fault}.")
     return points
@@ -82,11 +86,12 @@ def read_faces(
     y_up: bool = False,
     image_size: tuple[float, float] | None = None,
     scheme: str | Path | None = None,
-) -> tuple[np.ndarray, dict[int, str]]:
+) -> tuple[np.ndarray, dict[int, str], list[str]]:
     """`read_landmarks`, with unusable faces turned into gaps.
 
     Returns:
-        The landmarks; and the number of each unusable face, 0-based and ascending, → the reason.
+        The landmarks; the number of each unusable face, 0-based and ascending, → the reason; and
+        what a reader must know about the file.
 
     Raises:
         InputError: As for `read_landmarks`, but for faces only if none can be used.
@@ -98,9 +103,13 @@ def read_faces(
     sizes = face_sizes() if scheme is None else load_scheme(scheme).sizes
     try:
         _check_size(path, _MAX_BYTES[suffix])
-        points = _READERS[suffix](path, sizes)
+        read = _READERS[suffix](path, sizes)
     except (OSError, MemoryError, RecursionError) as error:
         raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
+    if not len(read):
+        raise InputError(f"{path} must hold at least one face. Received none.")
+    check_count(path, read.shape[1], sizes)
+    points = np.array(read[..., :2], float)
     points[np.isnan(points).any(2)] = np.nan  # half a landmark is none
     faults = _find_faults(points)
     points[[*faults]] = np.nan
@@ -110,10 +119,11 @@ def read_faces(
         face = min(faults)
         where = f"{path}, face {face + 1} of {len(points)}," if len(points) > 1 else path
         raise InputError(f"{where} {faults[face]}.")
-    points = _in_pixels(path, points, image_size)
+    is_face = scheme is None or load_scheme(scheme).is_face
+    points = _in_pixels(path, points, image_size, is_face)
     if y_up:
         points[..., 1] *= -1
-    return points, faults
+    return points, faults, [Z_UNUSED] if read.shape[2] > 2 else []
 
 
 def find_unusable(points: np.ndarray) -> dict[int, str]:
@@ -149,22 +159,19 @@ def _find_faults(points: np.ndarray) -> dict[int, str]:
 
 
 def _in_pixels(
-    path: Path, points: np.ndarray, image_size: tuple[float, float] | None
+    path: Path, points: np.ndarray, image_size: tuple[float, float] | None, is_face: bool
 ) -> np.ndarray:
-    """Convert fractions of the image to pixels."""
-    largest = np.nanmax(np.abs(points))
-    if image_size is not None and largest > _FRACTION:
-        raise InputError(
-            f"{path} must have fractions of the width and height for --image-size. Received "
-            f"coordinates of up to {largest:g}: leave --image-size out."
-        )
-    mediapipe = points.shape[1] in load_scheme("mediapipe").sizes
-    if image_size is None and largest <= _FRACTION and mediapipe:
-        raise InputError(
-            f"{path} must be in pixels, or --image-size W H be given. Received coordinates of up "
-            f"to {largest:.2g}, which seem to be fractions of the image, as MediaPipe has them."
-        )
-    return points if image_size is None else points * image_size
+    """Convert fractions of the image to pixels; other objects than faces may be in any unit."""
+    if image_size is not None:
+        if np.nanmax(np.abs(points)) > LARGEST_FRACTION:
+            raise InputError(
+                f"{path} must have fractions of the width and height for --image-size. Received "
+                f"coordinates of up to {np.nanmax(np.abs(points)):g}: leave --image-size out."
+            )
+        return points * image_size
+    if is_face and seem_fractions(points):
+        raise InputError(f"{path} must be in pixels, or --image-size W H be given. {FRACTIONS}.")
+    return points
 
 
 def _check_size(path: Path, max_bytes: int) -> None:
@@ -181,7 +188,7 @@ def _check_size(path: Path, max_bytes: int) -> None:
 
 
 def _read_npy(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
-    return _as_faces(path, map_npy(path), sizes)
+    return as_faces(map_npy(path), str(path), sizes)
 
 
 def _read_json(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
@@ -189,67 +196,37 @@ def _read_json(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} must be JSON. {_received(error)}") from None
-    if isinstance(content, dict):
-        key = next((key for key in _KEYS if key in content), None)
-        if key is None:
-            keys = ", ".join(f'"{key}"' for key in _KEYS)
-            raise InputError(f"{path} must have one of the keys {keys}. Received none of them.")
-        content = content[key]
-    try:
-        points = np.asarray(_without_null(_points(content)))
-    except (ValueError, OverflowError, RecursionError):
-        raise InputError(
-            f"{path} must hold [x, y] for each landmark, as many in each face. "
-            "Received lists of other lengths."
-        ) from None
-    return _as_faces(path, points, sizes)
+    return as_faces(_points(path, content), str(path), sizes)
 
 
-def _points(item):
+def _points(path: Path, item):
     """A landmark as `[x, y]`, or those of a face as a list of such."""
     if isinstance(item, dict):
-        named = "x" in item or "y" in item
-        return [item.get("x"), item.get("y")] if named else _points(item.get("landmarks"))
+        if "x" in item or "y" in item:
+            return [item.get("x"), item.get("y")]
+        keys = [key for key in _KEYS if key in item]
+        if len(keys) != 1:
+            raise InputError(
+                f"{path} must have one of the keys {', '.join(_KEYS)}. "
+                f"Received {' and '.join(keys) or 'none of them'}."
+            )
+        return _points(path, item[keys[0]])
     nested = isinstance(item, list) and not isinstance(item[:1] and item[0], (int, float))
-    return [*map(_points, item)] if nested else item
-
-
-def _without_null(item):
-    """Lists of numbers, with NaN for null and for lists of nothing else, as many as next to them.
-
-    A list of nothing but null is None.
-    """
-    if not isinstance(item, list):
-        return item
-    items = [*map(_without_null, item)]
-    if None not in items:
-        return items
-    known = next((each for each in items if each is not None), None)
-    gap = np.full(np.shape(known), np.nan).tolist()
-    return None if known is None else [gap if each is None else each for each in items]
-
-
-def _as_faces(path: Path, points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """`(n, L, 2)` float64, of one face or of several, with or without depth."""
-    if points.dtype.kind not in "iuf":
-        kind = "text, null or objects" if points.dtype.kind in "OUS" else f"{points.dtype}"
-        raise InputError(f"{path} must hold numbers only for its landmarks. Received {kind}.")
-    if points.ndim not in (2, 3) or points.shape[-1] not in (2, 3) or not len(points):
-        raise InputError(
-            f"{path} must have shape (landmarks, 2) or (faces, landmarks, 2), and at least one "
-            f"face. Received {points.shape}."
-        )
-    _check_count(path, points.shape[-2], sizes)
-    return np.array(points.reshape(-1, *points.shape[-2:])[..., :2], float)
+    return [_points(path, each) for each in item] if nested else item
 
 
 def _read_pts(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    match = re.fullmatch(r"(.*?)^\s*\{\s*$(.*?)^\s*\}\s*$.*", text, re.DOTALL | re.MULTILINE)
+    text = path.read_text(encoding=encoding_of(path), errors="replace")
+    match = re.fullmatch(r"(.*?)^\s*\{\s*$(.*?)^\s*\}\s*$(.*)", text, re.DOTALL | re.MULTILINE)
     if not match:
         raise InputError(
             f"{path} must have its landmarks between lines of {{ and }}. "
             "Received no such lines: it is cut short, or no 300-W file."
+        )
+    if "{" in match[3]:
+        raise InputError(
+            f"{path} must hold one face. Received several: write each to a file of its own, or all "
+            "to a .csv with a column face."
         )
     points = []
     for line in filter(str.strip, match[2].splitlines()):
@@ -265,80 +242,11 @@ def _read_pts(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
         raise InputError(
             f"{path} must have as many landmarks as it states, {stated[1]}. Received {len(points)}."
         )
-    _check_count(path, len(points), sizes)
-    return np.array([points]) - _MATLAB_ORIGIN
+    return np.array([points]).reshape(1, -1, 2) - _MATLAB_ORIGIN
 
 
 def _read_csv(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
-    with open(path, encoding="utf-8-sig", errors="replace", newline="") as file:
-        first = next((line for line in file if line.strip() and not line.startswith("#")), "")
-        rows = csv.reader(chain([first], file), skipinitialspace=True, strict=True)
-        try:
-            header = [cell.strip().lower() for cell in next(rows, [])]
-            pair = next((pair for pair in _PAIRS if {*pair} <= {*header}), None)
-            if pair is None:
-                raise InputError(
-                    f"{path} must have a header with columns x and y; save numbers without one as "
-                    f".npy. Received the first line {brief(first, _SHOWN)!r}."
-                )
-            columns = [header.index(name) for name in (*pair, "number") if name in header]
-            face = header.index("face") if "face" in header else None
-            faces: list[str] = []
-            values, end = array("d"), 0
-            for row in rows:
-                if len(row) > len(header):
-                    raise InputError(
-                        f"{path} must be a table of {len(header)} cells a row, as the header has. "
-                        f"Received {len(row)} in row {len(faces) + 1}."
-                    )
-                row += [""] * (len(header) - len(row))
-                values.extend([_number(row[column]) for column in columns])
-                faces.append("" if face is None else row[face])
-                end = len(faces) if any(row) else end  # empty lines at the end are not gaps
-        except csv.Error as error:
-            raise InputError(f"{path} must be a table of numbers. {_received(error)}") from None
-    if not end:
-        raise InputError(f"{path} must be a table of numbers. Received no rows.")
-    table = np.array(values).reshape(-1, len(columns))[:end]
-    size = _landmarks_per_face(path, faces[:end], face is not None, sizes)
-    numbers = table[:, 2:].reshape(-1, size) if len(columns) > 2 else np.empty((0, size))
-    if (np.diff(numbers) != 1).any() or (numbers[:, 0] != numbers[:1, 0]).any():
-        raise InputError(
-            f"{path} must have landmarks in the order of their numbers, the same in each face. "
-            "Received another order in the column number."
-        )
-    return table[:, :2].reshape(-1, size, 2)
-
-
-def _landmarks_per_face(path: Path, faces: list[str], named: bool, sizes: tuple[int, ...]) -> int:
-    """L of a table with one landmark per row, where a face is a run of one value of `face`."""
-    runs = [(face, len([*run])) for face, run in groupby(faces)]
-    size = runs[0][1]
-    for face, count in runs:
-        if count != size:
-            raise InputError(
-                f"{path} must have the same number of landmarks in each face. Received {size}, "
-                f"and {count} for the face {brief(face, _SHOWN)!r}."
-            )
-    _check_count(
-        path, size, sizes, "" if named else " rows, and no column face that tells several apart"
-    )
-    return size
-
-
-def _check_count(path: Path, n: int, sizes: tuple[int, ...], where: str = "") -> None:
-    if n not in sizes:
-        raise InputError(
-            f"{path} must have {said_sizes(sizes)} landmarks a face. Received {n}{where}."
-        )
-
-
-def _number(cell: str) -> float:
-    """A cell's number; infinity for text, NaN if it is empty."""
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan if cell.strip().lower() in _EMPTY else np.inf
+    return read_landmark_table(path, *_AXES, sizes=sizes)
 
 
 def _received(error: Exception) -> str:

@@ -57,7 +57,7 @@ def test_coordinates_may_come_first_as_in_aflw2000_of_3ddfa(truth, tmp_path):
 
 
 def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
-    lines = ["face,x,y,z"]
+    lines = ["Face, X, Y, Z"]
     lines += [f"{i},{x},{y},{z}" for i, face in enumerate(truth[:9, 17:]) for x, y, z in face]
     (tmp_path / "truth.csv").write_text("\n".join(lines))
     np.testing.assert_array_equal(read_truth(tmp_path / "truth.csv"), truth[:9, 17:])
@@ -89,9 +89,10 @@ def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
         (np.zeros((3, 51, 2)), "\\(3, 51, 2\\)"),
         (np.full((3, 51, 3), np.nan), "finite"),
         (np.full((3, 51, 3), "a"), "numbers"),
+        ("x,y,z\n" + "1,2,\n" * 51, "finite"),
         (b"no array", "one array in NumPy's format"),
-        ("x,y\n1,2\n", "missing column 'z'"),
-        ("face,x,y,z\n1,1,2,3\n1,1,2,3\n2,1,2,3\n", "as many rows for each face"),
+        ("x,y\n1,2\n", "columns x, y, z"),
+        ("face,x,y,z\n1,1,2,3\n1,1,2,3\n2,1,2,3\n", "same number of landmarks in each"),
     ],
 )
 def test_unusable_truths_are_named(content, message, tmp_path):

@@ -4,6 +4,7 @@ import io
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 from writers.heads import drawn_heads
@@ -128,6 +129,36 @@ def test_missing_landmarks_are_predicted_and_do_not_touch_other_faces(landmarks)
         predict_landmarks(convert(some[1:2], "ibug68", "ibug51"), model="deepmds")
 
 
+@pytest.mark.parametrize("n", [51, 68, 478])
+def test_fractions_of_an_image_are_not_taken_for_pixels(n):
+    fractions = np.random.default_rng(n).uniform(0.2, 0.7, (2, n, 2))
+    with pytest.raises(InputError, match="fractions of an image: multiply x by its width"):
+        predict_landmarks(fractions)
+
+
+def test_coordinates_may_come_first_and_z_is_named_as_unused(landmarks):
+    expected = predict_landmarks(landmarks[:3])
+    for given in (landmarks[:3].swapaxes(1, 2), np.dstack([landmarks[:3], landmarks[:3, :, :1]])):
+        for face, same in zip(predict_landmarks(given), expected, strict=True):
+            assert np.array_equal(face.xyz, same.xyz)
+            noted = "z of the landmarks is not used" in " ".join(face.notes)
+            assert noted == (given.shape[2] == 3)
+
+
+def test_what_pandas_and_lists_leave_empty_is_missing(landmarks):
+    some = landmarks[:2].copy()
+    some[0, 3] = np.nan
+    expected = shapes(predict_landmarks(some))
+    lists = [[None if np.isnan(x) else [x, y] for x, y in face] for face in some.tolist()]
+    pairs = [[[None, None] if np.isnan(x) else [x, y] for x, y in face] for face in some.tolist()]
+    for given in (lists, pairs, [some[0], *some[1:]]):
+        assert np.array_equal(shapes(predict_landmarks(given)), expected)
+    table = pd.DataFrame(some[0], columns=["x", "y"]).convert_dtypes()
+    assert np.array_equal(predict_landmarks(table)[0].xyz, predict_landmarks(some[0])[0].xyz)
+    gap = predict_landmarks([some[1], None])
+    assert [face.is_gap for face in gap] == [False, True]
+
+
 def test_known_errors_of_landmarks_reach_the_model(landmarks):
     size = np.ptp(landmarks, axis=1).max(1)
     sure, unsure = (predict_landmarks(landmarks, landmark_sd=part * size) for part in (0, 0.1))
@@ -146,11 +177,12 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
     ("wrong", "message"),
     [
         (None, "hold numbers. Received dtype object"),
+        ([None, [None, None]], "nothing but null"),
         ({}, "hold numbers. Received dtype object"),
-        ([1.0, 2.0], r"of shape .* Received shape \(2,\)"),
+        ([1.0, 2.0], r"have shape .* Received \(2,\)"),
         ([[1.0], [2.0, 3.0]], "one array. Received rows of unequal lengths"),
-        (np.zeros((68, 3)), r"\(L, 2\). Received shape \(68, 3\)"),
-        (np.ones((68, 2)), "all 68 landmarks coincide"),
+        (np.zeros((68, 4)), r"\(L, 2\).*. Received \(68, 4\)"),
+        (np.full((68, 2), 7), "all 68 landmarks coincide"),
         (np.full((68, 2), np.nan), "not all be missing"),
         (np.full((68, 2), np.inf), "finite, or NaN"),
         (np.array([[(i, i) if i < 20 else (np.nan, 0) for i in range(68)]]), "on one line"),
@@ -168,7 +200,7 @@ def test_what_are_no_landmarks_is_refused(wrong, message):
 @pytest.mark.parametrize(
     "options",
     [
-        *({"interocular": mm} for mm in (-90, 0, np.nan, np.inf)),
+        *({"interocular": mm} for mm in (-90, 0, np.nan, np.inf, "90")),
         *({"visible": each} for each in (np.ones(67, bool), np.ones(68), "yes")),
         *({"landmark_sd": sd} for sd in (-1, np.nan, [1, 2], "a")),
         {"scheme": "ibug"},

@@ -37,7 +37,41 @@ def written(folder, name, content):
     return path
 
 
+def wide(faces, success=()):
+    """A table as OpenFace writes it, with its columns in millimetres too."""
+    axes = [f"{axis}_{i}" for axis in "xyXYZ" for i in range(68)]
+    rows = [
+        [i + 1, 0, *success[i : i + 1], *face.T.ravel(), *[7] * 204] for i, face in enumerate(faces)
+    ]
+    return table(rows, ", ".join(["frame", "face_id", *["success"] * bool(success), *axes]), ", ")
+
+
+def named(faces):
+    return [[dict(zip("xyz", point, strict=False)) for point in face] for face in faces.tolist()]
+
+
+COLUMNS = table(ONE[0], "x,y")
 LAYOUTS = {
+    "semicolons": ("f.csv", COLUMNS.replace(",", ";"), ONE),
+    "tabs": ("f.csv", COLUMNS.replace(",", "\t"), ONE),
+    "decimal commas": ("f.csv", COLUMNS.replace(",", ";").replace(".", ","), ONE),
+    "decimal commas, tabs": ("f.csv", COLUMNS.replace(",", "\t").replace(".", ","), ONE),
+    "UTF-16": ("f.csv", COLUMNS.encode("utf-16"), ONE),
+    "blank lines between": ("f.csv", COLUMNS.replace("\n", "\r\r\n"), ONE),
+    "empty rows of a spreadsheet": ("f.csv", COLUMNS + ",\n" * 3, ONE),
+    "OpenFace": ("f.csv", wide(FACES), FACES),
+    "with z": ("f.csv", table(np.hstack([ONE[0], DEPTH[0]]), "x,y,z"), ONE),
+    "coordinates first": ("f.npy", FACES.swapaxes(1, 2), FACES),
+    "coordinates first, depth": ("f.npy", np.dstack([FACES, DEPTH])[1].T, FACES[1:2]),
+    "message": ("f.json", json.dumps({"landmark": named(ONE)[0]}), ONE),
+    "messages": (
+        "f.json",
+        json.dumps({"multi_face_landmarks": [{"landmark": face} for face in named(FACES)]}),
+        FACES,
+    ),
+    "MediaPipe in Python": ("f.json", json.dumps({"face_landmarks": named(FACES)}), FACES),
+    "MediaPipe in JavaScript": ("f.json", json.dumps({"multiFaceLandmarks": named(FACES)}), FACES),
+    "TensorFlow.js": ("f.json", json.dumps([{"box": {}, "keypoints": f} for f in named(ONE)]), ONE),
     "columns": ("f.csv", table(ONE[0], "x,y"), ONE),
     "comments, empty lines": ("f.csv", f'# a, "b" c\n\n{table(ONE[0], "x,y")}\n\n', ONE),
     "capitals, Windows, BOM": (
@@ -97,26 +131,44 @@ MESH = np.random.default_rng(1).uniform(0.2, 0.7, (3, 468, 2))
 @pytest.mark.parametrize("key", [None, "faceLandmarks"])
 def test_fractions_of_mediapipe_become_pixels(tmp_path, n, key):
     faces = np.random.default_rng(n).uniform(0, 1.1, (2, n, 3))
-    named = [[dict(zip("xyz", point, strict=True)) for point in face] for face in faces.tolist()]
-    for content, expected in ((named, faces), (named[0], faces[:1]), ([named[0]], faces[:1])):
+    every = named(faces)
+    for content, expected in ((every, faces), (every[0], faces[:1]), (every[:1], faces[:1])):
         path = written(tmp_path, "f.json", json.dumps({key: content} if key else content))
         points = read_landmarks(path, image_size=(640, 480))
         np.testing.assert_allclose(points, expected[..., :2] * (640, 480))
-    with pytest.raises(InputError, match="seem to be fractions of the image, as MediaPipe"):
+    with pytest.raises(
+        InputError, match="or --image-size W H be given. .* multiply x by its width"
+    ):
         read_landmarks(path)
 
 
-def test_an_image_size_for_pixels_is_refused_and_small_units_of_other_schemes_are_not(tmp_path):
+def test_an_image_size_for_pixels_is_refused_and_small_units_about_a_middle_are_not(tmp_path):
     with pytest.raises(InputError, match=r"up to 4.*: leave --image-size out"):
         read_landmarks(written(tmp_path, "f.npy", FACES), image_size=(640, 480))
-    path = written(tmp_path, "f.npy", FACES / 1000)
-    np.testing.assert_array_equal(read_landmarks(path), FACES / 1000)
+    small = (FACES - FACES.mean(1, keepdims=True)) / 1000
+    path = written(tmp_path, "f.npy", small)
+    np.testing.assert_array_equal(read_landmarks(path), small)
+
+
+@pytest.mark.parametrize("n", [51, 68])
+def test_fractions_of_a_wide_image_are_not_taken_for_pixels(tmp_path, n):
+    """Some points may lie beyond the image."""
+    fractions = FACES[:, :n] / (1920, 1080) - (0, 0.05)
+    path = written(tmp_path, "f.npy", fractions)
+    with pytest.raises(InputError, match="or --image-size W H be given"):
+        read_landmarks(path)
+    in_pixels = read_landmarks(path, image_size=(1920, 1080))
+    np.testing.assert_allclose(in_pixels, fractions * (1920, 1080))
 
 
 GAPS = np.concatenate([FACES[:1] * np.nan, FACES, FACES[:2] * np.nan])
 NULLS = [None, *FACES.tolist(), None, None]
 WITH_GAPS = {
     "array": ("f.npy", GAPS),
+    "frames without success": (
+        "f.csv",
+        wide(np.nan_to_num(GAPS, nan=5.0), (*[0, 1, 1, 1, 0], "0.0")),
+    ),
     "table of NaN": ("f.csv", table(long_rows(GAPS), "face,number,x,y")),
     "empty cells": ("f.csv", table(long_rows(GAPS), "face,number,x,y").replace("nan", "") + "\n\n"),
     "JSON of NaN": ("f.json", json.dumps(GAPS.tolist())),
@@ -128,7 +180,7 @@ WITH_GAPS = {
 @pytest.mark.parametrize("layout", WITH_GAPS)
 def test_faces_of_nan_are_gaps_and_stay_in_their_place(tmp_path, layout):
     name, content = WITH_GAPS[layout]
-    points, faults = read_faces(written(tmp_path, name, content))
+    points, faults, _ = read_faces(written(tmp_path, name, content))
     np.testing.assert_allclose(points, GAPS, rtol=1e-12)
     assert faults == {}
 
@@ -136,7 +188,7 @@ def test_faces_of_nan_are_gaps_and_stay_in_their_place(tmp_path, layout):
 def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
     faces = np.repeat(FACES, 3, 0)
     faces[1, 5:, 0], faces[3], faces[4, :, 1], faces[6, 0] = np.nan, 7, 2, 1e12
-    points, faults = read_faces(written(tmp_path, "f.npy", faces))
+    points, faults, _ = read_faces(written(tmp_path, "f.npy", faces))
     expected = {
         1: "at least 6 landmarks. Received 5",
         3: "all 68 landmarks coincide",
@@ -151,7 +203,7 @@ def test_faces_that_cannot_be_used_are_named_and_the_others_read(tmp_path):
     for cell, text in (("12 px", "text"), ("inf", "infinity"), ("1e400", "inf")):
         rows = long_rows()
         rows[70] = (*rows[70][:2], cell, rows[70][3])
-        points, faults = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
+        points, faults, _ = read_faces(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
         assert [*faults] == [1] and text in faults[1] and "landmark 3 of 68" in faults[1]
         np.testing.assert_allclose(points[[0, 2]], FACES[[0, 2]], rtol=1e-12)
 
@@ -162,17 +214,54 @@ def test_landmarks_may_be_missing(tmp_path):
     faces[1][2], records[1][2] = None, [None, None]  # as `deepmds predict` writes it
     for name, content in (
         ("f.csv", table(rows, "face,number,x,y")),
+        ("f.csv", table(rows, "face,number,x,y").replace(",,", ",NA,")),
         ("f.json", json.dumps(faces)),
         ("f.json", json.dumps({"faces": [{"landmarks": face} for face in records]})),
     ):
-        points, faults = read_faces(written(tmp_path, name, content))
+        points, faults, _ = read_faces(written(tmp_path, name, content))
         missing = np.isnan(points).all(2)
         assert not faults and np.argwhere(missing).tolist() == [[1, 2]]
         np.testing.assert_allclose(points[~missing], FACES[~missing], rtol=1e-12)
 
 
+def test_the_last_landmarks_may_be_missing(tmp_path):
+    """51 rows with numbers and 17 without are 68 landmarks, not 51."""
+    content = "x,y\n" + table(ONE[0, :51]) + ",\n" * 17
+    points = read_landmarks(written(tmp_path, "f.csv", content))
+    assert points.shape == (1, 68, 2) and np.isnan(points[0, 51:]).all()
+
+
+def test_landmarks_that_were_not_seen_stay_missing(tmp_path):
+    """Their places in a table of this program are estimates, and have no residual."""
+    rows = [(*point, "nan" if 36 <= i < 48 else 0.1) for i, point in enumerate(ONE[0])]
+    content = table(rows, "image_x,image_y,residual")
+    missing = np.isnan(read_landmarks(written(tmp_path, "f.csv", content))[0]).all(1)
+    assert np.flatnonzero(missing).tolist() == [*range(36, 48)]
+
+
+@pytest.mark.parametrize("layout", ["array with depth", "with z", "coordinates first, depth"])
+def test_a_coordinate_that_is_not_used_is_named(tmp_path, layout):
+    name, content, _ = LAYOUTS[layout]
+    assert "z of the landmarks is not used" in read_faces(written(tmp_path, name, content))[2][0]
+    assert read_faces(written(tmp_path, "g.npy", FACES))[2] == []
+
+
 REFUSED = {
-    "no header": ("f.csv", table(ONE[0]), "a header with columns x and y; save numbers without"),
+    "two faces of 300-W": ("f.pts", 2 * pts(ONE[0]), "must hold one face. Received several"),
+    "columns twice": ("f.csv", table(np.ones((68, 4)), "x,y,x,y"), "each once"),
+    "one axis longer": ("f.csv", wide(FACES).replace("y_67", "y_x"), "as many columns of each"),
+    "two keys": ("f.json", '{"faces": [], "landmarks": []}', "Received faces and landmarks"),
+    "millimetres alone": (
+        "f.csv",
+        wide(FACES).replace(" x_", " u_").replace(" y_", " v_"),
+        "with columns x, y;",
+    ),
+    "points instead of commas": (
+        "f.csv",
+        COLUMNS.replace(",", ";").replace(".", ",5."),
+        "text or infinity in landmark 1",
+    ),
+    "no header": ("f.csv", table(ONE[0]), "a header with columns x, y; save numbers without"),
     "other names": ("f.csv", table(ONE[0], "a,b"), "Received the first line 'a,b'"),
     "cells more": ("f.csv", table(np.ones((68, 3)), "x,y"), "2 cells a row.* Received 3 in row 1"),
     "faces not named": (
@@ -196,18 +285,19 @@ REFUSED = {
     "fractions of MediaPipe": ("f.npy", MESH, "or --image-size W H be given"),
     "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
     "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks a face. Received 5"),
-    "no faces": ("f.npy", FACES[:0], r"Received \(0, 68, 2\)"),
-    "axes swapped": ("f.npy", FACES.transpose(0, 2, 1), r"\(3, 2, 68\)"),
+    "no faces": ("f.npy", FACES[:0], "at least one face. Received none"),
+    "axes swapped": ("f.npy", FACES.transpose(1, 2, 0), "landmarks a face. Received 2"),
     "complex": ("f.npy", FACES + 1j, "complex"),
-    "text as array": ("f.npy", np.full((68, 2), "1"), "text"),
+    "text as array": ("f.npy", np.full((68, 2), "1"), "numbers. Received dtype"),
     "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "on one line"),
     "no array": ("f.npy", "version", "NumPy's format"),
     "points miscounted": ("f.pts", pts(ONE[0]).replace("  68", " 67"), "states, 67. Received 68"),
     "points too many": ("f.pts", pts(np.ones((194, 2))), "Received 194"),
-    "JSON ragged": ("f.json", "[[1, 2], [3]]", "lists of other lengths"),
+    "JSON ragged": ("f.json", "[[1, 2], [3]]", "rows of unequal lengths"),
     "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "nothing but gaps"),
-    "JSON without landmarks": ("f.json", '{"points": []}', 'keys "faces", "landmarks"'),
-    "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "null"),
+    "JSON without landmarks": ("f.json", '{"points": []}', "keys faces, landmarks"),
+    "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "Received none of them"),
+    "JSON of null": ("f.json", "[null, [null]]", "nothing but null"),
 }
 
 
