@@ -39,7 +39,8 @@ examples:
   deepmds predict clip.mp4 --smooth 2
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
-Sources with existing results are skipped, so the same command resumes an interrupted run.
+Sources with results of the same options are skipped, so the same command resumes an interrupted
+run. Other results in their place are an error; --overwrite replaces them.
 Exit status: 0; 1 if a source could not be used (the others are done); 2 for wrong arguments;
 130 after Ctrl-C."""
 

@@ -8,25 +8,23 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
-import numpy as np
 from joblib import Parallel, cpu_count, delayed
 from tqdm import tqdm
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.landmarks import convert, load_scheme, scheme_of
-from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.tool.command.cli import fault_of, lines_about, printable
-from deepmds_keras.tool.command.outputs import (
-    MESH_FORMATS,
-    import_trimesh,
-    output_files,
-    write_output,
+from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.tool.command.cli import printable
+from deepmds_keras.tool.command.outputs import import_trimesh
+from deepmds_keras.tool.command.process import picture_name, process
+from deepmds_keras.tool.command.records import (
+    USED_BY,
+    add_record,
+    describe_difference,
+    describe_run,
+    read_records,
 )
-from deepmds_keras.tool.command.overlay import write_overlay
-from deepmds_keras.tool.command.page import write_page
 from deepmds_keras.tool.command.sources import (
     LOCK,
     find_sources,
@@ -35,24 +33,9 @@ from deepmds_keras.tool.command.sources import (
     name_sources,
 )
 from deepmds_keras.tool.detection import DETECTORS
-from deepmds_keras.tool.detection.photos import read_photo
-from deepmds_keras.tool.predict.estimation import estimate_faces
-from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
-from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
-from deepmds_keras.tool.predict.models import (
-    DEFAULT,
-    FAMILIES,
-    describe_model,
-    given_scheme,
-    load_model,
-    name_for,
-    target_scheme,
-)
-from deepmds_keras.tool.predict.photo_faces import find_in_photo, no_face, open_detector
-from deepmds_keras.tool.predict.video_faces import find_in_video, smooth_over_time
-from deepmds_keras.tool.predict.videos import portraits, read_stills, write_landmark_video
+from deepmds_keras.tool.predict.models import DEFAULT, FAMILIES, load_model
+from deepmds_keras.tool.predict.photo_faces import open_detector
 
-_DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
 _HIDDEN = ".deepmds-"  # prefix of files that are not for users
 
 
@@ -72,7 +55,7 @@ def run(
         sources: Names of photos, folders, videos and files of landmarks.
         out: Folder of the results.
         recursive: Whether to include the photos in subfolders.
-        overwrite: Whether to redo finished sources, and to replace files that no run wrote.
+        overwrite: Whether to redo finished sources, and to replace existing files.
         jobs: Number of processes; -1 is one per core.
         stopped: Called after every source; whether to stop.
         settings: The other options of `cli`, by name.
@@ -97,26 +80,39 @@ def run(
     if out.resolve() in {folder.resolve() for folder in {path.parent for path in paths}}:
         raise InputError(f"{out} must not be a folder of sources. Name another (--out).")
     named = [*zip(paths, name_sources(paths), strict=True)]
-    todo = [pair for pair in named if overwrite or not _is_done(out, *pair)]
-    if len(todo) < len(named):
+    described = {name: describe_run(path, settings) for path, name in named}
+    records = read_records(out)
+    todo, taken = (named, []) if overwrite else _sort(named, out, records, described)
+    if done := len(named) - len(todo) - len(taken):
         print(
-            f"{len(named) - len(todo)} of {len(named)} sources have a newer picture in "
-            f"{printable(str(out))} and are skipped; --overwrite does them again."
+            f"{done} of {len(named)} sources are done, in {printable(str(out))}, and are skipped; "
+            "--overwrite does them again."
         )
+    for fault in taken[:1]:
+        more = f", as for {len(taken) - 1} more sources" if len(taken) > 1 else ""
+        _complain(f"{fault}{more}. Replace by --overwrite, or name another folder (--out).")
+    failed = len(errors) + len(taken)
     if not todo:
-        return len(errors)
+        return failed
     usable = _usable(todo, settings)
-    failed = len(errors) + len(todo) - len(usable)
+    failed += len(todo) - len(usable)
     hidden = len(usable) == 1 or None  # None hides it where there is no terminal
     with _locked(out) as folder, tqdm(total=len(usable), unit="source", disable=hidden) as bar:
-        for files, lines, fault in _results(usable, folder, jobs, settings):
-            if blocked := [path for file in files if _is_taken(path := out / file, overwrite)]:
+        for name, files, lines, fault in _results(usable, folder, jobs, settings):
+            own = {*records.get(name, {}).get("results", ())}  # of a former run, perhaps not all
+            free = files if overwrite else own
+            if blocked := [path for f in files if _is_taken(path := out / f, f in free)]:
                 fault = (
                     f"{blocked[0]} must not be there yet. Received an existing file: move it away, "
                     "name another folder (--out), or replace it by --overwrite."
                 )
             elif files:
-                for file in files:  # the picture, by which a source is done, comes last
+                # Before the record, so that whatever stops this leaves nothing that it is not of.
+                for path in (out / Path(file).name for file in own.union(files)):
+                    if not path.is_dir():
+                        path.unlink(missing_ok=True)
+                add_record(out, name, described[name], files)
+                for file in files:
                     os.replace(folder / file, out / file)
                 listed = [str(out / files[0]), *files[1:4], *["…"] * (len(files) > 4)]
                 lines[0] += f" → {', '.join(listed)}"
@@ -130,19 +126,26 @@ def run(
     return failed
 
 
-def _picture(source: Path, name: str) -> str:
-    """File that exists once a source is done."""
-    return f"{name}{'.mp4' if kind_of(source) == 'video' else '.png'}"
+def _sort(
+    named: list[tuple[Path, str]], out: Path, records: dict[str, dict], described: dict[str, dict]
+) -> tuple[list[tuple[Path, str]], list[str]]:
+    """Sources that are not done, and what is wrong where there are other results in their place."""
+    todo, taken = [], []
+    for source, name in named:
+        record = records.get(name)
+        results = [picture_name(source, name)] if record is None else record["results"]
+        there = [path for path in (out / file for file in results) if path.is_file()]
+        whose = describe_difference(record, described[name])
+        if there and whose:
+            fault = f"{there[0]} must be the result of {source} with these options"
+            taken.append(f"{fault}. Received one {whose}")
+        elif whose or len(there) < len(results):
+            todo.append((source, name))
+    return todo, taken
 
 
-def _is_done(out: Path, source: Path, name: str) -> bool:
-    """Whether the picture, the last file that a run writes, is newer than the source."""
-    picture = out / _picture(source, name)
-    return picture.is_file() and picture.stat().st_mtime_ns >= source.stat().st_mtime_ns
-
-
-def _is_taken(path: Path, overwrite: bool) -> bool:
-    return path.is_dir() or (os.path.lexists(path) and not overwrite)
+def _is_taken(path: Path, replaced: bool) -> bool:
+    return path.is_dir() or (os.path.lexists(path) and not replaced)
 
 
 def _complain(error: object, kind: str = "error") -> None:
@@ -203,21 +206,16 @@ def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, st
 def _note_without_effect(paths: list[Path], settings: dict) -> None:
     """Report options that have no effect on any of the sources."""
     kinds = {*map(kind_of, paths)}
-    videos, files = "video" in kinds, "landmarks" in kinds
-    without = {
-        "--smooth": settings["smooth"] and not (videos or files),
-        "--every": settings["every"] > 1 and not videos,
-        "--y-up": settings["y_up"] and not files,
-        "--image-size": settings["image_size"] and not files,
-        "--scheme": settings["scheme"] and not files,
-    }
-    if paths and any(without.values()):
-        options = ", ".join(option for option, idle in without.items() if idle)
+    given = {key: settings[key] for key in ("smooth", "y_up", "image_size", "scheme")}
+    given["every"] = settings["every"] > 1
+    without = [key for key in USED_BY if given.get(key) and not kinds & {*USED_BY[key]}]
+    if paths and without:
+        options = ", ".join(f"--{key.replace('_', '-')}" for key in without)
         _complain(f"no effect on these sources: {options}.", "note")
 
 
 def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: dict) -> Iterator:
-    """What `_process` returns for each source, as soon as it is done."""
+    """The name of each source and what `process` returns of it, as soon as it is done."""
     # Videos one by one, after the others; they, and the paper's networks, use all processes.
     videos = [pair for pair in todo if kind_of(pair[0]) == "video"]
     others = [pair for pair in todo if kind_of(pair[0]) != "video"]
@@ -228,149 +226,7 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     settings = {"folder": folder, "jobs": jobs, **settings}
     if others:
         within = settings | {"jobs": 1 if workers > 1 else jobs}
-        tasks = (delayed(_process)(*pair, **within) for pair in others)
-        yield from Parallel(workers, return_as="generator")(tasks)
-    yield from (_process(*pair, **settings) for pair in videos)
-
-
-def _process(
-    source: Path,
-    name: str,
-    *,
-    folder: Path,
-    formats: tuple[str, ...],
-    view: bool,
-    mesh: bool,
-    **settings,
-) -> tuple[list[str], list[str], object]:
-    """Write the files of a source into a folder.
-
-    Returns:
-        Names of the files, lines for the terminal, and what could not be used, or None.
-    """
-    try:
-        photo, detections = _detect(source, name, **settings)
-        n = len(detections.names)
-        with tqdm(total=n, unit="face", leave=False, disable=n <= _DRAWN_FACES or None) as bar:
-            options = {key: settings[key] for key in ("model", "interocular", "jobs")}
-            faces = estimate_faces(detections, progress=bar.update, **options)
-        model = describe_model(detections.scheme, settings["model"])
-        kinds = [*formats, *(MESH_FORMATS if mesh else ())]
-        files: dict[Path, Callable[[Path], None]] = {
-            path: partial(write_output, faces=held, model=model)
-            for path, held in output_files(folder, name, faces, kinds).items()
-        }
-        files |= _pictures(folder, source, name, faces, photo, view, mesh, settings["every"])
-        for path, write in files.items():
-            write(path)
-    except InputError as error:
-        return [], [], error
-    except OSError as error:
-        place = folder.parent / Path(error.filename or name).name
-        return [], [], f"{place} cannot be written: {error.strerror}."
-    lines = [*lines_about(source, faces, _DRAWN_FACES)]
-    lines[1:1] = [f"  {remark}" for remark in detections.remarks]
-    return [path.name for path in files], lines, fault_of(source, faces)
-
-
-def _detect(
-    source: Path,
-    name: str,
-    *,
-    detector: str,
-    landmarker: str | None,
-    model: str | None,
-    smooth: float,
-    every: int,
-    y_up: bool,
-    image_size: tuple[float, float] | None,
-    scheme: str | None,
-    jobs: int,
-    **_,
-) -> tuple[np.ndarray | None, Detections]:
-    """The photo, or None for other sources, and the landmarks of its faces."""
-    if kind_of(source) == "video":
-        return None, find_in_video(
-            source,
-            name,
-            detector=detector,
-            landmarker=landmarker,
-            model=model,
-            every=every,
-            smooth=smooth,
-            jobs=jobs,
-        )
-    if kind_of(source) == "photo":
-        photo, n_pictures = read_photo(source)
-        detections = find_in_photo(
-            photo,
-            source,
-            name,
-            detector=detector,
-            landmarker=landmarker,
-            model=model,
-            n_pictures=n_pictures,
-        )
-        if not detections.names:
-            of = f" in the first of {n_pictures} pictures" if n_pictures > 1 else ""
-            raise no_face(source, detector, f"whichever side is up{of}")
-        return photo, detections
-    scheme = given_scheme(scheme, model)
-    landmarks, faults, remarks = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
-    n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
-    odd = check_y_axis(landmarks, scheme, str(source))
-    target = target_scheme(scheme, model)
-    landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing
-    if target != scheme:
-        faults |= find_unusable(landmarks)
-    missing = np.isnan(landmarks).any(2)
-    if missing.any() and load_model(name_for(target, model)).family != DEFAULT:
-        incomplete = np.flatnonzero(missing.any(1) & ~missing.all(1))
-        fault = f"must have all landmarks for the model {model}. Received some without"
-        faults |= dict.fromkeys(incomplete.tolist(), fault)
-    landmarks[[*faults]] = np.nan
-    if np.isnan(landmarks).all():
-        fault = next(iter(faults.values()), f"must have landmarks of {target}. Received none")
-        raise InputError(f"{source}: each face {fault}.")
-    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
-    landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
-    return None, Detections(
-        source=source,
-        names=name_faces(name, n),
-        scheme=target,
-        landmarks=landmarks,
-        is_photo=False,
-        faults=faults,
-        notes={i: [f"stands unlike the other faces: {fault}"] for i, fault in odd.items()},
-        remarks=remarks,
-    )
-
-
-def _pictures(
-    folder: Path,
-    source: Path,
-    name: str,
-    faces: list[Face],
-    photo: np.ndarray | None,
-    view: bool,
-    mesh: bool,
-    every: int,
-) -> dict[Path, Callable[[Path], None]]:
-    """The page and the picture of a source, for a video another video, each with its writer."""
-    shown = [face for face in faces if not face.is_gap]
-    if video := faces[0].frame_ref is not None:
-        shown = portraits(shown, _DRAWN_FACES)
-    some = shown[:_DRAWN_FACES]
-
-    def write_view(path: Path) -> None:
-        stills = read_stills(source, some, every) if video else [photo] * len(some)
-        write_page(path, some, stills, mesh=mesh)
-
-    def write_picture(path: Path) -> None:
-        if video:
-            write_landmark_video(path, source, faces, every)
-        else:
-            write_overlay(path, some if photo is None else shown, photo)
-
-    writers = {folder / f"{name}.html": write_view} if view else {}
-    return {**writers, folder / _picture(source, name): write_picture}
+        tasks = (delayed(process)(*pair, **within) for pair in others)
+        done = Parallel(workers, return_as="generator")(tasks)
+        yield from ((name, *each) for (_, name), each in zip(others, done, strict=True))
+    yield from ((name, *process(source, name, **settings)) for source, name in videos)

@@ -16,7 +16,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras.__main__ import main
 from deepmds_keras.landmarks import convert, load_scheme
-from deepmds_keras.tool.command import run
+from deepmds_keras.tool.command import process
 from deepmds_keras.tool.detection import (
     DETECTORS,
     Detector,
@@ -81,8 +81,9 @@ def faces24(monkeypatch, landmarks):
 
 
 def written(folder):
-    """Names of the files in a folder, but for the lock."""
-    return sorted(path.name for path in folder.iterdir() if path.name != ".deepmds-lock")
+    """Names of the files in a folder, but for the lock and the records."""
+    own = (".deepmds-lock", ".deepmds-results")
+    return sorted(path.name for path in folder.iterdir() if path.name not in own)
 
 
 def arrays_of(path):
@@ -255,7 +256,7 @@ def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, fa
         Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")
     read = []
     monkeypatch.setattr(
-        run, "read_photo", lambda path, real=run.read_photo: read.append(path) or real(path)
+        process, "read_photo", lambda path, real=process.read_photo: read.append(path) or real(path)
     )
     options = ("--detector", "dlib", "--view", "--format", "ply")
     assert predict(*sorted(tmp_path.glob("*.png")), *options)[0] == 0
@@ -264,7 +265,7 @@ def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, fa
     assert (tmp_path / "out" / "00.png").is_file()
 
 
-def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, landmarks):
+def test_what_is_done_is_skipped_until_source_or_options_change(tmp_path, predict, landmarks):
     first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
     out = tmp_path / "out"
 
@@ -281,11 +282,66 @@ def test_what_is_done_is_skipped_until_the_source_changes(tmp_path, predict, lan
     assert redone() == (0, [])
     assert redone("--overwrite") == (0, ["a", "b"])
     (out / "a.png").unlink()
-    (out / "a.csv").unlink()
-    assert redone() == (0, ["a"])
+    assert redone() == (0, ["a"]), "which replaces what is left of the same results"
     save(second, landmarks + 1)
     assert redone() == (1, []), "whose former results are in the way"
     assert redone("--overwrite") == (0, ["a", "b"])
+    assert redone("--jobs", 2) == redone("--every", 2) == (0, []), "which have no effect on these"
+
+
+@pytest.mark.parametrize(
+    "options", [("--interocular", 90), ("--format", "json"), ("--view", "--mesh"), ("--y-up",)]
+)
+def test_other_options_are_never_skipped(tmp_path, predict, landmarks, options):
+    points = save(tmp_path / "a.npy", landmarks)
+    assert predict(points)[0] == 0
+    before = (tmp_path / "out" / "a.csv").read_bytes()
+    status, output, (line,) = predict(points, *options)
+    assert (status, "skipped" in output) == (1, False)
+    assert f"{tmp_path / 'out' / 'a.csv'} must be the result of {points} with these" in line
+    assert "made with other " in line and "--overwrite" in line
+    assert (tmp_path / "out" / "a.csv").read_bytes() == before
+    if options != ("--y-up",):
+        assert predict(points, *options, "--overwrite")[0] == 0
+        assert predict(points, *options)[0] == 0
+
+
+def test_a_result_is_never_taken_for_that_of_another_source(tmp_path, predict, landmarks):
+    """Even of the same name, size and time."""
+    first, second = (tmp_path / folder / "x.npy" for folder in ("d1", "d2"))
+    for path, points in ((first, landmarks), (second, landmarks + (0, 5))):
+        path.parent.mkdir()
+        os.utime(save(path, points), ns=(10**18, 10**18))
+    assert predict(first, "--format", "csv,json")[0] == 0
+    status, output, (line,) = predict(second)
+    assert (status, "skipped" in output) == (1, False) and f"Received one of {first}." in line
+    assert predict(first, "--format", "csv,json")[0] == 0, "which is still there"
+    assert predict(second, "--overwrite")[0] == 0
+    assert written(tmp_path / "out") == ["x.csv", "x.png"], "and no table of the first"
+    read = read_landmarks(tmp_path / "out" / "x.csv")[0]
+    np.testing.assert_allclose(read, landmarks + (0, 5), rtol=1e-5)
+
+
+def test_results_without_a_record_are_of_an_unknown_source(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    assert predict(points)[0] == 0
+    records = tmp_path / "out" / ".deepmds-results"
+    whole = records.read_text()
+    records.write_text(whole[: len(whole) // 2])  # a run was killed
+    status, _, (line,) = predict(points)
+    assert (status, "Received one of an unknown source" in line) == (1, True)
+    assert predict(points, "--overwrite")[0] == 0
+    assert predict(points)[0] == 0
+
+
+def test_a_face_that_replaced_one_of_another_source_is_not_taken_for_it(
+    tmp_path, predict, landmarks
+):
+    two, other = save(tmp_path / "a.npy", [landmarks] * 2), save(tmp_path / "a-1.npy", landmarks)
+    assert predict(two, "--format", "ply")[0] == 0
+    assert predict(other, "--format", "ply")[0] == 1, "a-1.ply is there"
+    assert predict(other, "--format", "ply", "--overwrite")[0] == 0
+    assert predict(two, "--format", "ply")[0] == 1
 
 
 def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landmarks):
@@ -339,7 +395,7 @@ def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(run, place, stop)
+        patched.setattr(process, place, stop)
         assert predict(points)[0] == 130
     assert written(tmp_path / "out") == []
     assert predict(points)[0] == 0
@@ -405,7 +461,9 @@ def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):
     assert (status, line) == (0, f"note: no effect on these sources: {names}.")
     points = save(tmp_path / "b.npy", landmarks)
     assert predict(points, "--smooth", 2)[2] == []
-    assert predict(points, "--every", 2)[2] == ["note: no effect on these sources: --every."]
+    assert predict(points, "--overwrite", "--every", 2)[2] == [
+        "note: no effect on these sources: --every."
+    ]
 
 
 def test_mesh_writes_a_head_for_each_face(predict, landmarks, tmp_path):

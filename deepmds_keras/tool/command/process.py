@@ -1,0 +1,184 @@
+"""One source of `deepmds predict`: its faces are found, estimated and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from deepmds_keras.errors import InputError
+from deepmds_keras.landmarks import convert, scheme_of
+from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.tool.command.cli import fault_of, lines_about
+from deepmds_keras.tool.command.outputs import MESH_FORMATS, output_files, write_output
+from deepmds_keras.tool.command.overlay import write_overlay
+from deepmds_keras.tool.command.page import write_page
+from deepmds_keras.tool.command.sources import kind_of
+from deepmds_keras.tool.detection.photos import read_photo
+from deepmds_keras.tool.predict.estimation import estimate_faces
+from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
+from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
+from deepmds_keras.tool.predict.models import (
+    DEFAULT,
+    describe_model,
+    given_scheme,
+    load_model,
+    name_for,
+    target_scheme,
+)
+from deepmds_keras.tool.predict.photo_faces import find_in_photo, no_face
+from deepmds_keras.tool.predict.video_faces import find_in_video, smooth_over_time
+from deepmds_keras.tool.predict.videos import portraits, read_stills, write_landmark_video
+
+_DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
+
+
+def process(
+    source: Path,
+    name: str,
+    *,
+    folder: Path,
+    formats: tuple[str, ...],
+    view: bool,
+    mesh: bool,
+    **settings,
+) -> tuple[list[str], list[str], object]:
+    """Write the files of a source into a folder.
+
+    Returns:
+        Names of the files, lines for the terminal, and what could not be used, or None.
+    """
+    try:
+        photo, detections = _detect(source, name, **settings)
+        n = len(detections.names)
+        with tqdm(total=n, unit="face", leave=False, disable=n <= _DRAWN_FACES or None) as bar:
+            options = {key: settings[key] for key in ("model", "interocular", "jobs")}
+            faces = estimate_faces(detections, progress=bar.update, **options)
+        model = describe_model(detections.scheme, settings["model"])
+        kinds = [*formats, *(MESH_FORMATS if mesh else ())]
+        files: dict[Path, Callable[[Path], None]] = {
+            path: partial(write_output, faces=held, model=model)
+            for path, held in output_files(folder, name, faces, kinds).items()
+        }
+        files |= _pictures(folder, source, name, faces, photo, view, mesh, settings["every"])
+        for path, write in files.items():
+            write(path)
+    except InputError as error:
+        return [], [], error
+    except OSError as error:
+        place = folder.parent / Path(error.filename or name).name
+        return [], [], f"{place} cannot be written: {error.strerror}."
+    lines = [*lines_about(source, faces, _DRAWN_FACES)]
+    lines[1:1] = [f"  {remark}" for remark in detections.remarks]
+    return [path.name for path in files], lines, fault_of(source, faces)
+
+
+def picture_name(source: Path, name: str) -> str:
+    """Name of the picture of a source, for a video another video."""
+    return f"{name}{'.mp4' if kind_of(source) == 'video' else '.png'}"
+
+
+def _detect(
+    source: Path,
+    name: str,
+    *,
+    detector: str,
+    landmarker: str | None,
+    model: str | None,
+    smooth: float,
+    every: int,
+    y_up: bool,
+    image_size: tuple[float, float] | None,
+    scheme: str | None,
+    jobs: int,
+    **_,
+) -> tuple[np.ndarray | None, Detections]:
+    """The photo, or None for other sources, and the landmarks of its faces."""
+    if kind_of(source) == "video":
+        return None, find_in_video(
+            source,
+            name,
+            detector=detector,
+            landmarker=landmarker,
+            model=model,
+            every=every,
+            smooth=smooth,
+            jobs=jobs,
+        )
+    if kind_of(source) == "photo":
+        photo, n_pictures = read_photo(source)
+        detections = find_in_photo(
+            photo,
+            source,
+            name,
+            detector=detector,
+            landmarker=landmarker,
+            model=model,
+            n_pictures=n_pictures,
+        )
+        if not detections.names:
+            of = f" in the first of {n_pictures} pictures" if n_pictures > 1 else ""
+            raise no_face(source, detector, f"whichever side is up{of}")
+        return photo, detections
+    scheme = given_scheme(scheme, model)
+    landmarks, faults, remarks = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
+    n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
+    odd = check_y_axis(landmarks, scheme, str(source))
+    target = target_scheme(scheme, model)
+    landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing
+    if target != scheme:
+        faults |= find_unusable(landmarks)
+    missing = np.isnan(landmarks).any(2)
+    if missing.any() and load_model(name_for(target, model)).family != DEFAULT:
+        incomplete = np.flatnonzero(missing.any(1) & ~missing.all(1))
+        fault = f"must have all landmarks for the model {model}. Received some without"
+        faults |= dict.fromkeys(incomplete.tolist(), fault)
+    landmarks[[*faults]] = np.nan
+    if np.isnan(landmarks).all():
+        fault = next(iter(faults.values()), f"must have landmarks of {target}. Received none")
+        raise InputError(f"{source}: each face {fault}.")
+    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+    landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
+    return None, Detections(
+        source=source,
+        names=name_faces(name, n),
+        scheme=target,
+        landmarks=landmarks,
+        is_photo=False,
+        faults=faults,
+        notes={i: [f"stands unlike the other faces: {fault}"] for i, fault in odd.items()},
+        remarks=remarks,
+    )
+
+
+def _pictures(
+    folder: Path,
+    source: Path,
+    name: str,
+    faces: list[Face],
+    photo: np.ndarray | None,
+    view: bool,
+    mesh: bool,
+    every: int,
+) -> dict[Path, Callable[[Path], None]]:
+    """The page and the picture of a source, for a video another video, each with its writer."""
+    shown = [face for face in faces if not face.is_gap]
+    if video := faces[0].frame_ref is not None:
+        shown = portraits(shown, _DRAWN_FACES)
+    some = shown[:_DRAWN_FACES]
+
+    def write_view(path: Path) -> None:
+        stills = read_stills(source, some, every) if video else [photo] * len(some)
+        write_page(path, some, stills, mesh=mesh)
+
+    def write_picture(path: Path) -> None:
+        if video:
+            write_landmark_video(path, source, faces, every)
+        else:
+            write_overlay(path, some if photo is None else shown, photo)
+
+    writers = {folder / f"{name}.html": write_view} if view else {}
+    return {**writers, folder / picture_name(source, name): write_picture}
