@@ -48,10 +48,10 @@ def main(arguments: list[str] | None = None) -> None:
             from deepmds_keras.tool.command.run import run
 
             failed = run(**options, stopped=stopped)
-        sys.stdout.flush()
-    except InputError as error:
-        sys.exit(f"error: {printable(str(error))}")
-    except KeyboardInterrupt:
+        print(end="", flush=True)  # there may be no output
+    except (InputError, KeyboardInterrupt) as error:
+        if isinstance(error, InputError) and not stopped():  # an import may fail by Ctrl-C
+            sys.exit(f"error: {printable(str(error))}")
         print("Stopped. The same command goes on from here.", file=sys.stderr)
         sys.exit(_STOPPED)
     except OSError as error:  # of the output: who read it has seen enough, or the disk is full
@@ -82,9 +82,11 @@ def _be_quiet() -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "0")  # its start-up notice; same sums everywhere
     logging.getLogger("tensorflow").setLevel(logging.ERROR)
-    # Pillow's notices of odd metadata; the variable is for processes that this one starts.
+    # Pillow's notices of odd metadata; the variable is for processes that this one starts. One of
+    # them would list what those that Ctrl-C ended leave, which it removes.
     warnings.filterwarnings("ignore", module="PIL")
-    os.environ.setdefault("PYTHONWARNINGS", "ignore:::PIL.TiffImagePlugin")
+    warnings.filterwarnings("ignore", module="joblib")  # which counts what Ctrl-C cancelled
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:::PIL.TiffImagePlugin,ignore:resource_tracker")
     warnings.formatwarning = lambda message, *_, **__: f"note: {message}\n"
     escape_unprintable()
 

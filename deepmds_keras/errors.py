@@ -70,10 +70,11 @@ def needs(package: str, extra: str) -> Iterator[None]:
     except MissingPackageError:  # its message already says what is missing
         raise
     except ImportError as error:
-        if error.name in KERAS_BACKENDS:
+        backend = str(error.name).partition(".")[0]
+        if backend in KERAS_BACKENDS:
             raise InputError(
                 "KERAS_BACKEND must be tensorflow, or jax where that is installed. "
-                f"Received {error.name}."
+                f"Received {backend}."
             ) from None
         raise MissingPackageError(
             f"{package} must be installed: from the repository, pip install '.[{extra}]'. "

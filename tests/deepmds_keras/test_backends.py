@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from deepmds_keras.errors import InputError, needs
+
 BACKENDS = ("tensorflow", "jax")
 # Trains both methods for a few steps, and predicts with the shipped networks.
 CODE = """
@@ -37,6 +39,13 @@ assert errors[-1] < errors[0], errors
 
 np.save(file, DeepMDS.pretrained("deepmds-ibug51").predict(views[:8]))
 """
+
+
+def test_a_backend_that_is_there_in_part_is_named():
+    error = ModuleNotFoundError("No module named 'torch.utils'", name="torch.utils")
+    message = "KERAS_BACKEND must be tensorflow.* Received torch"
+    with pytest.raises(InputError, match=message), needs("Keras", "keras"):
+        raise error
 
 
 @pytest.mark.slow

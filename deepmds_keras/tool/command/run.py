@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -179,6 +181,22 @@ def _locked(out: Path) -> Iterator[Path]:
             yield Path(folder)
 
 
+@contextmanager
+def _unheard_ctrl_c() -> Iterator[None]:
+    """Ignores Ctrl-C; processes that are started meanwhile do so for ever, and end with this one.
+
+    Else each would print where it was, on top of this one's line.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, str]]:
     """Sources that the installed packages can process; reports the others before the work."""
     if settings["model"] not in (None, *FAMILIES):
@@ -227,6 +245,7 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     if others:
         within = settings | {"jobs": 1 if workers > 1 else jobs}
         tasks = (delayed(process)(*pair, **within) for pair in others)
-        done = Parallel(workers, return_as="generator")(tasks)
+        with _unheard_ctrl_c():
+            done = Parallel(workers, return_as="generator")(tasks)
         yield from ((name, *each) for (_, name), each in zip(others, done, strict=True))
     yield from ((name, *process(source, name, **settings)) for source, name in videos)

@@ -143,7 +143,10 @@ class Face:
         if self.is_gap:
             return "gap"
         degrees = {name: float(getattr(self.pose, name)) for name in ("yaw", "pitch", "roll")}
-        return ", ".join(f"{name} {round(angle):+}°" for name, angle in degrees.items())
+        return ", ".join(
+            f"{name} {f'{round(angle):+}' if round(angle) else 0}°"
+            for name, angle in degrees.items()
+        )
 
     @property
     def is_gap(self) -> bool:

@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pandas as pd
@@ -410,6 +412,38 @@ def test_a_full_output_gets_one_line(tmp_path, landmarks):
     assert done.returncode == 1
     assert done.stderr == "error: the output cannot be written: No space left on device.\n"
     assert written(tmp_path / "out") == ["a.csv", "a.png"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no sh")
+def test_a_closed_output_stops_nothing(tmp_path, landmarks):
+    points = save(tmp_path / "a.npy", landmarks)
+    command = command_line("predict", points, "--out", tmp_path / "out")
+    words = ["sh", "-c", 'exec "$@" >&-', "sh", *command]
+    done = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert written(tmp_path / "out") == ["a.csv", "a.png"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="no signals to a group of processes")
+def test_ctrl_c_gets_one_line_whatever_the_processes_are_at(tmp_path, heads):
+    for i in range(60):
+        Image.fromarray(heads[0][1]).save(tmp_path / f"{i}.png")
+    for when in ("begin", "found"):
+        command = command_line("predict", tmp_path, "--out", tmp_path / when, "--jobs", 2)
+        run = subprocess.Popen(
+            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            start_new_session=True,
+        )  # fmt: skip
+        if when == "found":
+            run.stdout.readline()
+        else:
+            while not any((tmp_path / when).glob("*.partial")):
+                time.sleep(0.05)
+            time.sleep(0.3)
+        os.killpg(run.pid, signal.SIGINT)
+        errors = [line for line in run.communicate()[1].splitlines() if line[:5] != "note:"]
+        assert (run.returncode, errors) == (130, ["Stopped. The same command goes on from here."])
 
 
 def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predict, landmarks):
