@@ -1,4 +1,4 @@
-"""Pictures of faces: the photo with the landmarks and the wireframe of the shape."""
+"""Pictures of faces: the photo with the landmarks, and the shape from another side."""
 
 from __future__ import annotations
 
@@ -13,9 +13,17 @@ from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.predict.faces import Face
 
-_SIDE = 1200  # largest side of a picture, pixels
+_SIDE, _LEAST = 1200, 600  # largest side of the photo in a picture, pixels; smaller is enlarged
 _REACH = 1.05  # from the middle of the landmarks, relative to their box; shows the head
-_TILE, _MARGIN, _COLUMNS = 300, 30, 6  # of faces without a photo, pixels
+_TILE, _COLUMNS = 300, 3  # of faces without a photo, pixels
+_MARGIN = 0.1  # of a tile
+_YAW, _PITCH = np.radians([-40, 10])  # of the view in 3D, as the page begins with one
+_SIDEWAYS = np.array(
+    [
+        [np.cos(_YAW), 0, np.sin(_YAW)],
+        [-np.sin(_YAW) * np.sin(_PITCH), np.cos(_PITCH), np.cos(_YAW) * np.sin(_PITCH)],
+    ]
+)
 _LINE, _DOT, _EDGE = "#FF9448", "#FFD000", "#333333"
 
 
@@ -38,13 +46,14 @@ class Cutout:
         return (points - self.first) * self.scale
 
 
-def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800) -> Cutout:
+def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800, least: int = 0) -> Cutout:
     """The square around landmarks, clipped to the photo; the whole photo if it lies outside.
 
     Args:
         photo: `(H, W, 3)` uint8, RGB.
         landmarks: `(L, 2)` pixels of the photo, x right, y down.
-        side: Largest side of the result in pixels; nothing is enlarged.
+        side: Largest side of the result in pixels; a larger part is reduced.
+        least: Largest side to which a smaller part is enlarged.
     """
     low, high = landmarks.min(0), landmarks.max(0)
     reach = _REACH * (high - low).max()
@@ -54,35 +63,23 @@ def cut_out(photo: np.ndarray, landmarks: np.ndarray, *, side: int = 800) -> Cut
     if (last <= first).any():
         first, last = np.zeros(2, int), size
     image = Image.fromarray(photo[first[1] : last[1], first[0] : last[0]])
-    scale = min(1, side / max(image.size))
+    longest = max(image.size)
+    scale = min(max(longest, least), side) / longest
     width, height = (max(1, round(scale * length)) for length in image.size)
     image = image.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3)
     return Cutout(image, first, np.divide((width, height), last - first))
 
 
 def overlay(faces: Sequence[Face], photo: np.ndarray | None) -> Image.Image:
-    """Draw the faces on their photo, or side by side: landmarks as dots, the 3D shape as lines.
+    """Draw the faces as the photo shows them, and beside it their shapes from another side.
+
+    Landmarks are dots, the 3D shape is lines.
 
     Args:
         faces: One or more of one source, in the pixels of the photo.
-        photo: `(H, W, 3)` uint8, RGB, or None.
+        photo: `(H, W, 3)` uint8, RGB, or None: each face is drawn beside its view in 3D.
     """
-    if photo is not None:
-        points = np.concatenate([face.landmarks_3d[:, :2] for face in faces])
-        cutout = cut_out(photo, points, side=_SIDE)
-        for number, face in enumerate(faces, 1):
-            _draw(cutout.image, face, cutout, str(number) if len(faces) > 1 else "")
-        return cutout.image
-    columns = min(_COLUMNS, len(faces))
-    size = columns * _TILE, -(-len(faces) // columns) * _TILE
-    picture = Image.new("RGB", size, "white")
-    for i, face in enumerate(faces):
-        points = np.concatenate([face.landmarks_3d[:, :2], face.seen_shape])
-        low, extent = points.min(0), np.ptp(points, axis=0)
-        scale = (_TILE - 2 * _MARGIN) / extent.max()
-        corner = np.array([i % columns, i // columns]) * _TILE + (_TILE - scale * extent) / 2
-        _draw(picture, face, Cutout(picture, low - corner / scale, np.full(2, scale)), face.name)
-    return picture
+    return _in_tiles(faces) if photo is None else _on_photo(faces, photo)
 
 
 def write_overlay(path: Path, faces: Sequence[Face], photo: np.ndarray | None) -> None:
@@ -95,11 +92,69 @@ def write_overlay(path: Path, faces: Sequence[Face], photo: np.ndarray | None) -
         overlay(faces, photo).save(file, "png")
 
 
-def _draw(image: Image.Image, face: Face, cutout: Cutout, label: str) -> None:
+def _in_tiles(faces: Sequence[Face]) -> Image.Image:
+    columns = min(_COLUMNS, len(faces))
+    rows = -(-len(faces) // columns)
+    picture = Image.new("RGB", (2 * columns * _TILE, rows * _TILE), "white")
+    for i, face in enumerate(faces):
+        corner = np.array([2 * (i % columns), i // columns]) * _TILE
+        _draw_tile(picture, corner, _TILE, face, face.seen_shape, face.landmarks, face.name)
+        _draw_sideways(picture, corner + (_TILE, 0), _TILE, face, "")
+    return picture
+
+
+def _on_photo(faces: Sequence[Face], photo: np.ndarray) -> Image.Image:
+    points = np.concatenate([face.landmarks_3d[:, :2] for face in faces])
+    cutout = cut_out(photo, points, side=_SIDE, least=_LEAST)
+    width, height = cutout.image.size
+    if wide := width > 2 * height:  # then below it
+        columns = min(len(faces), 2 * _COLUMNS)
+        rows, tile = -(-len(faces) // columns), min(width // columns, _TILE)
+    else:
+        rows = round(np.ceil(np.sqrt(len(faces))))
+        columns, tile = -(-len(faces) // rows), height // rows
+    size = (width, height + rows * tile) if wide else (width + columns * tile, height)
+    picture = Image.new("RGB", size, "white")
+    for i, face in enumerate(faces):
+        label = str(i + 1) if len(faces) > 1 else ""
+        shape, dots = cutout.place(face.seen_shape), cutout.place(face.landmarks)
+        _draw(cutout.image, face, shape, dots, label)
+        first = np.array([0, height] if wide else [width, 0])
+        corner = first + tile * np.array([i % columns, i // columns])
+        _draw_sideways(picture, corner, tile, face, label)
+    picture.paste(cutout.image)
+    return picture
+
+
+def _draw_sideways(
+    picture: Image.Image, corner: np.ndarray, tile: int, face: Face, label: str
+) -> None:
+    """Draw the shape, turned from the front, into a square of the picture."""
+    points = face.xyz @ _SIDEWAYS.T * (1, -1)
+    _draw_tile(picture, corner, tile, face, points, points, label)
+
+
+def _draw_tile(
+    picture: Image.Image,
+    corner: np.ndarray,
+    tile: int,
+    face: Face,
+    shape: np.ndarray,
+    dots: np.ndarray,
+    label: str,
+) -> None:
+    """Draw points `(L, 2)`, y down, into a square of the picture, which they fill."""
+    points = np.concatenate([shape, dots])
+    low, extent = np.nanmin(points, axis=0), np.ptp(points[~np.isnan(points).any(1)], axis=0)
+    scale = (1 - 2 * _MARGIN) * tile / extent.max()
+    first = corner + (tile - scale * extent) / 2
+    _draw(picture, face, scale * (shape - low) + first, scale * (dots - low) + first, label)
+
+
+def _draw(image: Image.Image, face: Face, shape: np.ndarray, dots: np.ndarray, label: str) -> None:
     draw = ImageDraw.Draw(image)
-    shape, dots = cutout.place(face.seen_shape), cutout.place(face.landmarks)
     side = np.ptp(shape, axis=0).max()
-    radius, width = max(1.0, side / 120), max(1, round(side / 200))
+    radius, width = max(1.0, side / 120), max(1, round(side / 140))
     for line in load_scheme(face.scheme).polylines:
         draw.line([*map(tuple, shape[list(line)])], fill=_LINE, width=width)
     for x, y in dots[~np.isnan(dots).any(1)]:
