@@ -15,6 +15,7 @@ from deepmds_keras.tool.command.outputs import FORMATS
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.predict.faces import Face, frame_of
 from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES
+from deepmds_keras.tool.predict.smoothing import CAUSAL, RATE
 from deepmds_keras.tool.predict.videos import tell_tracks
 
 _DESCRIPTION = """\
@@ -93,9 +94,10 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
         help="x and y in files of landmarks are fractions of an image of this size, as from "
         "MediaPipe")  # fmt: skip
-    add("--smooth", type=_number(-1e-300, "a number, not negative"), default=0.0, metavar="FRAMES",
-        help="smooth each face of a video over time by a Gaussian of this standard deviation, but "
-        "not over gaps; the rows of a file of landmarks are frames of one face")  # fmt: skip
+    add("--smooth", type=_smooth, default=0.0, metavar="FRAMES|causal",
+        help="smooth each face of a video over time by a Gaussian of this standard deviation, or "
+        "from earlier frames only (causal), but not over gaps; the rows of a file of landmarks are "
+        f"frames of one face, for causal {RATE} a second")  # fmt: skip
     add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
         help="use every N-th frame of a video (default: 1)")  # fmt: skip
     add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
@@ -235,6 +237,11 @@ def _formats(text: str) -> tuple[str, ...]:
             f"must be some of {', '.join(FORMATS)}, with commas between. Received {unknown[0]!r}."
         )
     return formats
+
+
+def _smooth(text: str) -> float | str:
+    wanted = f"a number, not negative, or {CAUSAL}"
+    return text if text == CAUSAL else _number(-1e-300, wanted)(text)
 
 
 def _number(least: float, wanted: str, kind: type = float) -> Callable[[str], float]:

@@ -30,7 +30,8 @@ from deepmds_keras.tool.predict.models import (
     target_scheme,
 )
 from deepmds_keras.tool.predict.photo_faces import find_in_photo, no_face
-from deepmds_keras.tool.predict.video_faces import find_in_video, smooth_over_time
+from deepmds_keras.tool.predict.smoothing import smooth_over_time
+from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import portraits, read_stills, write_landmark_video
 
 _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
@@ -88,7 +89,7 @@ def _detect(
     detector: str,
     landmarker: str | None,
     model: str | None,
-    smooth: float,
+    smooth: float | str,
     every: int,
     y_up: bool,
     image_size: tuple[float, float] | None,

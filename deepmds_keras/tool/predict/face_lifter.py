@@ -22,9 +22,10 @@ from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_fa
 from deepmds_keras.tool.predict.landmark_files import FRACTIONS, Z_UNUSED, find_unusable
 from deepmds_keras.tool.predict.models import given_scheme, target_scheme
 from deepmds_keras.tool.predict.photo_faces import find_in_photo
+from deepmds_keras.tool.predict.smoothing import check_smooth
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
-from deepmds_keras.validation import as_numbers
+from deepmds_keras.validation import as_numbers, check_whole
 
 
 class FaceLifter:
@@ -171,14 +172,15 @@ class FaceLifter:
         )
 
     def predict_video(
-        self, path: str | Path, every: int = 1, smooth: float = 0
+        self, path: str | Path, every: int = 1, smooth: float | str = 0
     ) -> Iterator[tuple[Frame, list[Face]]]:
         """3D landmarks of the faces in a video; the whole video is analysed first.
 
         Args:
             path: Any file that FFmpeg reads.
             every: 1 uses every frame, 2 every other, and so on.
-            smooth: Standard deviation of the smoothing over time, in used frames; 0 is none.
+            smooth: Smoothing over time: standard deviation in used frames of a Gaussian about each,
+                or `"causal"`, from the frames before only, as for live use; 0 is none.
 
         Yields:
             Each frame, with its index, time and image `(H, W, 3)` uint8 RGB; and its faces, each
@@ -188,11 +190,8 @@ class FaceLifter:
             InputError: PyAV is missing, the video cannot be read, no frame has a face, or
                 `every` or `smooth` is out of range.
         """
-        if not (isinstance(every, int) and every >= 1 and 0 <= smooth < np.inf):
-            raise InputError(
-                "every must be a whole number, 1 or more, and smooth a number, 0 or more. "
-                f"Received {every} and {smooth}."
-            )
+        check_whole(every, "every")
+        check_smooth(smooth)
         detections = find_in_video(
             path,
             Path(path).stem,

@@ -1,4 +1,4 @@
-"""Faces in a video: their landmarks frame by frame, followed as tracks and smoothed over time."""
+"""Faces in a video: their landmarks frame by frame, followed as tracks."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from deepmds_keras.tool.predict.photo_faces import (
     open_detector,
     turn_back,
 )
+from deepmds_keras.tool.predict.smoothing import smooth_over_time
 from deepmds_keras.tool.predict.videos import Video
 
 # Mean distance of the landmarks beyond which it is another face, relative to the larger side of
@@ -43,7 +44,7 @@ def find_in_video(
     landmarker: str | None = None,
     model: str | None = None,
     every: int = 1,
-    smooth: float = 0,
+    smooth: float | str = 0,
     jobs: int = 1,
 ) -> Detections:
     """Landmarks of the faces in a video, by frame and then by track, with few frames in memory.
@@ -53,7 +54,7 @@ def find_in_video(
         name: Name of its results.
         detector, landmarker, model: As for `find_in_photo`.
         every: 1 uses every frame, 2 every other.
-        smooth: Standard deviation of the smoothing over time, in used frames.
+        smooth: As for `smooth_over_time`, in used frames.
         jobs: Number of processes.
 
     Raises:
@@ -90,7 +91,9 @@ def find_in_video(
         source=Path(source),
         names=name_faces(name, len(landmarks)),
         scheme=target,
-        landmarks=smooth_over_time(landmarks[order], frame, smooth, tracks=track, step=every),
+        landmarks=smooth_over_time(
+            landmarks[order], frame, smooth, tracks=track, times=time, step=every
+        ),
         is_photo=False,
         frame_refs=[*map(FrameRef, frame.tolist(), time.tolist(), track.tolist())],
         detector=describe_detector(detector, landmarker),
@@ -149,41 +152,6 @@ def follow_faces(
         tracks.append(numbers)
         before = time
     return tracks
-
-
-def smooth_over_time(
-    landmarks: np.ndarray,
-    frames: np.ndarray,
-    deviation: float,
-    *,
-    tracks: np.ndarray | None = None,
-    step: int = 1,
-) -> np.ndarray:
-    """Smooth the landmarks of each face by a Gaussian over every run of frames without a gap.
-
-    A run is extended at both ends by its first and last landmarks.
-
-    Args:
-        landmarks: `(n, L, d)`, a row for each face in each frame.
-        frames: `(n,)` int, the frame of each row, in any order.
-        deviation: Standard deviation in rows; 0 changes nothing.
-        tracks: `(n,)` int, the face of each row; None if all show one face.
-        step: Distance from one frame to the next; a larger one is a gap.
-
-    Returns:
-        `(n, L, d)` float, in the order of the rows given.
-    """
-    smooth = np.array(landmarks, float)
-    if not deviation or not len(smooth):
-        return smooth
-    from scipy.ndimage import gaussian_filter1d  # slow to load, and rarely needed
-
-    tracks = np.zeros(len(smooth), int) if tracks is None else tracks
-    order = np.lexsort((frames, tracks))
-    gaps = (np.diff(frames[order]) != step) | (np.diff(tracks[order]) != 0)
-    for run in np.split(order, np.flatnonzero(gaps) + 1):
-        smooth[run] = gaussian_filter1d(smooth[run], deviation, axis=0, mode="nearest")
-    return smooth
 
 
 def _turn_of(video: Video, detector: str, landmarker: str | None) -> int:

@@ -178,7 +178,7 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         (["a.jpg", "--jobs", "0"], "must be 1 or more, or -1. Received '0'"),
         (["a.jpg", "--interocular", "0"], "must be a number above 0"),
         (["a.jpg", "--interocular", "nan"], "must be a number"),
-        (["a.jpg", "--smooth", "-1"], "not negative. Received '-1'"),
+        (["a.jpg", "--smooth", "-1"], "not negative, or causal. Received '-1'"),
         (["a.jpg", "--format", "csv,stl"], "Received 'stl'"),
         (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
     ],
@@ -233,13 +233,14 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
         np.testing.assert_allclose(again, arrays["landmarks"], rtol=1e-5)
 
 
-def test_options_reach_the_results(tmp_path, predict, landmarks):
+@pytest.mark.parametrize("way", [2, "causal"])
+def test_options_reach_the_results(tmp_path, predict, landmarks, way):
     frames = landmarks + np.random.default_rng(1).normal(0, 2, (8, 51, 2))
     frames[4] = np.nan  # smoothing does not cross it
     frames[5:] += 50
     points = save(tmp_path / "frames.npy", frames * (1, -1))
     arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
-    for folder, options in (("rough", ()), ("smooth", ("--smooth", 2))):
+    for folder, options in (("rough", ()), ("smooth", ("--smooth", way))):
         assert predict(*arguments, *options, "--out", tmp_path / folder)[0] == 0
     rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
     assert np.allclose(rough["landmarks"], frames, equal_nan=True)

@@ -7,14 +7,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
 
 from deepmds_keras import InputError
 from deepmds_keras.__main__ import main
 from deepmds_keras.tool.detection import DETECTORS, Detector
 from deepmds_keras.tool.predict import videos
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
-from deepmds_keras.tool.predict.video_faces import find_in_video, follow_faces, smooth_over_time
+from deepmds_keras.tool.predict.video_faces import find_in_video, follow_faces
 from deepmds_keras.tool.predict.videos import Video, write_landmark_video
 
 av = pytest.importorskip("av")
@@ -245,25 +244,6 @@ def test_a_hard_cut_between_two_people_begins_a_track_and_a_flash_or_a_pan_none(
             assert np.allclose(detections.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
 
 
-def test_smoothing_is_a_gaussian_over_runs_of_one_face():
-    noise = np.random.default_rng(0).normal(0, 1, (60, 51, 2))
-    whole = smooth_over_time(noise, np.arange(60), 2)
-    assert np.allclose(whole, gaussian_filter1d(noise, 2, axis=0, mode="nearest"))
-    frames = np.r_[0:20, 21:61]
-    other = np.concatenate([noise[:20], noise[20:] + 1000])
-    parts = (smooth_over_time(each, frames, 3)[:20] for each in (noise, other))
-    assert np.allclose(*parts), "what lies beyond a gap has no say"
-    frames, tracks = np.repeat(np.arange(30), 2), np.tile([1, 2], 30)
-    order = np.random.default_rng(1).permutation(60)
-    smooth = smooth_over_time(noise[order], frames[order], 2, tracks=tracks[order])
-    for track in (1, 2):
-        alone = smooth_over_time(noise[tracks == track], np.arange(30), 2)
-        rows = np.flatnonzero(tracks[order] == track)
-        assert np.allclose(smooth[rows[frames[order][rows].argsort()]], alone)
-    assert np.allclose(smooth_over_time(noise, 3 * np.arange(60), 2, step=3), whole)
-    assert np.array_equal(smooth_over_time(noise, np.arange(60), 0), noise)
-
-
 def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, capsys):
     out = tmp_path / "out"
     with pytest.raises(SystemExit) as ended:
@@ -306,8 +286,14 @@ def test_from_python_a_video_gives_its_frames_with_their_faces(squares, clip, tm
         assert [face.frame_ref.track for face in faces] == tracks
         assert all(face.frame_ref.frame == frame.index for face in faces)
         assert frame.image.shape == (SIDE, 4 * SIDE, 3)
-    for wrong in ({"every": 0}, {"every": 1.5}, {"smooth": -1}, {"smooth": np.inf}):
-        with pytest.raises(InputError, match="every must be"):
+    for wrong in (
+        {"every": 0},
+        {"every": 1.5},
+        {"smooth": -1},
+        {"smooth": np.inf},
+        {"smooth": "a"},
+    ):
+        with pytest.raises(InputError, match=f"{[*wrong][0]} must be"):
             next(lifter.predict_video(clip, **wrong))
     nobody = write_video(tmp_path / "nobody.mp4", [scene()] * 3)
     with pytest.raises(InputError, match="no face found by squares, in any frame"):
