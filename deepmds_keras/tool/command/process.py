@@ -150,7 +150,7 @@ def _detect(
         landmarks=landmarks,
         is_photo=False,
         faults=faults,
-        notes={i: [f"stands unlike the other faces: {fault}"] for i, fault in odd.items()},
+        notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},
         remarks=remarks,
     )
 

@@ -95,7 +95,7 @@ def estimate_faces(
             xyz=shapes[k],
             unit="normalised" if interocular is None else "mm",
             pose=poses[k],
-            notes=(*notes[k], *detections.notes.get(i, ())),
+            notes=tuple(notes[k]) + ((detections.notes[i],) if i in detections.notes else ()),
             detector=detections.detector,
             frame_ref=None if detections.frame_refs is None else detections.frame_refs[i],
             std=None if std is None else std[k],

@@ -138,7 +138,7 @@ class FaceLifter:
                 down or mirrored; a face has fewer than six landmarks, or all on one line; or an
                 unknown model.
         """
-        points, remarks = _check_points(points)
+        points, has_z = _check_points(points)
         n, size = points.shape[:2]
         scheme = given_scheme(scheme, self.model) or scheme_of(size)
         target = target_scheme(scheme, self.model)
@@ -156,7 +156,9 @@ class FaceLifter:
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
         needed = "y must grow downwards; negate it where it grows upwards."
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
-        notes = {i: [f"seems to stand otherwise than the other faces: {odd[i]}"] for i in odd}
+        notes = dict.fromkeys(range(n), Z_UNUSED) if has_z else {}
+        for i, fault in odd.items():
+            notes[i] = f"seems to stand otherwise than the other faces: {fault}"
         landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
         return self._estimate(
@@ -166,7 +168,7 @@ class FaceLifter:
                 scheme=target,
                 landmarks=landmarks,
                 is_photo=False,
-                notes={i: [*notes.get(i, []), *remarks] for i in range(n)},
+                notes=notes,
                 landmark_sd=landmark_sd,
             )
         )
@@ -260,13 +262,13 @@ def predict_landmarks(
     return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
 
 
-def _check_points(points) -> tuple[np.ndarray, list[str]]:
-    """`(n, L, 2)` floats, NaN where a landmark is missing, and notes on all of them."""
+def _check_points(points) -> tuple[np.ndarray, bool]:
+    """`(n, L, 2)` floats, NaN where a landmark is missing, and whether there was a third."""
     faces = as_faces(points, "landmarks")
     points = faces[..., :2]
     if np.isinf(points).any():
         raise InputError("landmarks must be finite, or NaN where they are missing.")
-    return points, [Z_UNUSED] if faces.shape[2] > 2 else []
+    return points, faces.shape[2] > 2
 
 
 def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:

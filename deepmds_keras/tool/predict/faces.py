@@ -57,7 +57,7 @@ class Detections:
     detector: dict[str, str] | None = None
     frame_refs: Sequence[FrameRef] | None = None
     scores: np.ndarray | None = None
-    notes: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    notes: Mapping[int, str] = field(default_factory=dict)
     remarks: Sequence[str] = ()
     landmark_sd: float | np.ndarray | None = None
 
