@@ -286,15 +286,16 @@ def test_from_python_a_video_gives_its_frames_with_their_faces(squares, clip, tm
         assert [face.frame_ref.track for face in faces] == tracks
         assert all(face.frame_ref.frame == frame.index for face in faces)
         assert frame.image.shape == (SIDE, 4 * SIDE, 3)
-    for wrong in (
-        {"every": 0},
-        {"every": 1.5},
-        {"smooth": -1},
-        {"smooth": np.inf},
-        {"smooth": "a"},
-    ):
-        with pytest.raises(InputError, match=f"{[*wrong][0]} must be"):
-            next(lifter.predict_video(clip, **wrong))
+    late = lifter.predict_video(clip, every=3, smooth="causal")
+    behind = [
+        now[0].landmarks[0, 0] - then[0].landmarks[0, 0]
+        for (_, now), (frame, then) in zip(seen, late, strict=True)
+        if frame.index < 12
+    ]
+    assert behind[0] == 0 and min(behind[1:]) > 0.5, "it moves to the right"
+    for name, value in (("every", 0), ("every", 1.5), ("smooth", -1), ("smooth", "a")):
+        with pytest.raises(InputError, match=f"{name} must be"):
+            next(lifter.predict_video(clip, **{name: value}))
     nobody = write_video(tmp_path / "nobody.mp4", [scene()] * 3)
     with pytest.raises(InputError, match="no face found by squares, in any frame"):
         next(lifter.predict_video(nobody))
