@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -137,7 +138,7 @@ def face_sizes() -> tuple[int, ...]:
     return tuple(sorted({n for scheme in load_schemes().values() for n in scheme.sizes}))
 
 
-def said_sizes(sizes: tuple[int, ...] | None = None) -> str:
+def said_sizes(sizes: Collection[int] | None = None) -> str:
     """Return numbers of landmarks as text, by default those of all schemes."""
     *others, last = map(str, sizes or face_sizes())
     return f"{', '.join(others)} or {last}" if others else last
