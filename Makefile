@@ -150,6 +150,7 @@ docs: | $(READY) ## README.md and docs/ from their templates and the results   (
 
 pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures
+	@$(PY) -m docs.make_motion
 
 openhead: | $(READY) ## rebuild the embedded head model from its source    (downloads a wheel)
 	$(PY) -m data_gen.build_openhead

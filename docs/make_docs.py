@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -22,10 +23,10 @@ from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
 from experiments.scoring.numbers import NOTHING, power
 from experiments.scoring.old_names import read_table
-from experiments.scoring.verdict import orders
+from experiments.scoring.verdict import Order, orders
 
 ROOT = Path(__file__).parents[1]
-_OF_TEN_SEEDS = ("openhead/bfm", "ict/bfm")
+_OF_TEN_SEEDS = ("bfm68/bfm", "openhead/bfm", "ict/bfm")
 _DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -84,6 +85,28 @@ class Results:
         protocols = [order.protocol for order in next(iter(found.values()))]
         rows = [["The paper's order", *protocols]]
         return grid(rows + [[head, *(o.verdict for o in of)] for head, of in found.items()])
+
+    def answers(self, columns: Mapping[str, str], tables: Mapping[str, str]) -> str:
+        """Whether the paper's tables are found again: Deep-MDS, and in brackets the mean shape.
+
+        Args:
+            columns: Face models by their heads.
+            tables: Folders of a face model's results by names of tables; not each model has each.
+        """
+        rows = [["MSE, in 10⁻⁴", "paper", *columns, "pairs of methods in the paper's order"]]
+        for name, table in tables.items():
+            folders = [f"{model}/{table}" for model in columns.values()]
+            known = [f for f in folders if (self._folder / f / "table.csv").is_file()]
+            cells = [self._beside_mean_shape(f) if f in known else NOTHING for f in folders]
+            paper = self.rows(known[0]).loc["deep_mds"]["paper_mean"] / 1e-4
+            found = zip(*(orders(self.rows(folder)) for folder in known), strict=True)
+            said = [f"{of[0].protocol} {_pairs(of)}" for of in found]
+            rows.append([name, f"{paper:g}", *cells, "; ".join(said)])
+        return grid(rows)
+
+    def _beside_mean_shape(self, folder: str) -> str:
+        ours, mean = (self.error(folder, method) / 1e-4 for method in ("deep_mds", "mean_shape"))
+        return f"{_significant(ours)} ({_significant(mean)})"
 
     def verdicts(self, verdict: str, protocol: str = "faithful") -> list[str]:
         """Ids of the claims that have a verdict on all face models, in order."""
@@ -160,7 +183,14 @@ def _significant(value: float, digits: int = 2) -> str:
         return NOTHING
     if value < 1e-6 or value >= 1000:
         return f"{value:,.0f}"
+    if value < 1e-3:
+        return np.format_float_positional(value, precision=1, unique=False, fractional=False)
     return f"{value:#.{digits}g}".rstrip(".")
+
+
+def _pairs(orders: Iterable[Order]) -> str:
+    """How many pairs of methods stand in the paper's order, on each face model."""
+    return ", ".join(f"{order.same}/{order.pairs}" for order in orders)
 
 
 def _error(row: pd.Series, unit: float) -> str:
@@ -181,15 +211,12 @@ def pages(results: Results) -> dict[str, str]:
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
         keep_trailing_newline=True, trim_blocks=True,
     )  # fmt: skip
-    for name in ("csv", "rows", "error", "mse", "seeds", "audit", "verdicts", "errors", "orders"):
-        environment.globals[name] = getattr(results, name)
-    environment.globals |= {
-        "check": check,
-        "pivot": pivot,
-        "span": span,
-        "two": two,
-        "words": words,
-    }
+    own = (
+        results.csv, results.rows, results.error, results.mse, results.seeds, results.audit,
+        results.verdicts, results.errors, results.orders, results.answers,
+    )  # fmt: skip
+    for function in (*own, check, pivot, span, two, words):
+        environment.globals[function.__name__] = function
     environment.globals |= {"title": title, "models": TITLES, "steps": STEPS}
     names = environment.list_templates()
     return {name.removesuffix(".j2"): environment.get_template(name).render() for name in names}
