@@ -81,7 +81,7 @@ def read_record(path: Path) -> dict:
         record = json.loads(path.read_text(encoding="utf-8"))
         whole = record.pop(_CHECKSUM) == _checksum(record)
     except FileNotFoundError:
-        raise InputError(f"{path} must be there: the record of a step that is done.") from None
+        raise InputError(f"{path} not found: the record of a step that is done.") from None
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError):
         whole = False
     if not whole:
@@ -209,7 +209,7 @@ def read_manifest(folder: Path) -> dict:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{path} must be there. Received a folder without it.") from None
+        raise InputError(f"{path} not found.") from None
     except ValueError:
         manifest = None
     if not isinstance(manifest, dict):
@@ -258,7 +258,9 @@ def resumable(folder: Path, inputs: Iterable[Path] = (), **parameters) -> Path:
     try:
         digests = [sha256_of([path]) for path in inputs]
     except FileNotFoundError as error:
-        raise InputError(f"{error.filename} must be there. Run the step that writes it.") from None
+        raise InputError(
+            f"{error.filename} not found: run the step that writes it first."
+        ) from None
     made_from = json.dumps({"inputs": digests, **parameters}, sort_keys=True)
     note = folder / _PIECES
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,9 @@ def main(run: Run, *topics: str) -> dict:
     files = {topic: run.work / "audit" / f"{topic}.csv" for topic in topics}
     for topic, file in files.items():
         if not file.exists():
-            raise InputError(f"{file} must be there: python -m experiments audit.measure {topic}.")
+            raise InputError(
+                f"{file} not found: run python -m experiments audit.measure {topic} first."
+            )
     tables = {topic: pd.read_csv(file) for topic, file in files.items()}
     curves = pd.concat([tables.pop("poses"), tables.pop("noise")], ignore_index=True)
     folder = run.experiment_results("audit")

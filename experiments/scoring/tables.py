@@ -172,7 +172,7 @@ def print_tables(run: Run) -> None:
         print(text(pd.read_csv(path), run.track))
         written.append(path.parent)
     if not written:
-        raise InputError(f"{path} must be there. Run make reproduce-{run.track}.")
+        raise InputError(f"{path} not found: run make reproduce-{run.track} first.")
     for folder in written:
         print(f"Tables, figures and manifest: {folder}/")
         if (folder / MANIFEST).is_file():

@@ -151,7 +151,7 @@ def check(run: Run) -> None:
         )
     fresh, committed = _fresh(run), _committed(run)
     if committed is None:
-        raise InputError(f"{_table(run)} must be in git's last commit. Received none there.")
+        raise InputError(f"{_table(run)} not found in git's last commit.")
     if fresh == committed:  # times and all
         raise InputError(
             f"{_table(run)} must be of a run of yours. Received the committed one: run "
@@ -180,7 +180,7 @@ def _table(run: Run) -> Path:
 
 def _fresh(run: Run) -> str:
     if not _table(run).is_file():
-        raise InputError(f"{_table(run)} must be there. Run make reproduce-{run.track}.")
+        raise InputError(f"{_table(run)} not found: run make reproduce-{run.track} first.")
     return _table(run).read_text(encoding="utf-8").strip()
 
 

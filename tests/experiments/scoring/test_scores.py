@@ -142,5 +142,5 @@ def test_seeds_are_those_that_the_run_asks_for(run):
         table = metrics_by_seed(dataclasses.replace(run, seeds=n))
         assert table["seed"].tolist() == [*range(n)]
         assert table["value"].tolist() == [1e-4 * seed for seed in range(n)]
-    with pytest.raises(InputError, match=r"seed3.*seed\.json must be there"):
+    with pytest.raises(InputError, match=r"seed3.*seed\.json not found"):
         metrics_by_seed(dataclasses.replace(run, seeds=4))

@@ -137,7 +137,7 @@ def test_several_seeds_have_columns_and_a_range(metrics):
 
 def test_tables_of_a_run_are_printed_with_their_folders(table, tmp_path, capsys):
     run = Run("openhead", SMOKE, "celeba", results=tmp_path)
-    with pytest.raises(InputError, match=r"table\.csv must be there"):
+    with pytest.raises(InputError, match=r"table\.csv not found"):
         print_tables(run)
     names = ("celeba", "celeba-true-landmarks")
     for name in names:

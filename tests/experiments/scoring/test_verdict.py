@@ -106,10 +106,10 @@ def test_check_needs_a_committed_table_and_a_fresh_one(run, tmp_path):
     with pytest.raises(InputError, match="Received the committed one: run make reproduce-bfm"):
         check(run)
     run = replace(run, results=tmp_path / "ignored")
-    with pytest.raises(InputError, match=r"table.csv must be there. Run make reproduce-bfm"):
+    with pytest.raises(InputError, match=r"table.csv not found: run make reproduce-bfm first"):
         check(run)
     write(run, ERRORS)
-    with pytest.raises(InputError, match=r"must be in git's last commit"):
+    with pytest.raises(InputError, match=r"not found in git's last commit"):
         check(run)
 
 
