@@ -6,7 +6,7 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds scales \
            objects pretrained lifting released-weights real-faces surface footprint check report
-.PHONY: help setup $(TARGETS) all-results dag docs pictures openhead test nightly lint clean
+.PHONY: help setup $(TARGETS) all-results dag docs article pictures openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
@@ -147,6 +147,13 @@ dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.s
 
 docs: | $(READY) ## README.md and docs/ from their templates and the results   (5 s)
 	@$(PY) -m docs.make_docs
+
+article: ## the article that make docs wrote, as PDF: build/article/article.pdf   (needs LaTeX)
+	@command -v latexmk >/dev/null || { echo 'error: latexmk must be installed, with LaTeX. On Debian:' \
+	  'apt install latexmk texlive-latex-recommended texlive-latex-extra texlive-fonts-recommended.' >&2; exit 2; }
+	@latexmk -cd -pdf -quiet -interaction=nonstopmode -halt-on-error -outdir=../../build/article \
+	  docs/article/article.tex
+	@echo build/article/article.pdf
 
 pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures

@@ -1,9 +1,9 @@
-"""Write README.md and pages of docs/ from their templates and the results: `make docs`.
+"""Write README.md, pages of docs/ and the article from templates and the results: `make docs`.
 
-A template is the page, with `{{ … }}` where a number or table of the results belongs:
-`docs/templates/docs/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where no unit is
-named. `{{ check(a < b) }}` stands in a sentence that says which of two errors is smaller: pages are
-not written once it is no longer so.
+A template is the page, with `{{ … }}` where a number or table of the results belongs, `<< … >>` in
+the article: `docs/templates/docs/results.md.j2` becomes `docs/results.md`. Errors are in 10⁻⁴ where
+no unit is named. `{{ check(a < b) }}` stands in a sentence that says which of two errors is
+smaller: pages are not written once it is no longer so.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,13 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from data_gen.models.registry import TITLES
+from deepmds_keras import __version__
 from deepmds_keras.files import write_bytes
+from docs.latex import Grid, in_latex
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
+from experiments.presets import FULL
+from experiments.records import read_manifest
 from experiments.scoring.numbers import NOTHING, power
 from experiments.scoring.old_names import read_table
 from experiments.scoring.verdict import Order, orders
@@ -43,12 +48,27 @@ class Results:
 
     def __init__(self, folder: Path):
         self._folder = folder
+        self._read = cache(lambda name: read_table(folder / name))
         self.of_one_seed: set[str] = set()
 
     def csv(self, *names: str) -> pd.DataFrame:
         """Tables of results, one below the other; `model` is the first folder of each."""
-        read = [(name, read_table(self._folder / name)) for name in names]
+        read = [(name, self._read(name)) for name in names]
         return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in read)
+
+    def has(self, folder: str) -> bool:
+        """Whether there are results in a folder."""
+        return (self._folder / folder / "table.csv").exists()
+
+    def files_read(self) -> pd.DataFrame:
+        """External files that manifests list: `name` and `sha256`, a row for each content."""
+        files = [
+            file
+            for path in self._folder.rglob("manifest.json")
+            for step in read_manifest(path.parent).get("steps", ())
+            for file in step.get("inputs", {}).items()
+        ]
+        return pd.DataFrame(sorted({*files}), columns=["name", "sha256"])
 
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""
@@ -79,7 +99,7 @@ class Results:
         value, low, high = (f"{row[key] / unit:{form}}" for key in ("value", "low", "high"))
         return f"{value} [{low}, {high}]" if interval else value
 
-    def orders(self, columns: Mapping[str, str]) -> str:
+    def orders(self, columns: Mapping[str, str]) -> Grid:
         """Whether the paper's order of methods is found in folders, by their heads."""
         found = {head: orders(self.rows(folder)) for head, folder in columns.items()}
         protocols = [order.protocol for order in next(iter(found.values()))]
@@ -116,7 +136,7 @@ class Results:
 
     def errors(
         self, unit: float, paper: str, columns: Mapping[str, str], methods: Iterable[str]
-    ) -> str:
+    ) -> Grid:
         """The paper's errors next to ours, a row a method, a column a folder (by its head)."""
         tables = [self.rows(folder).reindex(methods) for folder in columns.values()]
         rows = [[f"MSE, in {power(unit)}", paper, *columns]]
@@ -131,7 +151,7 @@ class Results:
 def pivot(
     table: pd.DataFrame, corner: str, columns: Mapping, by: list[str], *,
     value: str = "mse", row: str = "method", unit: float = 1.0, names: Mapping | None = None,
-) -> str:  # fmt: skip
+) -> Grid:  # fmt: skip
     """Numbers (`value`) of a table of results by its columns `row` and `by`, in a unit.
 
     Args:
@@ -145,10 +165,13 @@ def pivot(
     return grid([[corner, *columns.values()], *rows])
 
 
-def grid(rows: Iterable[Iterable[object]]) -> str:
+def grid(rows: Iterable[Iterable[object]]) -> Grid:
     """A table in Markdown, the first row its head."""
-    head, *rows = [[str(cell) for cell in row] for row in rows]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+    head, *below = rows = [[str(cell) for cell in row] for row in rows]
+    lines = (head, ["---"] * len(head), *below)
+    table = Grid("\n".join(f"| {' | '.join(line)} |" for line in lines))
+    table.rows = rows
+    return table
 
 
 def check(holds: bool) -> str:
@@ -211,15 +234,23 @@ def pages(results: Results) -> dict[str, str]:
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined,
         keep_trailing_newline=True, trim_blocks=True,
     )  # fmt: skip
-    own = (
-        results.csv, results.rows, results.error, results.mse, results.seeds, results.audit,
-        results.verdicts, results.errors, results.orders, results.answers,
-    )  # fmt: skip
-    for function in (*own, check, pivot, span, two, words):
-        environment.globals[function.__name__] = function
-    environment.globals |= {"title": title, "models": TITLES, "steps": STEPS}
-    names = environment.list_templates()
-    return {name.removesuffix(".j2"): environment.get_template(name).render() for name in names}
+    public = [name for name in dir(results) if not name.startswith("_")]
+    environment.globals |= {name: getattr(results, name) for name in public}
+    functions = check, pivot, span, two, words
+    environment.globals |= {function.__name__: function for function in functions}
+    environment.globals |= {
+        "title": title,
+        "models": TITLES,
+        "steps": STEPS,
+        "preset": FULL,
+        "version": __version__,
+    }
+    article = in_latex(environment)
+    texts = {}
+    for name in environment.list_templates():
+        kind = article if name.endswith(".tex.j2") else environment
+        texts[name.removesuffix(".j2")] = kind.get_template(name).render()
+    return texts
 
 
 def main() -> None:
@@ -228,7 +259,7 @@ def main() -> None:
         written = pages(results)
     except UntrueError as error:
         frames = traceback.extract_tb(error.__traceback__)
-        place = next(frame for frame in reversed(frames) if frame.filename.endswith(".j2"))
+        place = next(frame for frame in frames if frame.filename.endswith(".j2"))
         sys.exit(
             f"error: {place.filename}:{place.lineno} must be true of results/. Received numbers of "
             f"which it is not: {place.line}"
