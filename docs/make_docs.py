@@ -106,7 +106,7 @@ class Results:
         rows = [["The paper's order", *protocols]]
         return grid(rows + [[head, *(o.verdict for o in of)] for head, of in found.items()])
 
-    def answers(self, columns: Mapping[str, str], tables: Mapping[str, str]) -> str:
+    def answers(self, columns: Mapping[str, str], tables: Mapping[str, str]) -> Grid:
         """Whether the paper's tables are found again: Deep-MDS, and in brackets the mean shape.
 
         Args:
@@ -116,7 +116,7 @@ class Results:
         rows = [["MSE, in 10⁻⁴", "paper", *columns, "pairs of methods in the paper's order"]]
         for name, table in tables.items():
             folders = [f"{model}/{table}" for model in columns.values()]
-            known = [f for f in folders if (self._folder / f / "table.csv").is_file()]
+            known = [folder for folder in folders if self.has(folder)]
             cells = [self._beside_mean_shape(f) if f in known else NOTHING for f in folders]
             paper = self.rows(known[0]).loc["deep_mds"]["paper_mean"] / 1e-4
             found = zip(*(orders(self.rows(folder)) for folder in known), strict=True)
