@@ -12,15 +12,15 @@ import numpy as np
 from deepmds_keras import __version__
 from deepmds_keras.files import write_bytes
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.tool.command.html_parts import (
+from deepmds_keras.tool.command.outputs import AXES, SCALE, or_null
+from deepmds_keras.tool.command.overlay import cut_out
+from deepmds_keras.tool.html_parts import (
     STYLE,
     WIREFRAME,
     filled,
     in_base64,
     json_in_html,
 )
-from deepmds_keras.tool.command.outputs import AXES, SCALE, or_null
-from deepmds_keras.tool.command.overlay import cut_out
 from deepmds_keras.tool.predict.faces import Face
 from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_triangles
 

@@ -10,14 +10,14 @@ from pathlib import Path
 from deepmds_keras import __version__
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import write_bytes
-from deepmds_keras.tool.command.html_parts import (
+from deepmds_keras.tool.command.onnx_export import open_lifter
+from deepmds_keras.tool.html_parts import (
     STYLE,
     WIREFRAME,
     filled,
     in_base64,
     json_in_html,
 )
-from deepmds_keras.tool.command.onnx_export import open_lifter
 from deepmds_keras.tool.live.settings import settings
 from deepmds_keras.tool.live.tasks_vision import read_tasks_vision
 

@@ -12,9 +12,9 @@ from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.traced import trace
-from deepmds_keras.tool.command.html_parts import in_base64
 from deepmds_keras.tool.command.outputs import AXES, common, description
 from deepmds_keras.tool.detection import DETECTORS, describe_detector, measured
+from deepmds_keras.tool.html_parts import in_base64
 from deepmds_keras.tool.predict.faces import Face
 from deepmds_keras.tool.predict.models import LifterModel, describe_model
 

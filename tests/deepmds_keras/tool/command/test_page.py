@@ -13,9 +13,9 @@ from PIL import Image
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.geometry.units import normalise
-from deepmds_keras.tool.command.html_parts import json_in_html
 from deepmds_keras.tool.command.overlay import cut_out
 from deepmds_keras.tool.command.page import write_page
+from deepmds_keras.tool.html_parts import json_in_html
 from deepmds_keras.tool.predict.faces import Face
 
 PHONE = {
