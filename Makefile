@@ -6,7 +6,7 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds scales \
            objects pretrained lifting released-weights real-faces surface footprint check report
-.PHONY: help setup $(TARGETS) all-results dag docs article pictures openhead test nightly lint clean
+.PHONY: help setup $(TARGETS) all-results dag docs article site pictures openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
@@ -154,6 +154,14 @@ article: ## the article that make docs wrote, as PDF: build/article/article.pdf 
 	@latexmk -cd -pdf -quiet -interaction=nonstopmode -halt-on-error -outdir=../../build/article \
 	  docs/article/article.tex
 	@echo build/article/article.pdf
+
+$(VENV)/.docs: $(READY)
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
+
+# Broken links stop it. With build/live.html, of `deepmds live`, the site has the live page.
+site: | $(VENV)/.docs ## the pages as a site, build/site/   (30 s)
+	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build
 
 pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures

@@ -66,7 +66,8 @@ class DeepMDS(BaseEstimator):
         n_jobs: Number of processes for the embedding; -1 uses every core.
 
     Attributes:
-        autoencoder_, dissimilarity_net_: Trained `keras.Model`s.
+        autoencoder_: Trained `keras.Model`.
+        dissimilarity_net_: Trained `keras.Model`.
         front_landmark_: 0-based number of the landmark farthest in front; it decides which of the
             two mirror images of an embedding is the face.
         history_: Losses by network and epoch.

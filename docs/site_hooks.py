@@ -1,0 +1,63 @@
+"""What the site needs beyond the pages of docs/, as hooks of MkDocs: `make site`.
+
+Pages are written for GitHub. Here their links to files outside docs/ lead to the repository, the
+pictures among these are copied, and formulas are marked as MkDocs' extension for them reads them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import yaml
+from mkdocs.structure.files import File
+
+import deepmds_keras
+
+ROOT = Path(__file__).parents[1]
+# Files outside docs/ that are pages.
+PAGES = {"README.md": "index.md"}
+_LIVE = ROOT / "build" / "live.html"  # of `deepmds live`, in the site if it is there
+_PICTURES = (".jpg", ".png")
+_LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
+_FORMULA = re.compile(r"\$`([^`]+)`\$")
+
+
+def on_config(config):
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    config.repo_url = citation["repository-code"]
+    config.repo_name = config.repo_url.removeprefix("https://github.com/")
+    return config
+
+
+def on_files(files, config):
+    names = sorted(deepmds_keras.__all__, key=lambda name: name.endswith("Error"))
+    names = "\n\n".join(f"::: deepmds_keras.{name}" for name in names)
+    files.append(File.generated(config, "api.md", content=f"# Python API\n\n{names}\n"))
+    for source, page in PAGES.items():
+        _copy(ROOT / source, page, files, config)
+    if _LIVE.exists():
+        _copy(_LIVE, "live.html", files, config)
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    folder = Path(page.file.abs_src_path or ROOT).parent
+
+    def link(match):
+        target = Path(os.path.relpath(folder / match[1], ROOT)).as_posix()
+        place = PAGES.get(target, target.removeprefix("docs/"))
+        if not files.get_file_from_path(place):
+            if not target.endswith(_PICTURES):
+                return f"]({config.repo_url}/blob/main/{target}"
+            _copy(ROOT / target, place, files, config)
+        return f"]({place}"
+
+    if page.file.src_uri == "live.md" and _LIVE.exists():
+        markdown = markdown.replace("\n", "\n\n**[Open the page](live.html)**\n", 1)
+    return _LINK.sub(link, _FORMULA.sub(r"$\1$", markdown))
+
+
+def _copy(source, place, files, config):
+    files.append(File.generated(config, place, abs_src_path=str(source)))
