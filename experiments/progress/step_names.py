@@ -33,6 +33,7 @@ _WORDS = {
     "portraits": "render photos and find the faces in them",
     "pretrained": "measure the shipped weights",
     "bench": "time each part and the authors' code",
+    "bfm_mean": "read the Basel mean from the authors' weights",
     "released_weights": "measure the authors' weights",
     "audit": "decide the claims",
     "report": "write the report",

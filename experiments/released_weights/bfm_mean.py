@@ -1,29 +1,55 @@
-"""The mean of the Basel Face Model at the paper's 72 landmarks, from the authors' weights.
+"""Step: the mean of the Basel Face Model at the paper's 72 landmarks, from the authors' weights.
 
 The last layer of their autoencoder is a batch normalisation, whose offset is the mean of its
 training targets: x and y of normalised shapes. Their depth net (Zhao et al.) gives the depth of
-that frontal view. `bfm72_mean.csv` is the result of `extract_mean` for the released weights.
+that frontal view. The model's licence does not let us hand the mean on.
 """
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import write_bytes
 from deepmds_keras.geometry.alignment import procrustes
+from experiments.recipes import ZHAO_FILES
+from experiments.run import AUTHORS_FILES, Run
 
 SCHEME = "bfm72"
-MEAN = Path(__file__).with_name("bfm72_mean.csv")
+FILES = AUTHORS_FILES["bfm"][0], *ZHAO_FILES["bfm"]  # autoencoder, depth net
 _LAST_BIAS = "batch_normalization_6/batch_normalization_6/beta:0"
 _EYE_CORNERS, _BETWEEN_MM = [0, 56], 86.7  # outer ones, on the model itself
 
 
-def read_mean() -> np.ndarray:
+def main(run: Run) -> None:
+    mean, text = extract_mean(*(authors_file(run, name) for name in FILES)), io.StringIO()
+    np.savetxt(text, mean, "%.3f", delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    write_bytes(mean_file(run), text.getvalue().encode())
+
+
+def authors_file(run: Run, name: str) -> Path:
+    """Path of a file of the authors' weights.
+
+    Raises:
+        InputError: No folder of them was given.
+    """
+    if not run.authors:
+        raise InputError("AUTHORS must be the folder of the authors' weights. Received none.")
+    return Path(run.authors, name)
+
+
+def mean_file(run: Run) -> Path:
+    return run.work / "released-weights" / "bfm72_mean.csv"
+
+
+def read_mean(run: Run) -> np.ndarray:
     """`(72, 3)` millimetres, in the frame and about the origin of the Basel Face Model."""
-    return np.loadtxt(MEAN, delimiter=",", skiprows=1)
+    return np.loadtxt(mean_file(run), delimiter=",", skiprows=1)
 
 
 def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
@@ -46,13 +72,13 @@ def extract_mean(autoencoder: Path, depth_net: Path) -> np.ndarray:
     return (mean - shift) * _BETWEEN_MM / np.linalg.norm(corners[0] - corners[1])
 
 
-def about_mean(model: MorphableModel, scale: float) -> MorphableModel:
-    """Landmarks of faces around the Basel mean, with another model's variation times a scale.
+def about_mean(model: MorphableModel, scale: float, mean: np.ndarray) -> MorphableModel:
+    """Landmarks of faces around a mean `(72, 3)`, with a model's variation times a scale.
 
-    The offsets of the other model are rotated and scaled by the similarity that aligns its mean to
-    the Basel one.
+    The offsets of the model are rotated and scaled by the similarity that aligns its mean to the
+    given one.
     """
-    part, mean = model.restrict(model.landmarks[SCHEME]), read_mean()
+    part = model.restrict(model.landmarks[SCHEME])
     turn = procrustes(part.mean, mean, reflection=False)
     basis = scale * turn.scale * part.identity_basis_times_sd @ turn.rotation
     landmarks = {SCHEME: np.arange(len(mean))}

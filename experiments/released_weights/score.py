@@ -9,7 +9,6 @@ outputs, one such output for all views, a random face for all, and the mean shap
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,13 +19,12 @@ from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from deepmds_keras.deep_mds import DeepMDS
-from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.units import normalise
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen
 from experiments.progress import counted
-from experiments.released_weights.bfm_mean import SCHEME, about_mean
+from experiments.released_weights.bfm_mean import SCHEME, about_mean, authors_file, read_mean
 from experiments.released_weights.train import trained_file, trainings
 from experiments.run import AUTHORS_FILES, SECOND_NET, Run
 from experiments.scoring.numbers import power, rounded
@@ -76,10 +74,8 @@ def released_networks(run: Run) -> dict[str, DeepMDS]:
     Raises:
         InputError: The files do not exist.
     """
-    if not run.authors:
-        raise InputError("AUTHORS must be the folder of the authors' weights. Received none.")
-    autoencoder = Path(run.authors, AUTHORS_FILES["bfm"][0])
-    nets = {name: Path(run.authors, file) for name, file in NETS.items()}
+    autoencoder = authors_file(run, AUTHORS_FILES["bfm"][0])
+    nets = {name: authors_file(run, file) for name, file in NETS.items()}
     return {
         name: DeepMDS.from_released(autoencoder, net).set_params(n_jobs=run.jobs, solver="numba")
         for name, net in nets.items()
@@ -92,10 +88,11 @@ def faces_by_scale(run: Run) -> Iterator[tuple[str, float, MorphableModel]]:
     if run.model not in OPEN:
         yield run.model, 1.0, load_model(run.model, run.data, SCHEME)
         return
+    mean = read_mean(run)
     for name in open_models(run.data)[0]:
         model = load_model(name, run.data, SCHEME)
         for scale in SCALES:
-            yield name, scale, about_mean(model, scale)
+            yield name, scale, about_mean(model, scale, mean)
 
 
 def measure(

@@ -14,7 +14,7 @@ from experiments import recipes
 from experiments.inputs import Faces, as_seen
 from experiments.methods import predict
 from experiments.records import resumable, write_csv
-from experiments.released_weights.bfm_mean import MEAN, SCHEME, about_mean
+from experiments.released_weights.bfm_mean import SCHEME, about_mean, mean_file, read_mean
 from experiments.run import Run
 from experiments.streams import Stream
 
@@ -38,10 +38,11 @@ def main(run: Run, name: str) -> None:
 
     scale, _, seed = name.partition("-seed")
     seeded = replace(run, seed=int(seed))
-    model = about_mean(load_model(run.model, run.data, SCHEME), float(scale))
+    model = load_model(run.model, run.data, SCHEME)
+    model = about_mean(model, float(scale), read_mean(run))
     train = _faces(seeded, model, run.preset.train_faces, Stream.RELEASED_WEIGHTS_TRAINING)
     test = _faces(seeded, model, run.preset.test_faces, Stream.RELEASED_WEIGHTS_FACES)
-    folder = resumable(run.work / "released-weights" / name, [MEAN])
+    folder = resumable(run.work / "released-weights" / name, [mean_file(run)])
     data = train.views, train.shapes
     ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="numba", n_jobs=1)
     lifting = recipes.landmark_lifter(seeded)

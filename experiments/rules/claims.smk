@@ -1,9 +1,21 @@
 """The authors' weights, the claims of the paper, and everything on a page."""
 
+from pathlib import Path
+
 from data_gen.models.registry import OPEN
 from experiments.audit.measure import TOPICS
-from experiments.released_weights.bfm_mean import MEAN
+from experiments.released_weights.bfm_mean import FILES, mean_file
 from experiments.released_weights.train import trainings
+
+
+MEAN = [record("bfm", "bfm_mean"), str(mean_file(plan.at("bfm")))]
+
+
+rule bfm_mean:
+    # A file that is missing is the step's to name.
+    input: filter(Path.is_file, (Path(RUN.authors or "", name) for name in FILES))
+    output: MEAN
+    shell: step("released_weights.bfm_mean", uses=["authors"])
 
 
 rule released_weights_training:
@@ -18,8 +30,9 @@ IS_OPEN = RUN.model in OPEN
 
 rule released_networks:
     input:
-        plan.begun, MEAN, plan.open if IS_OPEN else plan.model, plan.authors_files("bfm"),
-        [record("bfm", f"released_weights-{name}") for name in trainings(RUN)] if IS_OPEN else [],
+        plan.begun, plan.open if IS_OPEN else plan.model, plan.authors_files("bfm"),
+        [*MEAN, *(record("bfm", f"released_weights-{name}") for name in trainings(RUN))]
+        if IS_OPEN else [],
     output:
         record("bfm", "released_weights"),
         results(plan.shared("released-weights"), "released.csv", "trained.csv", "table.tex")
