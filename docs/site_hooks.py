@@ -17,7 +17,7 @@ import deepmds_keras
 
 ROOT = Path(__file__).parents[1]
 # Files outside docs/ that are pages.
-PAGES = {"README.md": "index.md"}
+PAGES = {"README.md": "index.md", "THIRD_PARTY_NOTICES.md": "licences.md"}
 _LIVE = ROOT / "build" / "live.html"  # of `deepmds live`, in the site if it is there
 _PICTURES = (".jpg", ".png")
 _LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")

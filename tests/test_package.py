@@ -55,7 +55,10 @@ def test_twine_finds_nothing_wrong(tools, files):
     assert [path.suffix for path in files] == [".whl", ".gz"]
     output = run(str(tools / "twine"), "check", "--strict", *map(str, files))
     assert output.count("PASSED") == 2
-    assert "deepmds_keras/py.typed" in zipfile.ZipFile(files[0]).namelist()
+    names = zipfile.ZipFile(files[0]).namelist()
+    assert "deepmds_keras/py.typed" in names
+    licences = {name.rpartition("/licenses/")[2] for name in names if "/licenses/" in name}
+    assert licences == {"LICENSE", "THIRD_PARTY_NOTICES.md"}
 
 
 @pytest.mark.parametrize("python", [sys.executable, *filter(version_of, PYTHONS)])

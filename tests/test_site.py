@@ -4,7 +4,8 @@ import yaml
 from places import ROOT
 
 _CONFIG = yaml.load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"), yaml.BaseLoader)
-_NOT_IN_DOCS = ["api.md", "index.md"]  # made from the docstrings, and from README.md
+# Made from the docstrings, and from files beside docs/.
+_NOT_IN_DOCS = ["api.md", "index.md", "licences.md"]
 
 
 def pages_of(nav):
