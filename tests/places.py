@@ -19,12 +19,12 @@ MEDIAPIPE = has_mediapipe()
 
 @functools.cache
 def committed() -> Path:
-    """Folder with README, docs and results as git has them: a user's runs are no concern of tests.
+    """Folder with pages and results as git has them: a user's runs are no concern of tests.
 
     As they are staged, so that a change can be tested before it is committed; without git, as they
     are.
     """
-    listed = ["git", "ls-files", "-z", "README.md", "docs", "results"]
+    listed = ["git", "ls-files", "-z", "README.md", "THIRD_PARTY_NOTICES.md", "docs", "results"]
     try:
         files = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):

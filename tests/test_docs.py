@@ -35,7 +35,8 @@ from experiments.recipes import MOBILEFACE_FILES, MOBILEFACE_RATES, ZHAO_FILES
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
 FOLDER = committed().resolve()
-PAGES = [FOLDER / "README.md", ROOT / "THIRD_PARTY_NOTICES.md", *sorted((FOLDER / "docs").glob("*.md"))]
+PAGES = [FOLDER / "README.md", FOLDER / "THIRD_PARTY_NOTICES.md"]
+PAGES += sorted((FOLDER / "docs").glob("*.md"))
 TEXTS = pages(Results(FOLDER / "results"))
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
