@@ -16,7 +16,7 @@ from deepmds_keras.landmarks import FOLDER, convert, load_scheme
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.tool.detection import dlib_landmarks, mediapipe_landmarks
 
-Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Find = Callable[..., tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,9 @@ class Detector:
         open: Takes the user's model file, or None, and returns a function. From an RGB photo
             `(H, W, 3)` that gives the landmarks `(n, L, 2)` of its faces in pixels, x right and y
             down, the largest face first; and scores `(n,)`, 0 to 1, NaN if the detector has none
-            and finds upright faces only. Threads call it in turns. If the detector is not
-            installed, an InputError says how to.
+            and finds upright faces only. In a video it also takes the landmarks of the frame
+            before, or None; it may look there first. Threads call it in turns. If the detector is
+            not installed, an InputError says how to.
         is_installed: Whether it is installed; loads nothing.
         licence: Licence of its landmark model.
         commercial: Whether that allows commercial use.
@@ -121,8 +122,8 @@ def _open_mediapipe(landmarker: str | None) -> Find:
     else:
         detector = mediapipe_landmarks.MediaPipeLandmarks(landmarker)
 
-    def find(photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        points, scores = detector.detect_scored(photo)
+    def find(photo: np.ndarray, before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        points, scores = detector.detect_scored(photo, before)
         return points[..., :2].astype(float), scores
 
     return find
@@ -135,7 +136,7 @@ def _open_dlib(landmarker: str | None) -> Find:
         )
     detector = dlib_landmarks.shared_detector()
 
-    def find(photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find(photo: np.ndarray, before: object = None) -> tuple[np.ndarray, np.ndarray]:
         faces = detector.detect_all(photo)
         return faces, np.full(len(faces), np.nan)
 

@@ -88,11 +88,14 @@ class MediaPipeLandmarks:
         """Points of every face, without the scores of `detect_scored`."""
         return self.detect_scored(image)[0]
 
-    def detect_scored(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def detect_scored(
+        self, image: np.ndarray, before: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Points of every face, the largest first, and the detector's scores.
 
         Args:
             image: `(H, W, 3)` uint8 RGB.
+            before: As for `find_faces`.
 
         Returns:
             `(n, 468, 3)` float32 pixels, x right and y down from the upper left corner, z in the
@@ -103,7 +106,7 @@ class MediaPipeLandmarks:
             InputError: Not such an image, or in a fork of the process.
         """
         check_fork("MediaPipe")
-        points, scores = find_faces(check_photo(image), self._find, self._find_boxes)
+        points, scores = find_faces(check_photo(image), self._find, self._find_boxes, before)
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]
 

@@ -30,7 +30,10 @@ _CERTAIN = 0.75
 
 
 def find_faces(
-    image: np.ndarray, find: Find, find_boxes: Callable[[np.ndarray], np.ndarray]
+    image: np.ndarray,
+    find: Find,
+    find_boxes: Callable[[np.ndarray], np.ndarray],
+    before: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points of all faces, large or small.
 
@@ -40,6 +43,9 @@ def find_faces(
             large faces.
         find_boxes: Gives, from such an image, `(n, 5)` boxes: left, top, right, bottom in pixels,
             score.
+        before: Points `(n, L, 2 or 3)` of the faces in the frame before, in a video. They are
+            looked for where they were; only if one is not there, or if there are none, are the
+            tiles searched.
 
     Returns:
         `(n, L, 3)` and `(n,)` as from `find`; of a small face the higher of its two scores.
@@ -47,8 +53,27 @@ def find_faces(
     points, scores = find(image)
     boxes = _boxes(points, scores)
     is_large = _sides(boxes) >= _SMALL * max(image.shape[:2])
-    found, taken = [(points[is_large], scores[is_large])], boxes[is_large]
+    large = points[is_large], scores[is_large], boxes[is_large]
+    if before is not None and len(before):
+        seen = _boxes(before, np.zeros(len(before)))
+        found = _with_small(image, *large, np.concatenate([boxes[~is_large], seen]), find)
+        now = _boxes(*found)
+        if all((_overlaps(now, box) > _SAME).any() for box in seen):
+            return found
     candidates = np.concatenate([boxes[~is_large], _boxes_in_tiles(image, find_boxes)])
+    return _with_small(image, *large, candidates, find)
+
+
+def _with_small(
+    image: np.ndarray,
+    points: np.ndarray,
+    scores: np.ndarray,
+    taken: np.ndarray,
+    candidates: np.ndarray,
+    find: Find,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and scores of large faces, whose boxes are taken, and of the candidates that hold."""
+    found = [(points, scores)]
     for box in candidates[np.argsort(-candidates[:, 4], kind="stable")]:
         if (_overlaps(taken, box) > _SAME).any():
             continue

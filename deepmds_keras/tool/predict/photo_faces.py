@@ -131,8 +131,8 @@ def _opened(open_, landmarker: str | None) -> Find:
     """Open a detector once per process: a landmarker takes a while to load."""
     find = open_(landmarker)
 
-    def find_in_turn(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find_in_turn(*arguments: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         with _turn:
-            return find(image)
+            return find(*arguments)
 
     return find_in_turn

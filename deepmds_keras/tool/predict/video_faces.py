@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,9 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
 _TRIED_FRAMES = 8  # of a video, in all orientations
+# Frames in a row, of which only the first is searched everywhere unless a face is lost. They are
+# one task, so that the result does not depend on the number of processes.
+_IN_A_ROW = 4
 
 
 def find_in_video(
@@ -64,13 +67,15 @@ def find_in_video(
     changes, before = [], None
     frames_left, scheme = iter(video), DETECTORS[detector].scheme
     target = target_scheme(scheme, model)
-    turn = _turn_of(video, detector, landmarker)
+    turn, in_a_row = _turn_of(video, detector, landmarker), max(1, _IN_A_ROW // every)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
     find = delayed(_points_in)
     # Frames are sent to the processes through memory, not files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
-        while batch := list(islice(frames_left, 2 * jobs)):  # a frame may take 25 MB
-            detections = parallel(find(frame.image, turn, detector, landmarker) for frame in batch)
+        while batch := list(islice(frames_left, in_a_row * jobs)):  # a frame may take 25 MB
+            images = [frame.image for frame in batch]
+            rows = [images[i : i + in_a_row] for i in range(0, len(images), in_a_row)]
+            detections = chain(*parallel(find(row, turn, detector, landmarker) for row in rows))
             faces += [to_ibug(convert(p, scheme, target), detector, target) for p in detections]
             frames += [frame.index for frame in batch]
             times += [frame.time for frame in batch]
@@ -170,10 +175,15 @@ def _turn_of(video: Video, detector: str, landmarker: str | None) -> int:
     return max(turns, key=lambda turn: turns[turn])
 
 
-def _points_in(image: np.ndarray, turn: int, detector: str, landmarker: str | None) -> np.ndarray:
-    """Landmarks `(n, L, 2)` of a frame's faces in the detector's scheme; called in any process."""
-    turned = np.ascontiguousarray(np.rot90(image, turn))
-    return turn_back(open_detector(detector, landmarker)(turned)[0], turn, image)
+def _points_in(
+    images: Iterable[np.ndarray], turn: int, detector: str, landmarker: str | None
+) -> list[np.ndarray]:
+    """Landmarks `(n, L, 2)` of the faces in each of a few frames in a row, in any process."""
+    find, before, found = open_detector(detector, landmarker), None, []
+    for image in images:
+        before, _ = find(np.ascontiguousarray(np.rot90(image, turn)), before)
+        found.append(turn_back(before, turn, image))
+    return found
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:

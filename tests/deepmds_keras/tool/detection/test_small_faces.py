@@ -41,6 +41,29 @@ def test_large_and_small_faces_are_found_once_wherever_they_are(size):
     assert sorted(points.tolist()) == expected and (scores == 0.9).all()
 
 
+@pytest.mark.parametrize(
+    ("before", "tiles", "n_found"),
+    [([(310, 290, 90), (800, 500, 400)], 0, 2), ([(310, 290, 90), (500, 900, 90)], 16, 3),
+     ([(700, 290, 90)], 16, 3), ([], 16, 3)],
+)  # fmt: skip
+def test_in_a_video_faces_are_found_where_they_were_and_if_one_is_lost_everywhere(
+    before, tiles, n_found
+):
+    image = white_squares((300, 300, 90), (800, 520, 400), (1300, 100, 90))
+    corners = [[[x, y], [x + side, y + side]] for x, y, side in before]
+    find, find_boxes = detector()
+    searched = []
+
+    def count(tile):
+        searched.append(tile)
+        return find_boxes(tile)
+
+    points, _ = find_faces(image, find, count, np.reshape(corners, (-1, 2, 2)))
+    assert (len(searched), len(points)) == (tiles, n_found)
+    whole, _ = find_faces(image, find, find_boxes)
+    assert all(point in whole.tolist() for point in points.tolist())
+
+
 def test_a_small_face_must_be_found_again_with_a_good_score():
     image = white_squares((300, 300, 90))
     (find, find_boxes), (_, unsure) = detector(), detector(score=0.6)

@@ -56,7 +56,7 @@ def write_video(path, images, rotation=0, pixel=None):
 def squares(monkeypatch):
     """A detector of white squares: of each the 68 points of `FACE`, from its upper left corner."""
 
-    def find(image):
+    def find(image, before=None):
         columns = np.flatnonzero((image.min(-1) > 180).any(0))
         starts = columns[np.diff(columns, prepend=-9) > 1]
         faces = np.array([FACE + (x, 5) for x in starts]).reshape(-1, 68, 2)
@@ -153,7 +153,7 @@ def test_frames_are_mirrored_and_turned_by_the_display_matrix(tmp_path, x, y, sw
 def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatch, turn):
     looked_at = []
 
-    def find(image):
+    def find(image, before=None):
         looked_at.append(image.shape)
         y, x = np.argwhere(image.min(-1) > 180).mean(0)
         # Right eye, left eye, mouth; found where the white square is in the left upper quarter.
@@ -173,6 +173,33 @@ def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatc
     assert len(looked_at) == 5 + (4 if turn else 1)
     y, x = np.argwhere(frame.min(-1) > 180).mean(0)
     np.testing.assert_allclose(found.landmarks[:, 0], [[x, y]] * 5, atol=2)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("turn", [0, 1])
+def test_faces_are_looked_for_where_they_were_in_four_frames_in_a_row(
+    tmp_path, monkeypatch, every, turn
+):
+    looked_at = []
+
+    def find(image, before=None):
+        looked_at.append(before)
+        upright = image.shape[0] > image.shape[1]
+        face = FACE + (len(looked_at), 0)
+        return face[None], np.array([0.95 if upright else 0.5])
+
+    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
+    monkeypatch.setitem(DETECTORS, "moving", row)
+    images = np.rot90(np.zeros((11, 2 * SIDE, SIDE, 3), np.uint8), turn, axes=(1, 2))
+    path = write_video(tmp_path / "a.mp4", images)
+    find_in_video(path, "a", detector="moving", every=every)
+    n_frames = -(-11 // every)
+    start = len(looked_at) - n_frames
+    for i, before in enumerate(looked_at[start:]):
+        if i % (4 // every) == 0:
+            assert before is None
+        else:
+            np.testing.assert_array_equal(before, FACE[None] + (start + i, 0))
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
