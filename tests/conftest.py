@@ -101,13 +101,14 @@ def one_thread():
 @pytest.fixture(scope="session")
 def launch():
     """Starts headless Chromiums, the one that the system has: `launch(*options)`."""
-    playwright = pytest.importorskip("playwright.sync_api")
+    from playwright.sync_api import sync_playwright
+
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     if chromium is None:
         pytest.skip("no Chromium on the path (Debian and Ubuntu: apt install chromium)")
     # Chromium's own sandbox refuses to run as root.
     needed = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with playwright.sync_playwright() as driver, ExitStack() as opened:
+    with sync_playwright() as driver, ExitStack() as opened:
 
         def launch(*options: str):
             args = [*needed, *options]

@@ -8,11 +8,9 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from deepmds_keras import DeepMDS, InputError, MissingPackageError, align, embed
+from deepmds_keras.compiled_mds import compiled_mds
 from deepmds_keras.embedding import sklearn_mds
 from deepmds_keras.geometry.classical_scaling import classical_scaling
-
-pytest.importorskip("numba", reason="numba is not installed")
-from deepmds_keras.compiled_mds import compiled_mds  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

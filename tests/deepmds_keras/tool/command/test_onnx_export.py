@@ -5,6 +5,8 @@ import subprocess
 import sys
 
 import numpy as np
+import onnx
+import onnxruntime as runtime
 import pytest
 from places import ROOT
 from scipy.spatial.transform import Rotation
@@ -18,8 +20,6 @@ from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.unrolled_fit import initial_weights
 from deepmds_keras.tool.command.onnx_export import export
 
-onnx = pytest.importorskip("onnx", reason="onnx is an extra")
-runtime = pytest.importorskip("onnxruntime", reason="onnxruntime has no wheel for Python 3.10")
 L = 51
 
 

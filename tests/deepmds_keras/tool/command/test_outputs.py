@@ -173,7 +173,6 @@ def glb_by_hand(path):
 
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("normalised", 1)])
 def test_a_glb_is_the_head_by_the_specification(tmp_path, unit, metres):
-    pytest.importorskip("trimesh", reason="trimesh is an extra")
     face = make_face("é", "ibug51", unit=unit, notes=("a note",))
     (path,) = written(tmp_path, ["glb"], face)
     described, numbers = glb_by_hand(path)

@@ -109,11 +109,10 @@ def test_pictures_of_an_animation_are_counted(tmp_path, colour, suffix):
 
 
 def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
-    pytest.importorskip("pillow_heif", reason="pillow-heif is absent: pip install .[heic]")
-    exif = Image.Exif()
-    exif[0x0112] = 6
     from pillow_heif import register_heif_opener
 
+    exif = Image.Exif()
+    exif[0x0112] = 6
     register_heif_opener()
     for name in ("photo.heic", "photo.jpg"):
         saved(tmp_path, colour[:40], name, format="HEIF", exif=exif.tobytes(), quality=-1)

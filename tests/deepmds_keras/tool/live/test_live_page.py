@@ -1,6 +1,6 @@
 """The live page in a real browser; MediaPipe's part is played by points that the tests give.
 
-Tests with MediaPipe itself need its package in `data/`, and are skipped without it.
+The slow tests have MediaPipe itself: they download its package once, into pytest's cache.
 """
 
 import base64
@@ -10,22 +10,22 @@ import json
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
 from places import MEDIAPIPE, ROOT
 
 from deepmds_keras import InputError, LandmarkLifter, predict_photo
-from deepmds_keras.files import read_table
+from deepmds_keras.files import read_table, write_bytes
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.tool.live import live_page
 from deepmds_keras.tool.live.live_page import write_live_page
-from deepmds_keras.tool.live.tasks_vision import SHA256
+from deepmds_keras.tool.live.tasks_vision import SHA256, VERSION, read_tasks_vision
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 
 PHOTO = ROOT / "docs" / "pictures" / "astronaut.jpg"
-PACKAGE = ROOT / "data" / "mediapipe-tasks-vision-0.10.35.tgz"
 L, WIDTH, HEIGHT = 51, 640, 480
 MEAN = LandmarkLifter.pretrained("ibug51").weights_["mean"].T.astype(float)
 PICKS = [int(row["number"]) for row in read_table(FOLDER / "mediapipe_ibug68.csv")]
@@ -301,7 +301,6 @@ def test_photos_are_opened_by_button_and_by_drop_upright(opened, how):
 
 
 def test_a_video_is_analysed_to_its_end(opened, tmp_path):
-    av = pytest.importorskip("av", reason="PyAV is an extra")
     path = tmp_path / "clip.webm"
     with av.open(str(path), "w") as video:
         stream = video.add_stream("libvpx", rate=10)
@@ -390,12 +389,20 @@ def test_the_page_is_never_written_over_and_only_for_landmarks_that_are_found(pa
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory, launch):
+def package(pytestconfig):
+    """MediaPipe's package for browsers, as a folder."""
+    folder = pytestconfig.cache.mkdir(f"tasks-vision-{VERSION}")
+    if not all((folder / name).exists() for name in SHA256):
+        for name, content in read_tasks_vision(None).items():
+            write_bytes(folder / name, content)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, launch, package):
     """The page as users have it, in a Chromium whose camera films a face."""
-    if not PACKAGE.exists():
-        pytest.skip(f"no {PACKAGE.relative_to(ROOT)}: npm pack writes it (docs/live.md)")
     folder = tmp_path_factory.mktemp("whole")
-    write_live_page(folder / "live.html", model="lifting-ibug51", tasks_vision=PACKAGE)
+    write_live_page(folder / "live.html", model="lifting-ibug51", tasks_vision=package)
     assert (folder / "live.html").stat().st_size < 8e6
     with open(folder / "camera.mjpeg", "wb") as film:
         for i in range(40):

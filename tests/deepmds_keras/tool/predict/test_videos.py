@@ -5,6 +5,7 @@ import re
 import struct
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 
@@ -16,7 +17,6 @@ from deepmds_keras.tool.predict.face_lifter import FaceLifter
 from deepmds_keras.tool.predict.video_faces import find_in_video, follow_faces
 from deepmds_keras.tool.predict.videos import Video, write_landmark_video
 
-av = pytest.importorskip("av")
 CODECS = {".avi": "mpeg4", ".mov": "mpeg4", ".webm": "libvpx"}  # others: libx264
 SIDE = 64
 # 68 points about as those of a face, of 20 pixels.
