@@ -58,6 +58,11 @@ class LandmarkScheme:
         """Whether the landmarks are a face's."""
         return bool(self.ibug68)
 
+    @property
+    def thing(self) -> str:
+        """What the landmarks are of, for readers: a face, or any other shape."""
+        return "face" if self.is_face else "shape"
+
 
 def read_scheme(
     name: str, table: Path, numbers: range, *, longer: tuple[int, ...] = (), is_ibug: bool = False

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deepmds_keras import __version__
 from deepmds_keras.geometry.views import sample_views
-from deepmds_keras.landmarks import said_sizes
+from deepmds_keras.landmarks import load_scheme, said_sizes
 from deepmds_keras.tool.command.outputs import FORMATS
 from deepmds_keras.tool.detection import DETECTORS, default_detector
 from deepmds_keras.tool.predict.faces import Face, frame_of
@@ -197,7 +197,8 @@ def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
         return
     seen = [face for face in faces if not face.is_gap]
     gaps = len(faces) - len(seen)
-    counted = [_counted(len(seen), "face"), *([_counted(gaps, "gap")] if gaps else [])]
+    thing = load_scheme(faces[0].scheme).thing
+    counted = [_counted(len(seen), thing), *([_counted(gaps, "gap")] if gaps else [])]
     yield f"{source}: {', '.join(counted)}"
     for face in seen[:most]:
         yield f"  {face.name}: {face.angles}"
@@ -214,7 +215,8 @@ def fault_of(source: Path, faces: list[Face]) -> str | None:
     listed = [f"{i:,}" for i in faults][:_LISTED_FAULTS]
     listed += ["…"] if len(faults) > len(listed) else []
     return (
-        f"{source}: {len(faults):,} of {len(faces):,} faces cannot be used and are gaps: "
+        f"{source}: {len(faults):,} of {len(faces):,} {load_scheme(faces[0].scheme).thing}s cannot "
+        "be used and are gaps: "
         f"{', '.join(listed)}. "
         f"The first {min(faults.items())[1]}"
     )

@@ -61,7 +61,8 @@ def write_page(
         shown["triangles"] = in_base64(surface_triangles().astype("<u2").tobytes())
         for face, shown_face in zip(faces, described, strict=True):
             shown_face["mesh"] = _mesh(face)
-    title = f"3D face of {faces[0].name}" if len(faces) == 1 else f"{len(faces)} faces in 3D"
+    thing, n = load_scheme(faces[0].scheme).thing, len(faces)
+    title = f"3D {thing} of {faces[0].name}" if n == 1 else f"{n} {thing}s in 3D"
     page = (_FOLDER / "page.html").read_text(encoding="utf-8")
     values = {
         "style": STYLE,

@@ -155,8 +155,8 @@ def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -
             f"{scheme.names[k]} ({100 * off[i, k]:.0f} %)" for k in np.flatnonzero(far[i])
         )
         notes[i] = (
-            f"may be misplaced, and spoil the shape: {listed} of the face's size from where the "
-            f"shape has it, while half of the landmarks are within {100 * np.nanmedian(off[i]):.0f}"
+            f"may be misplaced, and spoil the shape: {listed} of the shape's size from where it "
+            f"has them, while half of the landmarks are within {100 * np.nanmedian(off[i]):.0f}"
             " %"
         )
     return notes
@@ -181,13 +181,13 @@ def _notes(poses: HeadPose, quarters: np.ndarray, model: Model) -> list[list[str
         }
         if beyond:
             notes[i].append(
-                f"turned farther than the faces of the training: {', '.join(beyond)}, where they "
+                f"turned farther than the shapes of the training: {', '.join(beyond)}, where they "
                 f"had at most {', '.join(beyond.values())}; the shape is a guess"
             )
         if residual > model.max_residual:
             notes[i].append(
-                f"the shape, turned back, misses the landmarks by {100 * residual:.0f} % of the "
-                "face's size (RMS): they may be in another order, or of another thing"
+                f"the shape, turned back, misses the landmarks by {100 * residual:.0f} % of its "
+                "size (RMS): they may be in another order, or of another thing"
             )
         if not model.centred:
             notes[i].append(

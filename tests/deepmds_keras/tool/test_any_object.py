@@ -68,6 +68,8 @@ def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, 
     out = tmp_path / "out"
     given = ("predict", points, "--model", model, "--out", out, "--view", "--jobs", 1)
     assert run(*given, "--format", "csv,json,npz,ply,obj") == 0, capsys.readouterr().err
+    assert "points.npy: 5 shapes" in capsys.readouterr().out
+    assert "<title>5 shapes in 3D</title>" in (out / "points.html").read_text(encoding="utf-8")
     views = np.load(points) * (1, -1)
     expected = LandmarkLifter.load(model).predict(views)
     arrays = np.load(out / "points.npz")
@@ -78,7 +80,7 @@ def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, 
     np.testing.assert_allclose(seen, np.load(points), atol=1e-3)
     assert np.array_equal(read_landmarks(out / "points.csv", scheme="unnamed-14"), seen)
     with Image.open(out / "points.png") as picture:
-        assert picture.size == (1500, 300)
+        assert picture.size == (1800, 600)
     assert "landmark_14" in (out / "points.html").read_text(encoding="utf-8")
     assert run(*given, "--scheme", scheme, "--format", "json,obj", "--overwrite") == 0
     content = json.loads((out / "points.json").read_bytes())

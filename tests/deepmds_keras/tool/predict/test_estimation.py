@@ -122,7 +122,7 @@ def test_a_profile_is_beyond_the_training_of_one_model_and_in_order_for_the_othe
     profile = [np.stack([x, -turned[:, 1]], 1)]
     assert notes(profile) == [""]  # the lifters have seen profiles
     (note,) = notes(profile, model="deepmds")
-    assert note.startswith("turned farther than the faces of the training: yaw ")
+    assert note.startswith("turned farther than the shapes of the training: yaw ")
     assert "at most ±50°" in note and "±25" not in note
 
 
