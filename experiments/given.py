@@ -34,7 +34,7 @@ def check_given(run: Run) -> None:
                     f"OBJECTS must be a folder with {name}.npz. Received {run.objects}."
                 )
     if run.sfm:
-        from deepmds_keras.tool.command.eos_fit import surrey_files
+        from deepmds_keras.baselines.eos_fit import surrey_files
 
         surrey_files(run.sfm)
     if run.track == "flame":

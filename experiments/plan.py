@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from data_gen.models.registry import OPEN, model_files, open_model_files
+from deepmds_keras.baselines.eos_fit import surrey_files
 from deepmds_keras.landmarks import FOLDER
-from deepmds_keras.tool.command.eos_fit import surrey_files
 from deepmds_keras.weights import PRETRAINED
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.methods import METHODS, methods_of

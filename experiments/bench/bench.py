@@ -21,13 +21,13 @@ import tensorflow as tf
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
+from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.embedding import embed
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.networks import build_dissimilarity_net
 from deepmds_keras.proximities import pair_features
-from deepmds_keras.tool.command.eos_fit import EosFit
 from deepmds_keras.training import Recipe, compiled_by_xla, face_order, pairs_of_faces
 from experiments.bench import released_code as released
 from experiments.figures.errors import Panel, error_lines

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from deepmds_keras.baselines.eos_fit import NUMBERS, read_surrey
 from deepmds_keras.landmarks import load_scheme
-from deepmds_keras.tool.command.eos_fit import NUMBERS, read_surrey
 
 # Largest weight of each of the six expressions; with all of them at 1, faces are contorted.
 _MOST_EXPRESSION = 0.5

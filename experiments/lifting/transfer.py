@@ -15,12 +15,12 @@ from sklearn.linear_model import LinearRegression
 from data_gen.models.registry import TITLES, load_model, open_models
 from data_gen.views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_photo_views
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
+from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.baselines.map_fit import MapFit, principal_components
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.geometry.views import perspectives, project, sample_perspective_cameras
 from deepmds_keras.metrics import mse
-from deepmds_keras.tool.command.eos_fit import EosFit
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
 from experiments.lifting.surrey import Surrey

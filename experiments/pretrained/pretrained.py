@@ -12,11 +12,11 @@ import pandas as pd
 
 from data_gen.models.registry import TITLES, open_models
 from deepmds_keras.baselines.closed_form import RidgeRegression
+from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.landmarks import convert
 from deepmds_keras.metrics import mse
-from deepmds_keras.tool.command.eos_fit import EosFit
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.weights import PRETRAINED
 from experiments.lifting.train import load_network

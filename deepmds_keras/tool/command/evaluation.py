@@ -98,7 +98,7 @@ def evaluate(
         exact = lifter.predict(views, landmark_sd=0, check_orientation=is_face)
         predicted["lifting, exact"] = exact
     if eos is not None:
-        from deepmds_keras.tool.command.eos_fit import EosFit
+        from deepmds_keras.baselines.eos_fit import EosFit
 
         fitted = EosFit(eos).predict(views)
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")

@@ -5,8 +5,8 @@ import pytest
 from places import SHARED
 
 from deepmds_keras import InputError, align
+from deepmds_keras.baselines.eos_fit import NUMBERS, EosFit, surrey_files
 from deepmds_keras.geometry.views import project, sample_perspective_cameras
-from deepmds_keras.tool.command.eos_fit import NUMBERS, EosFit, surrey_files
 from experiments.lifting.surrey import Surrey
 
 SFM = SHARED / "sfm"
