@@ -113,16 +113,16 @@ class Results:
             columns: Face models by their heads.
             tables: Folders of a face model's results by names of tables; not each model has each.
         """
-        rows = [["MSE, in 10⁻⁴", "paper", *columns, "pairs of methods in the paper's order"]]
+        rows, heads = [], []
         for name, table in tables.items():
             folders = [f"{model}/{table}" for model in columns.values()]
             known = [folder for folder in folders if self.has(folder)]
             cells = [self._beside_mean_shape(f) if f in known else NOTHING for f in folders]
             paper = self.rows(known[0]).loc["deep_mds"]["paper_mean"] / 1e-4
-            found = zip(*(orders(self.rows(folder)) for folder in known), strict=True)
-            said = [f"{of[0].protocol} {_pairs(of)}" for of in found]
-            rows.append([name, f"{paper:g}", *cells, "; ".join(said)])
-        return grid(rows)
+            found = [*zip(*(orders(self.rows(folder)) for folder in known), strict=True)]
+            heads = [f"order {of[0].protocol}" for of in found]
+            rows.append([name, f"{paper:g}", *cells, *map(_pairs, found)])
+        return grid([["MSE, in 10⁻⁴", "paper", *columns, *heads], *rows])
 
     def _beside_mean_shape(self, folder: str) -> str:
         ours, mean = (self.error(folder, method) / 1e-4 for method in ("deep_mds", "mean_shape"))
