@@ -6,7 +6,7 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds scales \
            objects pretrained lifting released-weights real-faces surface footprint check report
-.PHONY: help setup $(TARGETS) all-results dag docs article site pictures openhead test nightly lint clean
+.PHONY: help setup $(TARGETS) all-results check-results dag docs article site pictures openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
@@ -141,6 +141,9 @@ all-results: | $(READY) ## all of results/, on both open models   (12 h)
 	for target in stream report 'report MODEL=ict DATA=$(DATA)' docs; do \
 	  $(MAKE) --no-print-directory DATA= $$target; \
 	done
+
+check-results: | $(READY) ## whether the last commit would make the committed results, by small runs
+	@$(PY) -m experiments.report.check_results
 
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)
 	@$(PY) -m experiments.make $(TARGET) DAG=build/dag.svg $(VALUES)

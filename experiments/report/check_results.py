@@ -1,0 +1,135 @@
+"""`make check-results`: whether today's code would make the committed results.
+
+All of them take hours, so that a folder may be of an earlier commit. The small preset is then run
+by the code of that commit and by that of the last one: what writes the same digits there is taken
+to do so at full size.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from deepmds_keras.errors import InputError
+from experiments.records import commits_of, git, manifests, read_manifest
+
+_ROOT = Path(__file__).parents[2]
+_TREES = _ROOT / "build" / "check-results"
+_FILES = ("DATA", "AUTHORS", "SFM", "REAL", "OBJECTS", "COMA", "CASIA", "CELEBA", "TF_FLAME")
+_TIMES = ("ms_per_face", "seconds", "memory")  # in names of columns and metrics that differ
+
+
+@dataclass(frozen=True)
+class Made:
+    """A folder of results, the commits that made it, and the command.
+
+    Attributes:
+        folder: Relative to `results/`.
+    """
+
+    folder: Path
+    commits: tuple[str, ...]
+    command: str
+
+
+def main() -> None:
+    """Print a line for each folder; exit with status 1 if one would come out otherwise now."""
+    last = git("rev-parse", "HEAD", folder=_ROOT)
+    stale = False
+    for made in find_results(_ROOT / "results"):
+        answers = [check(made, commit, last) for commit in made.commits]
+        print(f"{made.folder}: " + "; ".join(answers), flush=True)
+        stale |= not all("same digits" in answer for answer in answers)
+    sys.exit(stale)
+
+
+def find_results(results: Path) -> list[Made]:
+    """All folders of results that have a manifest."""
+    found = []
+    for path in manifests(results):
+        folder, manifest = path.parent.relative_to(results), read_manifest(path.parent)
+        if folder.parts[0] != "smoke":
+            commits = tuple(sorted(commits_of(manifest)))
+            found.append(Made(folder, commits, manifest.get("command", "")))
+    return found
+
+
+def check(made: Made, commit: str, last: str) -> str:
+    """What a small run says of results of a commit."""
+    if commit == last:
+        return f"{commit[:12]}, the last commit: the same digits"
+    try:
+        before, now = (small_run(made, each) for each in (commit, last))
+        difference = compare(before, now)
+    except InputError as error:
+        difference = f"not checked: {error}"
+    return f"{commit[:12]}: {difference or 'the same digits'}"
+
+
+def small_run(made: Made, commit: str) -> Path:
+    """Folder of the results of the small preset by the code of a commit.
+
+    Raises:
+        InputError: That code has no such command, a file is missing, or it failed.
+    """
+    program, *words = shlex.split(made.command) or [""]
+    tree = _TREES / commit[:12]
+    if not tree.is_dir():
+        git("worktree", "add", "--force", "--detach", str(tree), commit, folder=_ROOT)
+    if program != "make" or not (tree / "experiments" / "make.py").is_file():
+        raise InputError(f"{commit[:12]} has no command that runs `{made.command}` at a small size")
+    target, *given = words
+    variables = dict(word.split("=", 1) for word in given) | {"PRESET": "smoke"}
+    if "SEEDS" in variables:
+        variables["SEEDS"] = "2"
+    for name in {*_FILES} & {*variables}:
+        path = (_ROOT / variables[name]).resolve()
+        if not path.exists():
+            raise InputError(f"{name}={variables[name]} not found")
+        variables[name] = str(path)
+    words = [f"{name}={value}" for name, value in variables.items()]
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments.make", target, *words],
+        cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, capture_output=True, text=True,
+    )  # fmt: skip
+    folder = tree / "results" / "smoke" / made.folder
+    if done.returncode or not folder.is_dir():
+        last_line = (done.stderr.strip() or "no results").splitlines()[-1]
+        raise InputError(f"make {target} failed at {commit[:12]}: {last_line}")
+    return folder
+
+
+def compare(before: Path, now: Path) -> str | None:
+    """The first table that differs, times apart, or None."""
+    names = {path.name for folder in (before, now) for path in folder.glob("*.csv")}
+    for name in sorted(names):
+        tables = [_digits(folder / name) for folder in (before, now)]
+        if tables[0] is None or tables[1] is None:
+            return f"{name} is {'gone' if tables[1] is None else 'new'}"
+        if list(tables[0]) != list(tables[1]) or len(tables[0]) != len(tables[1]):
+            return f"{name} has other rows or columns"
+        if (off := tables[0].ne(tables[1]).to_numpy()).any():
+            row = tables[1].loc[off.any(1)].iloc[0]
+            return f"{name} differs in {off.sum()} cells, first {', '.join(row[:3])}"
+    return None
+
+
+def _digits(path: Path) -> pd.DataFrame | None:
+    """Cells of a table as text, without times."""
+    if not path.is_file():
+        return None
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    table = table[[name for name in table if not any(time in name for time in _TIMES)]]
+    if "metric" in table:
+        table = table[~table["metric"].str.contains("|".join(_TIMES))]
+    return table.reset_index(drop=True)
+
+
+if __name__ == "__main__":
+    main()

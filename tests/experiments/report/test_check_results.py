@@ -1,0 +1,73 @@
+"""`make check-results` sees digits that differ, rows that are gone, and what it cannot run."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from deepmds_keras.errors import InputError
+from experiments.report import check_results
+from experiments.report.check_results import Made, check, compare, find_results, small_run
+
+TABLE = pd.DataFrame(
+    {
+        "method": ["ridge", "mlp", "mlp"],
+        "metric": ["mse", "mse", "ms_per_face"],
+        "mean": ["0.00012345", "0.5", "3.1"],
+        "seconds": ["1", "2", "3"],
+    }
+)
+
+
+@pytest.fixture
+def folders(tmp_path):
+    def write(table):
+        folder = tmp_path / f"{len([*tmp_path.iterdir()])}"
+        folder.mkdir()
+        table.to_csv(folder / "table.csv", index=False)
+        return folder
+
+    return write
+
+
+def test_times_may_differ(folders):
+    now = TABLE.assign(seconds="9")
+    now.loc[2, "mean"] = "4.2"
+    assert compare(folders(TABLE), folders(now)) is None
+
+
+def test_a_digit_that_differs_is_named(folders):
+    now = TABLE.copy()
+    now.loc[0, "mean"] = "0.00012346"
+    found = compare(folders(TABLE), folders(now))
+    assert found == "table.csv differs in 1 cells, first ridge, mse, 0.00012346"
+
+
+def test_rows_and_tables_that_are_gone_are_named(folders, tmp_path):
+    assert "other rows" in compare(folders(TABLE), folders(TABLE[1:]))
+    (tmp_path / "empty").mkdir()
+    assert compare(folders(TABLE), tmp_path / "empty") == "table.csv is gone"
+
+
+def test_results_are_listed_with_what_made_them(tmp_path):
+    for name in ("ict/bfm", "smoke/ict/bfm"):
+        (tmp_path / name).mkdir(parents=True)
+        manifest = {"command": "make reproduce-bfm", "commit": "b" * 40, "steps": [{}, {}]}
+        (tmp_path / name / "manifest.json").write_text(json.dumps(manifest))
+    (made,) = find_results(tmp_path)
+    assert (str(made.folder), made.commits) == ("ict/bfm", ("b" * 40,))
+    assert check(made, "b" * 40, "b" * 40).endswith("the same digits")
+
+
+def test_what_cannot_be_run_is_said_not_passed(monkeypatch, tmp_path):
+    monkeypatch.setattr(check_results, "_TREES", tmp_path)
+    made = Made("x", ("c" * 40,), "make lifting MODEL=ict DATA=no/such/folder")
+    (tmp_path / "cccccccccccc" / "experiments").mkdir(parents=True)
+    with pytest.raises(InputError, match="has no command that runs"):
+        small_run(made, "c" * 40)
+    (tmp_path / "cccccccccccc" / "experiments" / "make.py").touch()
+    with pytest.raises(InputError, match="DATA=no/such/folder not found"):
+        small_run(made, "c" * 40)
+    assert check(made, "c" * 40, "d" * 40) == (
+        "cccccccccccc: not checked: DATA=no/such/folder not found"
+    )
