@@ -189,7 +189,7 @@ def method_picture() -> Figure:
     view = normalise(centre(in_camera_frame(face, sample_hard_cameras(1, rng))[..., :2]))
     shape = model.predict(view, check_orientation=False)[0]
 
-    figure = Figure((7.2, 1.5))
+    figure = Figure((7.2, 1.7))
     # The last two panels belong together: no arrow stands between them.
     lefts = [_LEFT + i * (_WIDE + _GAP) - max(0, i - 3) * _GAP for i in range(5)]
     panels = [figure.add_axes((left, 0.02, _WIDE, 0.82)) for left in lefts]
@@ -207,14 +207,14 @@ def method_picture() -> Figure:
     for axes, head_line in zip(panels, heads, strict=True):
         axes.set_title(head_line)
     steps = {
-        "autoencoder": "144-64-32-16\n-16-32-64-144",
+        "autoencoder": "144-64-32\n-16-16-32\n-64-144",
         "dissimilarity\nnet": "each pair:\n6-20-20-20\n-20-20-1",
         "non-metric\nMDS": "",
     }
     for axes, (step, widths) in zip(panels[:3], steps.items(), strict=True):
         x = axes.get_position().x1 + _GAP / 2
-        figure.text(x, 0.46, step, ha="center", va="bottom", fontsize=6)
-        figure.text(x, 0.33, widths, ha="center", va="top", fontsize=4.5, color=INK)
+        figure.text(x, 0.46, step, ha="center", va="bottom", fontsize=6.5)
+        figure.text(x, 0.33, widths, ha="center", va="top", fontsize=6.5, color=INK)
         figure.text(x, 0.4, "⟶", ha="center", va="center", fontsize=13, color=INK)
     return figure
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -104,9 +105,11 @@ def draw(command: list[str], path: Path) -> None:
     """
     if shutil.which("dot") is None:
         raise InputError("Graphviz must be installed to draw (apt install graphviz). None found.")
-    graph = _planned(command)
+    graph = re.sub(r'\\nwork: [^\\"]*', "", _planned(command))  # the folder of all steps
     path.parent.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["dot", "-Tsvg", "-o", str(path)], input=graph, text=True, check=True)
+    # From left to right: a method's steps stand in a row, which a page holds.
+    dot = ["dot", "-Tsvg", "-Grankdir=LR", "-o", str(path)]
+    subprocess.run(dot, input=graph, text=True, check=True)
     print(path)
 
 

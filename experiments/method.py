@@ -50,7 +50,7 @@ class Method:
         over_seeds: Whether it is trained from several seeds.
         note: Function of a run and `(n,)` bool, whether the method found each test face, that
             returns what a reader of the table must know.
-        colour, marker: Its look, the same in every figure.
+        colour, marker, dashes: Its look, the same in every figure.
         drawn: Whether the figures show it; otherwise only the tables.
         pictured: Whether it is in the figure of whole faces; others are in a second one.
         gallery: Whether it is in the figure of photos with FLAME's landmarks.
@@ -88,6 +88,7 @@ class Method:
     note: Callable[[Run, np.ndarray], str] | None = None
     colour: str = "#333333"
     marker: str = "o"
+    dashes: str | tuple = "-"
     drawn: bool = True
     pictured: bool = True
     gallery: bool = False

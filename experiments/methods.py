@@ -92,15 +92,15 @@ def _model_fit_note(run: Run, detected: np.ndarray) -> str:
     return "no method here: what the paper takes for the truth, scored against the true one"
 
 
-# Okabe and Ito's palette (https://jfly.uni-koeln.de/color/), whose hues stay apart for colour-blind
-# readers; the added ones differ from their neighbours in lightness and marker. Grey is the truth's.
+# Methods of a figure differ in marker and, also for colour-blind readers, in colour. Okabe and
+# Ito's blue, orange and vermilion are here (https://jfly.uni-koeln.de/color/). Grey is the truth's.
 # The rows stand in the order of the tables.
 _ROWS = (
     Method(
         id="mean_shape", title="Mean shape", tracks=_ALL,
         description="the mean of the training shapes, whatever the view",
         build=recipes.mean_shape, data=recipes.faces, over_seeds=True, pictured=False,
-        colour="#8C6D31", marker="s", mapped=_ALL, complexity="O(n)",
+        colour="#8FB9DD", marker="s", mapped=_ALL, complexity="O(n)",
     ),
     Method(
         id=CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
@@ -112,13 +112,13 @@ _ROWS = (
         id="ridge", title="Ridge regression", tracks=_ALL,
         description="ridge regression from the view to the shape, on the same views",
         build=recipes.ridge, data=recipes.faces_with_noise, note=_noise_note, pictured=False,
-        colour="#222222", marker="D", mapped=_ALL, complexity="O(n^2)",
+        colour="#9A7DE0", marker="D", mapped=_ALL, complexity="O(n^2)",
     ),
     Method(
         id="ridge_roll_aligned", title="Ridge regression, roll-aligned views", tracks=_ALL,
         description="ridge regression on views that are turned in their plane first, to no roll",
         build=partial(recipes.ridge, roll_aligned=True), data=recipes.faces_with_noise,
-        note=_noise_note, colour="#6E6E6E", marker="s", drawn=False, complexity="O(n^2)",
+        note=_noise_note, colour="#4B0082", marker="^", drawn=False, complexity="O(n^2)",
     ),
     Method(
         id="mlp", title="MLP", tracks=_ALL,
@@ -126,17 +126,17 @@ _ROWS = (
         "LandmarkLifter",
         build=recipes.mlp, data=recipes.faces_with_noise,
         checkpoint=partial(Run.network_file, name="mlp"),
-        note=_noise_note, colour="#4B8B3B", marker="X", drawn=False, complexity="O(n)",
+        note=_noise_note, colour="#CCBB44", marker="X", drawn=False, complexity="O(n)",
     ),
     Method(
         id="ridge_detections", title="Ridge regression, trained on detections",
         description="ridge regression trained on a detector's landmarks of other photos",
-        drawn=False,
+        colour="#6B4FB8", marker="s", drawn=False,
     ),
     Method(
         id="eos", title="eos (Surrey model)",
         description="the Surrey Face Model with expressions, fitted by eos to 49 landmarks",
-        drawn=False, colour="#CC79A7", marker="X",
+        drawn=False, colour="#117733", marker="P",
     ),
     # The widths of Zhao's net grow with n.
     Method(
@@ -158,7 +158,7 @@ _ROWS = (
         id="zhao_weights", title="Zhao et al., authors' weights", tracks=_ALL,
         description="Zhao's net with the authors' own weights, nothing trained here",
         build=recipes.zhao_weights, authors=recipes.ZHAO_FILES,
-        colour="#8FB9DD", marker="<", drawn=False, complexity="O(n^2)",
+        colour="#005B96", marker="<", drawn=False, complexity="O(n^2)",
     ),
     Method(
         id="zhao_frontal", title="Zhao et al., authors' protocol", tracks=("bfm",),
@@ -170,37 +170,37 @@ _ROWS = (
     Method(
         id="zhao_evaluator", title="Zhao et al., authors' protocol and evaluator", fair="zhao",
         description="the same predictions as the released evaluator scores them",
-        drawn=False,
+        colour="#1F3A93", marker="H", drawn=False,
     ),
     Method(
         id="zhao_true_depth", title="True depth in place of Zhao et al.",
         description="no method: what the released evaluator gives to a net that makes no error",
-        drawn=False,
+        colour="#1F3A93", marker="s", drawn=False,
     ),
     Method(
         id="aldrian", title="Aldrian & Smith", tracks=("bfm", "celeba"),
         description="fit of the face model to the view; nothing is trained, the model is given",
         build=recipes.aldrian, one_by_one=True,
-        colour="#009E73", marker="*", complexity="O(t (n k^2 + k^3))",
+        colour="#5A0A3C", marker="*", complexity="O(t (n k^2 + k^3))",
     ),
     Method(
         id="aldrian_authors", title="Aldrian & Smith, authors' fit", paper="aldrian",
         fair="aldrian", tracks=("bfm", "celeba"),
         description="the same fit with the scaled coefficients of the released code",
         build=recipes.aldrian_authors, one_by_one=True, reads_model=True,
-        colour="#005A41", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
+        colour="#5A0A3C", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
     ),
     Method(
         id="map", title="MAP fit (knows the model)", tracks=("bfm", "celeba"),
         description="the most probable shape and perspective camera, given the face model; nothing "
         "is trained",
         build=recipes.map_fit, one_by_one=True,
-        colour="#2F4F4F", marker="D", drawn=False, complexity="O(t (n^3 + n k))",
+        colour="#3D2B00", marker="v", drawn=False, complexity="O(t (n^3 + n k))",
     ),
     Method(
         id="aldrian_hindsight", title="Aldrian & Smith, best noise",
         description="the same fit, given the noise that is best on the test faces: its own misfit",
-        drawn=False,
+        colour="#EE6677", marker="p", drawn=False,
     ),
     # A layer of this net is too small to be shared between threads.
     Method(
@@ -210,7 +210,7 @@ _ROWS = (
         build=recipes.mobileface, data=recipes.mobileface_data,
         checkpoint=recipes.mobileface_file, networks=recipes.mobileface_networks,
         switch="MOBILEFACE", onednn=True, threads=1, memory_mb=3500,
-        note=_mobileface_note, colour="#7B1FA2", marker="<", mapped=("celeba",),
+        note=_mobileface_note, colour="#4B0082", marker="<", mapped=("celeba",),
         complexity="O(n k)",
     ),
     Method(
@@ -237,7 +237,7 @@ _ROWS = (
         id="model_fit", title="Model fit",
         description="the fit of the face model to a photo; the truth found on scans starts from "
         "it, and on photos it is the truth",
-        note=_model_fit_note, colour="#6A7B00", marker="P", pictured=False,
+        note=_model_fit_note, colour="#EE6677", marker="v", pictured=False,
     ),
     Method(
         id="ringnet", title="RingNet", paper="ringnet", tracks=("flame",),
@@ -246,27 +246,27 @@ _ROWS = (
         build=recipes.ringnet, data=recipes.ringnet_data,
         checkpoint=recipes.ringnet_file, networks=recipes.ringnet_networks, switch="RINGNET",
         onednn=True, memory_mb=7000,
-        note=_ringnet_note, colour="#5F6B7A", marker=">", gallery=True, complexity="O(1)",
+        note=_ringnet_note, colour="#3D2B00", marker="*", gallery=True, complexity="O(1)",
     ),
     Method(
         id="ringnet_licensed", title="RingNet, licensed", tracks=("flame",),
         description="the published network, to coefficients of FLAME",
         inputs="images", image_size=CROP_SIZE, build=recipes.ringnet_licensed, reads_model=True,
         switch="RINGNET", onednn=True, memory_mb=5000,
-        colour="#9AA5B1", marker=">", gallery=True,
+        colour="#3D2B00", marker="h", gallery=True,
     ),
     Method(
         id="mediapipe", title="MediaPipe", paper="mediapipe", fair="mediapipe_corrected",
         tracks=("flame",),
         description="pretrained face mesh of an image, by the authors' list of points",
         inputs="images", build=partial(recipes.MediaPipe, points="authors"), switch="MEDIAPIPE",
-        note=_mediapipe_note, colour="#00727A", marker="H", pictured=False, complexity="O(1)",
+        note=_mediapipe_note, colour="#4B0082", marker="P", pictured=False, complexity="O(1)",
     ),
     Method(
         id="mediapipe_corrected", title="MediaPipe, corrected list", tracks=("flame",),
         description="the same with the left brow's points where they should be",
         inputs="images", build=partial(recipes.MediaPipe, points="corrected"), switch="MEDIAPIPE",
-        note=_mediapipe_note, colour="#2AA198", marker="8", gallery=True, mapped=("flame",),
+        note=_mediapipe_note, colour="#5A0A3C", marker="<", gallery=True, mapped=("flame",),
     ),
     _deep_mds(
         "paper", "constant",
@@ -280,13 +280,13 @@ _ROWS = (
         id="deep_mds_released", title="Deep-MDS, released features",
         description="the same with the five pair features of the released code",
         after="deep_mds",
-        colour="#E69F00", marker="h", pictured=False,
+        colour="#E69F00", marker="p", pictured=False,
     ),
     _deep_mds(
         "paper", "cosine",
         id="deep_mds_cosine", title="Deep-MDS, cosine schedule",
         description="the same with a decaying learning rate",
-        colour="#8C1C13", marker="p", gallery=True, pictured=False, mapped=("bfm",),
+        colour="#4818F0", marker=">", dashes="--", gallery=True, pictured=False, mapped=("bfm",),
     ),
     Method(
         id="deep_mds_noise", title="Deep-MDS, landmark noise in training", tracks=("flame",),
@@ -294,14 +294,15 @@ _ROWS = (
         "detector's",
         build=partial(recipes.deep_mds, variant="paper", schedule="cosine"),
         data=recipes.faces_with_noise, checkpoint=recipes.networks_with_noise,
-        restore=recipes.restore_deep_mds, note=_noise_note, drawn=False,
+        restore=recipes.restore_deep_mds, note=_noise_note,
+        colour="#B34700", marker="h", drawn=False,
     ),
     Method(
         id="deep_mds_weights", title="Deep-MDS, authors' weights", tracks=_ALL,
         description="the released networks with the authors' own weights, nothing trained here",
         build=recipes.deep_mds_weights, deep_mds=("released", None),
         networks=partial(recipes.deep_mds_networks, "released"), authors=AUTHORS_FILES,
-        colour="#CC79A7", marker="X", complexity=_EMBEDDING,
+        colour="#117733", marker="X", complexity=_EMBEDDING,
     ),
     Method(
         id="landmark_lifter", title="LandmarkLifter (ours)", tracks=_ALL,
@@ -316,7 +317,7 @@ _ROWS = (
         id="lower_bound", title="Approximate lower bound",
         description="no method: what noise and a single view leave open to one that knows the face "
         "model and the camera",
-        colour="#777777", drawn=False,
+        colour="#777777", marker="", dashes=(0, (4, 2)), drawn=False,
     ),
 )  # fmt: skip
 METHODS = {method.id: method for method in _ROWS}

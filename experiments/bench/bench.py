@@ -44,7 +44,7 @@ _LOOKS = {
     "released": Look("authors' implementation", "#777777", "s"),
     "deep_mds": Look("this package", "#D55E00", "o"),
     "sklearn": Look("this package, scikit-learn's solver", "#0072B2", "^"),
-    "numba": Look("this package, numba's solver", "#D55E00", "o"),
+    "numba": Look("this package, numba's solver", "#E69F00", "p"),
 }
 
 

@@ -14,10 +14,10 @@ from experiments.figures.errors import Panel, error_lines, plain_log_ticks
 from experiments.figures.style import INK, Look, colour, styled
 from experiments.methods import title
 
-_FIRST_EPOCH = 3  # earlier losses would hide all later differences
+FIRST_EPOCH = 3  # earlier losses would hide all later differences
 _NETWORKS = {"autoencoder": "Autoencoder", "dissimilarity_net": "Dissimilarity net"}
 _IMAGE_LOSSES = {
-    "mobileface": "Mean squared error of the mesh (mm²)",
+    "mobileface": "Mean squared error\nof the mesh (mm²)",
     "ringnet": "Sum of the losses (no unit)",
 }
 # Key of a record to line style and legend entry.
@@ -30,12 +30,17 @@ _LAG = {
 }
 
 
+def epochs_from(first: int) -> str:
+    """Label of an axis of epochs that leaves out those before one."""
+    return f"Training time from epoch {first} on (epochs)"
+
+
 @styled
 def learning_curves(
     histories: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
     of_images: Mapping[str, Mapping[str, Sequence[float]]] = {},
 ) -> Figure:
-    """Loss on the training faces by epoch, one panel per network, from the third epoch on.
+    """Loss on the training faces by epoch, one panel per network, from epoch `FIRST_EPOCH` on.
 
     Args:
         histories: Method id to `"autoencoder"` and `"dissimilarity_net"` (`DeepMDS.history_`),
@@ -53,14 +58,14 @@ def learning_curves(
     panels += [(title(m), _IMAGE_LOSSES[m], 1.0, {m: record}) for m, record in of_images.items()]
     figure = Figure(figsize=(7.2, 3.1), layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(panels)), panels, strict=True):
-        name, label, unit, records = panel
+        (name, label, unit, records), first = panel, 1
         for method, record in records.items():
             for mode, losses in record.items():
                 style = {"color": colour(method), "ls": _MODES[mode][0], "lw": 1.1}
-                first = min(_FIRST_EPOCH, max(1, len(losses) - 1))
+                first = min(FIRST_EPOCH, max(1, len(losses) - 1))
                 epochs = range(first, len(losses) + 1)
                 axes.plot(epochs, np.divide(losses[first - 1 :], unit), **style)
-        axes.set(title=name, ylabel=label, yscale="log", xlabel="Training time (epochs)")
+        axes.set(title=name, ylabel=label, yscale="log", xlabel=epochs_from(first))
         axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         axes.grid(axis="y")
         plain_log_ticks(axes.yaxis)
@@ -101,4 +106,4 @@ def batchnorm_lag(histories: Mapping[str, Mapping[int, Mapping[str, Sequence[flo
         name = f"{_SCHEDULES[schedule]} ({len(runs)} seeds)"
         panels.append(Panel(errors, "epoch", "Training time (epochs)", name))
     quantity, units = "R.m.s. error of the frontal view", "normalised units"
-    return error_lines(panels, quantity, 1, units, looks=_LAG)
+    return error_lines(panels, quantity, 1, units, looks=_LAG, interval="range over seeds")

@@ -15,10 +15,11 @@ from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from pandas.api.types import is_numeric_dtype
 
-from experiments.figures.style import Look, colour, look, marker, method_legend, styled
+from experiments.figures.style import INK, Look, drawn, look, method_legend, styled
 from experiments.figures.wireframe import draw_error_map
 from experiments.methods import title
 from experiments.scoring.numbers import minus
@@ -26,7 +27,8 @@ from experiments.scoring.numbers import minus
 if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
 
-_SHADE = "#EFEFEF"
+_SHADE = "#FFF3D0"
+_BAND = 0.18  # opacity
 _MOST_TICKS = 8  # up to so many values on an axis each get a tick
 _N_BINS = 9
 _PLAIN = ticker.FuncFormatter(lambda value, _: minus(f"{value:,g}"))
@@ -62,10 +64,11 @@ def error_lines(
     units: str = "squared normalised units",
     *,
     looks: Mapping[str, Look] = {},
+    interval: str = "95 % confidence interval",
     n_columns: int | None = None,
     log_y: bool = True,
 ) -> Figure:
-    """Means against x, one line per method, with 95 % confidence intervals.
+    """Means against x, one line per method, with intervals.
 
     Args:
         panels: Panels to draw.
@@ -73,6 +76,7 @@ def error_lines(
         unit: Power of ten in which the y axis counts, of `units`.
         units: Unit of `mean` in the rows of the panels.
         looks: Looks of ids in `method` that are not methods of the tables.
+        interval: What the intervals are.
         n_columns: Columns of the grid of panels; None puts all in one row.
         log_y: Whether the y axis is logarithmic; otherwise it begins at 0.
     """
@@ -90,9 +94,16 @@ def error_lines(
     else:
         grid[0, 0].set(yscale="linear", ylim=(0, None))
     methods = dict.fromkeys(method for panel in panels for method in panel.rows["method"])
-    shaded = any(panel.shaded for panel in panels)
-    more = [Patch(facecolor=_SHADE, label="training views")] if shaded else []
-    method_legend(figure, methods, more, looks)
+    joined = any(is_numeric_dtype(panel.rows[panel.x]) for panel in panels)
+    more = []
+    if any({"low", "sem"} & {*panel.rows} for panel in panels):
+        bar = {"ls": "", "marker": "|", "ms": 9, "mew": 0.9}
+        handle = Patch(facecolor=INK, alpha=_BAND) if joined else Line2D([], [], color=INK, **bar)
+        handle.set_label(interval)
+        more.append(handle)
+    if any(panel.shaded for panel in panels):
+        more.append(Patch(facecolor=_SHADE, label="training views"))
+    method_legend(figure, methods, more, looks, joined)
     return figure
 
 
@@ -109,7 +120,7 @@ def _draw_panel(
         if panel.log_x:
             axes.set_xscale("log")
             axes.xaxis.set_minor_locator(ticker.NullLocator())
-        if x.nunique() <= _MOST_TICKS:
+        if x.nunique() <= _MOST_TICKS and (x == x.round(2)).all():
             axes.set_xticks(sorted(x.unique()))
         axes.margins(x=0.02)
         axes.xaxis.set_major_formatter(_PLAIN)
@@ -121,11 +132,12 @@ def _draw_panel(
 
 def _draw_curves(axes: Axes, panel: Panel, unit: float, looks: Mapping[str, Look]) -> None:
     for method, rows in panel.rows.groupby("method", sort=False):
-        _, ink, shape, dashes = look(method, looks)
+        style = drawn(look(method, looks))
         rows = rows.sort_values(panel.x)
         x, (low, high) = rows[panel.x], _interval(rows)
-        axes.fill_between(x, low / unit, high / unit, color=ink, alpha=0.18, lw=0)
-        style = {"color": ink, "ls": dashes, "lw": 0.9, "marker": shape, "ms": 3.5, "mew": 0}
+        band = axes.fill_between(x, low / unit, high / unit, color=style["color"], lw=0.5)
+        band.set_alpha(_BAND)
+        band.set_edgecolor(style["color"])  # which parts bands that cover each other
         axes.plot(x, rows["mean"] / unit, **style)
 
 
@@ -135,12 +147,10 @@ def _draw_categories(axes: Axes, panel: Panel, unit: float, looks: Mapping[str, 
     # Methods stand side by side, so that equal errors do not hide each other.
     shifts = 0.64 * ((np.arange(len(methods)) + 0.5) / len(methods) - 0.5)
     for shift, (method, rows) in zip(shifts, methods, strict=True):
-        _, ink, shape, _ = look(method, looks)
+        style = drawn(look(method, looks), joined=False)
         x, mean, (low, high) = rows[panel.x].map(names.index), rows["mean"], _interval(rows)
-        style = {"color": ink, "marker": shape, "ms": 4, "mew": 0, "ls": "none", "elinewidth": 0.7}
-        axes.errorbar(
-            x + shift, mean / unit, yerr=[(mean - low) / unit, (high - mean) / unit], **style
-        )
+        ends = np.stack([mean - low, high - mean]) / unit
+        axes.errorbar(x + shift, mean / unit, yerr=ends, elinewidth=0.7, **style)
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.5, len(names) - 0.5)
     axes.tick_params(axis="x", length=0)
@@ -169,20 +179,21 @@ def mean_errors(errors: pd.DataFrame, x: str) -> pd.DataFrame:
     return errors.groupby(["method", x], sort=False)["mse"].agg(["mean", "sem"]).reset_index()
 
 
-def error_per_pose(errors: pd.DataFrame) -> Figure:
+def error_per_pose(errors: pd.DataFrame, unit: float = 1e-4) -> Figure:
     """Mean error of a face against its pose.
 
     Args:
         errors: One row per face and method: `method` (id), `projection` (`"orthographic"` or
             `"perspective"`), `yaw` and `pitch` of the face in degrees as in
             `data_gen.views.Cameras`, `mse` in squared normalised units.
+        unit: Power of ten in which the y axis counts.
     """
     methods = pd.Categorical(errors["method"], errors["method"].unique())
     errors = errors.assign(method=methods).sort_values(["method", "projection", "yaw"])
     orthographic = errors["projection"] == "orthographic"
-    names = errors["yaw"].map(lambda yaw: minus(f"{yaw:g}°"))
-    kinds = errors.assign(kind=names.where(orthographic, "persp.\n(all)"))
-    panels = [Panel(mean_errors(kinds, "kind"), "kind", "Yaw (°), orthographic", "Projection")]
+    names = errors["yaw"].map(lambda yaw: minus(f"orth.\n{yaw:g}°"))
+    kinds = errors.assign(kind=names.where(orthographic, "persp.\nall"))
+    panels = [Panel(mean_errors(kinds, "kind"), "kind", "", "By projection and yaw")]
     for angle in ("yaw", "pitch"):
         rows = errors[~orthographic]
         edges = np.linspace(rows[angle].min(), rows[angle].max(), _N_BINS + 1)
@@ -190,7 +201,7 @@ def error_per_pose(errors: pd.DataFrame) -> Figure:
         binned = rows.assign(**{angle: (edges[:-1] + edges[1:])[bins] / 2})
         label = f"{angle.capitalize()} of the face (°)"
         panels.append(Panel(mean_errors(binned, angle), angle, label, f"Perspective, by {angle}"))
-    return error_lines(panels)
+    return error_lines(panels, unit=unit)
 
 
 @styled
@@ -204,8 +215,8 @@ def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
     axes = figure.subplots()
     shares = np.linspace(0, 1, 501)
     for method, values in errors.items():
-        style = {"color": colour(method), "marker": marker(method), "markevery": 0.12, "ms": 4}
-        axes.plot(np.quantile(values, shares), shares, label=title(method), **style)
+        style = drawn(look(method))
+        axes.plot(np.quantile(values, shares), shares, label=title(method), markevery=0.12, **style)
     axes.set_xscale("log")
     axes.set(xlabel="MSE (squared normalised units)", ylabel="Share of faces below", ylim=(0, 1))
     axes.yaxis.set_major_formatter(ticker.PercentFormatter(1))
@@ -244,12 +255,15 @@ def error_per_landmark(
     sizes = pd.Series(scheme.groups).value_counts()
     names = [f"{name.replace('_', chr(10))}\n({sizes[name]})" for name in scheme.groups]
     by_region = pd.DataFrame(errors).pow(2).groupby(names, sort=False).mean().pow(0.5)
-    easiest_first = by_region.loc[np.log(by_region).mean(axis=1).sort_values().index]
-    rows = easiest_first.rename_axis("region").reset_index()
-    rows = rows.melt("region", var_name="method", value_name="mean")
+    # From the brows down, the right and the left of a part side by side.
+    parts = [name.removeprefix("right_").removeprefix("left_") for name in scheme.groups]
+    heights = pd.Series(mean_shape[:, 1]).groupby(parts).mean()
+    order = dict(zip(names, heights.loc[parts], strict=True))
+    rows = by_region.loc[sorted(order, key=order.get, reverse=True)].rename_axis("region")
+    rows = rows.reset_index().melt("region", var_name="method", value_name="mean")
     axes = regions.subplots()
     _draw_panel(axes, Panel(rows, "region", "Region (landmarks)"))
     axes.set_ylabel("R.m.s. error over\nthe region (mm)")
     plain_log_ticks(axes.yaxis)
-    method_legend(regions, errors)
+    method_legend(regions, errors, joined=False)
     return figure

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
 from experiments.figures.wireframe import (
@@ -24,17 +25,17 @@ if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
     from experiments.scoring.scores import Scores
 
-_INCHES_PER_UNIT = 1.25  # a face is about 0.65 units wide: 0.8 inch, twelve of them on a page
+_PAGE = 7.2  # inches
+_INCHES_PER_UNIT = 1.25  # at most: a face is about 0.65 units wide
 _GAP = 0.11  # between columns, and between the front and the side view
 _ROW_GAP = 0.26  # holds the scores
-_HEAD = 0.42  # holds the column titles
+_HEAD = 0.42  # inches, holds the column titles
 _MARGIN = 0.28  # holds the row titles, of up to two lines
 
 _SHEET_COLUMNS = 6
-_SHEET_INCHES = 0.6  # 96 pixels, those of the image, at the resolution of `style.save`
-_PHOTO_INCHES, _PHOTO_HEAD = 1.15, 0.42
-_HALF = 0.58  # half the height of a panel of shapes, relative to theirs
-_ASPECT = 1.45  # width of a face's front and side view side by side, per height
+_SHEET_LOOK = {"colour": DETECTED_COLOUR, "linewidth": 0.5, "dot_area": 3.0}
+_SHEET_FOOT = 0.25  # inches, holds the legend
+_PAD = 0.04  # around each face, in their height
 
 
 @styled
@@ -46,13 +47,14 @@ def qualitative(
     row_titles: Sequence[str],
     scheme: LandmarkScheme,
     photos: tuple[np.ndarray, np.ndarray] | None = None,
+    unit: float = 1e-4,
 ) -> Figure:
     """Input view, frontal view, truth and every method's shape from the front and the side.
 
-    All shapes have one scale; the input views are fitted to the same box. The truth is drawn in
-    grey beneath each prediction and beneath the frontal view, which is shifted and scaled to fit
-    it best, since it may be normalised by itself. The lowest error of a row is bold. N/A marks a
-    face that a method did not find.
+    All shapes have one scale, at which the largest fits; the input views are fitted to the same
+    box. The truth is drawn in grey beneath each prediction and beneath the frontal view, which is
+    shifted and scaled to fit it best, since it may be normalised by itself. The lowest error of a
+    row is bold. N/A marks a face that a method did not find.
 
     Args:
         views: `(n, L, 2)`.
@@ -63,22 +65,32 @@ def qualitative(
         scheme: Landmark scheme, for its polylines.
         photos: `(R, S, S, 3)` uint8 in which the views were detected, drawn in their place, and
             landmarks `(R, L, 2)` in their pixels, y down.
+        unit: Power of ten in which errors are counted.
     """
     truth = next(iter(scores.values())).truth[faces]
-    width, height, _ = np.ptp(truth, axis=1).max(axis=0)
+    centres = (truth.min(axis=1, keepdims=True) + truth.max(axis=1, keepdims=True)) / 2
+    true_fronts = front_view(truth - centres)
+    fitted = [*map(_fit_without_rotation, frontal[faces], true_fronts)]
+    drawn = [truth - centres, *(score.aligned[faces] - centres for score in scores.values())]
+    reach = np.nanmax(np.abs(np.concatenate(drawn)), axis=(0, 1))
+    reach[:2] = np.maximum(reach[:2], np.abs(fitted).max(axis=(0, 1)))
+    width, height = 2 * max(reach[0], reach[2]), 2 * reach[1]
     side, top = width + _GAP, height + _GAP / 2
     extent = (-side / 2, side / 2, -top - _ROW_GAP, top)
-    heads = [("Input view", INK), ("Frontal view", INK), ("Ground truth", INK)]
-    heads += [(title(method), colour(method)) for method in scores]
-    size = np.array([len(heads) * side + _MARGIN, len(truth) * (2 * top + _ROW_GAP) + _HEAD])
-    figure = Figure(figsize=size * _INCHES_PER_UNIT)
+    heads = ["Input view", "Frontal view", "Ground truth", *map(title, scores)]
+    size = np.array([len(heads) * side + _MARGIN, len(truth) * (2 * top + _ROW_GAP)])
+    size *= min(_INCHES_PER_UNIT, _PAGE / size[0])
+    size[1] += _HEAD
+    figure = Figure(figsize=size)
     panels = figure.subplots(len(truth), len(heads), squeeze=False)
-    left, below = _MARGIN / size[0], 1 - _HEAD / size[1]
+    left, below = _MARGIN / (len(heads) * side + _MARGIN), 1 - _HEAD / size[1]
     figure.subplots_adjust(left=left, right=1, bottom=0, top=below, wspace=0, hspace=0)
-    for axes, (name, ink) in zip(panels[0], heads, strict=True):
+    for axes, name in zip(panels[0], heads, strict=True):
         # Long words stay whole: a column is about as wide as twelve letters.
         lines = textwrap.fill(name, 12, break_long_words=False)
-        _write(axes, (0, top + 0.08), lines, va="bottom", color=ink, weight="bold")
+        _write(axes, (0, top + 0.04), lines, va="bottom", weight="bold", size=6)
+    grey = Line2D([], [], color=TRUTH_COLOUR, label="ground truth")
+    figure.legend(handles=[grey], loc="lower left")
 
     for row, face in enumerate(faces):
         view_axes, frontal_axes, truth_axes, *others = panels[row]
@@ -99,21 +111,20 @@ def qualitative(
             points = (pixels / len(image) - 0.5) * (side, -side)
             view_axes.scatter(*points.T, s=0.8, c=DETECTED_COLOUR, linewidths=0, zorder=2)
 
-        true_front = front_view(truth[row]) - _centre(front_view(truth[row]))
-        fitted = _fit_without_rotation(frontal[face], true_front)
-        for points, ink in ((true_front, TRUTH_COLOUR), (fitted, INK)):
+        for points, ink in ((true_fronts[row], TRUTH_COLOUR), (fitted[row], INK)):
             draw_wireframe(frontal_axes, points, scheme.polylines, colour=ink)
 
-        _draw_views(truth_axes, truth[row], truth[row], scheme, INK, top / 2)
-        _write(truth_axes, score_place, "MSE ($10^{-4}$)", va="top")
+        true_shape = truth[row] - centres[row]
+        _draw_views(truth_axes, true_shape, scheme, TRUTH_COLOUR, top / 2)
+        _write(truth_axes, score_place, f"MSE ($10^{{{np.log10(unit):.0f}}}$)", va="top")
         of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
             if not score.detected[face]:
                 _write(axes, (0, 0), "N/A", va="center")
                 continue
-            _draw_views(axes, truth[row], truth[row], scheme, TRUTH_COLOUR, top / 2)
-            _draw_views(axes, score.aligned[face], truth[row], scheme, colour(method), top / 2)
-            digits = f"{score.mse[face] * 1e4:#.3g}".rstrip(".")
+            _draw_views(axes, true_shape, scheme, TRUTH_COLOUR, top / 2)
+            _draw_views(axes, score.aligned[face] - centres[row], scheme, colour(method), top / 2)
+            digits = f"{score.mse[face] / unit:#.3g}".rstrip(".")
             weight = "bold" if score.mse[face] == np.nanmin(of_row) else "normal"
             _write(axes, score_place, digits, va="top", weight=weight)
     return figure
@@ -123,13 +134,10 @@ def _write(axes: Axes, place: tuple[float, float], text: str, **look) -> None:
     axes.text(*place, text, **{"ha": "center", "color": INK, "size": 7, **look})
 
 
-def _draw_views(
-    axes: Axes, shape: np.ndarray, truth: np.ndarray, scheme: LandmarkScheme, ink: str, y: float
-) -> None:
-    """Draw a shape from the front and, below it, from the side, with the truth centred."""
+def _draw_views(axes: Axes, shape: np.ndarray, scheme: LandmarkScheme, ink: str, y: float) -> None:
+    """Draw a shape from the front and, below it, from the side."""
     for view, shift in ((front_view, y), (side_view, -y)):
-        points = view(shape) - _centre(view(truth)) + (0, shift)
-        draw_wireframe(axes, points, scheme.polylines, colour=ink)
+        draw_wireframe(axes, view(shape) + (0, shift), scheme.polylines, colour=ink)
 
 
 def _centre(points: np.ndarray) -> np.ndarray:
@@ -148,26 +156,34 @@ def gallery(
     images: np.ndarray,
     landmarks: np.ndarray,
     shapes: Mapping[str, np.ndarray],
+    row_titles: Sequence[str],
     scheme: LandmarkScheme,
 ) -> Figure:
-    """A row for each photo: the photo, and each method's shape from the front and the side.
+    """A row for each photo: its name, the photo, each method's shape from the front and the side.
 
     Args:
         images: `(n, size, size, 3)` uint8.
         landmarks: `(n, L, 2)` pixels, x right and y down.
         shapes: Method id to `(n, L, 3)`, all in one frame and of about one size; NaN where a method
             did not find the face.
+        row_titles: `n` names of the photos.
         scheme: Landmark scheme, for its polylines.
     """
-    widths = [1.0, *[_ASPECT] * len(shapes)]
-    size = _PHOTO_INCHES * sum(widths), _PHOTO_INCHES * len(images) + _PHOTO_HEAD
+    known = np.concatenate([predicted.reshape(-1, 3) for predicted in shapes.values()])
+    low, high = np.nanmin(known, axis=0), np.nanmax(known, axis=0)
+    centre, (width, height, depth) = (low + high) / 2, high - low
+    pad = _PAD * height
+    across, down = width + depth + 3 * pad, height + 2 * pad
+    widths = [1.0, *[across / down] * len(shapes)]
+    inches = (_PAGE - _HEAD / 2) / sum(widths)  # of a photo's side
+    size = _PAGE, inches * len(images) + _HEAD
     figure = Figure(figsize=size)
     panels = figure.subplots(len(images), len(widths), squeeze=False, width_ratios=widths)
-    figure.subplots_adjust(0, 0, 1, 1 - _PHOTO_HEAD / size[1], 0.02, 0.02)
-    known = np.concatenate([predicted.reshape(-1, 3) for predicted in shapes.values()])
-    half = _HALF * (np.nanmax(known[:, 1]) - np.nanmin(known[:, 1]))
+    figure.subplots_adjust(_HEAD / 2 / _PAGE, 0, 1, 1 - _HEAD / size[1], 0.02, 0.02)
     for row, (first, *others) in enumerate(panels):
         draw_photo(first, images[row])
+        at_side = {"transform": first.transAxes, "rotation": 90, "va": "center"}
+        _write(first, (-0.1, 0.5), row_titles[row], **at_side)
         yellow = {"colour": DETECTED_COLOUR, "dot_area": 1}
         draw_wireframe(first, landmarks[row], scheme.polylines, **yellow)
         for axes, (method, predicted) in zip(others, shapes.items(), strict=True):
@@ -175,13 +191,14 @@ def gallery(
             if np.isnan(predicted[row]).any():
                 axes.text(0.5, 0.5, "N/A", ha="center", transform=axes.transAxes, color=INK)
                 continue
-            shape = predicted[row] - np.nanmean(known, axis=0)
-            for points, x in ((front_view(shape), -0.6 * half), (side_view(shape), 0.95 * half)):
+            shape = predicted[row] - centre
+            for points, x in (
+                (front_view(shape), -(depth + pad) / 2), (side_view(shape), (width + pad) / 2)
+            ):  # fmt: skip
                 draw_wireframe(axes, points + (x, 0), scheme.polylines, colour=colour(method))
-            bare(axes, (-_ASPECT * half, _ASPECT * half, -half, half))
-    heads = [("Photo", INK), *((title(method), colour(method)) for method in shapes)]
-    for axes, (name, ink) in zip(panels[0], heads, strict=True):
-        axes.set_title(textwrap.fill(name, 16), color=ink, weight="bold", fontsize=7.5)
+            bare(axes, (-across / 2, across / 2, -down / 2, down / 2))
+    for axes, name in zip(panels[0], ("Photo", *map(title, shapes)), strict=True):
+        axes.set_title(textwrap.fill(name, 16), color=INK, weight="bold", fontsize=6.5)
     return figure
 
 
@@ -195,15 +212,19 @@ def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -
         scheme: Landmark scheme, for its polylines.
     """
     n_rows = -(-len(images) // _SHEET_COLUMNS)
-    figure = Figure(figsize=(_SHEET_COLUMNS * _SHEET_INCHES, n_rows * _SHEET_INCHES))
-    figure.subplots_adjust(0, 0, 1, 1, 0, 0)
+    height = n_rows * _PAGE / _SHEET_COLUMNS + _SHEET_FOOT
+    figure = Figure(figsize=(_PAGE, height))
+    figure.subplots_adjust(0, _SHEET_FOOT / height, 1, 1, 0.03, 0.03)
     panels = figure.subplots(n_rows, _SHEET_COLUMNS, squeeze=False).ravel()
     for axes in panels[len(images) :]:
         axes.set_axis_off()
     for number, (axes, image) in enumerate(zip(panels, images, strict=False)):
         draw_photo(axes, image)
         if number >= len(images) // 2:
-            lines = {"colour": "#00A0FF", "linewidth": 0.4}
-            draw_wireframe(axes, landmarks[number], scheme.polylines, **lines, dot_area=0)
-            axes.plot(*landmarks[number].T, ".", color=DETECTED_COLOUR, ms=1.6, mew=0)
+            draw_wireframe(axes, landmarks[number], scheme.polylines, **_SHEET_LOOK)
+    dots = {"ls": "", "marker": ".", "mec": INK, "mew": 0.3}
+    label = "landmarks, in the lower half only"
+    figure.legend(
+        handles=[Line2D([], [], color=DETECTED_COLOUR, **dots, label=label)], loc="lower center"
+    )
     return figure

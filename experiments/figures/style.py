@@ -14,17 +14,17 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from deepmds_keras.files import write_bytes
-from experiments.methods import METHODS, title
+from experiments.methods import METHODS, method_of
 
 # Decorates a function to draw in this style, whatever the settings of its caller.
 styled = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"))
 
-TRUTH_COLOUR = "#B4B4B4"
+TRUTH_COLOUR = "#AAAAAA"
 INK = "#333333"
 DETECTED_COLOUR = "#FFD000"  # landmarks detected in a photo
 _DPI = 160
 _LARGEST = 300_000  # bytes of a picture that is committed
-_BOUND = "lower_bound"  # not a method: a dashed line without markers
+_WIDTH = 500  # points across a legend
 
 
 class Look(NamedTuple):
@@ -48,9 +48,8 @@ def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
     """
     if method in looks:
         return looks[method]
-    if method == _BOUND:
-        return Look(title(method), colour(method), "", (0, (4, 2)))
-    return Look(title(method), colour(method), marker(method))
+    row = method_of(method)
+    return Look(row.title, row.colour, row.marker, row.dashes)
 
 
 def colour(method: str) -> str:
@@ -68,6 +67,7 @@ def method_legend(
     methods: Iterable[str],
     more: Sequence[Artist] = (),
     looks: Mapping[str, Look] = {},
+    joined: bool = True,
 ) -> None:
     """Add a legend of methods below the panels of a figure with a constrained layout.
 
@@ -76,13 +76,24 @@ def method_legend(
         methods: Ids in the order of the legend.
         more: Handles of further entries.
         looks: As for `look`.
+        joined: Whether lines join the markers.
     """
     handles = [
-        Line2D([], [], color=ink, marker=shape, ls=dashes, ms=4, mew=0, lw=0.9, label=name)
-        for name, ink, shape, dashes in (look(method, looks) for method in methods)
+        Line2D([], [], **drawn(each, joined), label=each.title)
+        for each in (look(method, looks) for method in methods)
     ]
-    place = {"loc": "outside lower center", "ncols": 4, "columnspacing": 1.2}
-    figure.legend(handles=[*handles, *more], **place)
+    handles += more
+    # A letter is less than four points wide, the handle and the gap to the next column forty.
+    widest = max(len(handle.get_label()) for handle in handles)
+    columns = max(1, min(4, _WIDTH // int(40 + 3.7 * widest)))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.2)
+
+
+def drawn(look: Look, joined: bool = True) -> dict:
+    """Options of a line with markers, whose white edges part them from bars and each other."""
+    marks = {"marker": look.marker, "ms": 4.5, "mec": "white", "mew": 0.4}
+    dashes = look.dashes if joined or not look.marker else ""
+    return {"color": look.colour, "ls": dashes, "lw": 0.9, **marks}
 
 
 @styled
@@ -95,20 +106,22 @@ def save(figure: Figure, folder: str | Path, name: str, caution: str = "") -> No
         figure: As returned by the functions of this package.
         folder: Created if it is missing.
         name: File name without its ending.
-        caution: Written across the figure, `run.preset.caution`: too small a run means nothing.
+        caution: Written to the right of the figure, `run.preset.caution`: too small a run means nothing.
     """
+    size = {}
     if caution:
-        figure.text(0.5, 0.5, caution, ha="center", va="center", size=12, color="red", alpha=0.6)
-    write_bytes(Path(folder) / f"{name}.png", _small_png(figure))
+        figure.text(1, 0.5, caution, rotation=90, ha="left", va="center", size=12, color="red")
+        size = {"bbox_inches": "tight"}
+    write_bytes(Path(folder) / f"{name}.png", _small_png(figure, **size))
     figure.set_layout_engine("none")  # the second file reuses the layout of the first
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
+    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None}, **size)
     write_bytes(Path(folder) / f"{name}.pdf", buffer.getvalue())
 
 
-def _small_png(figure: Figure) -> bytes:
+def _small_png(figure: Figure, **size: str) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
+    figure.savefig(buffer, format="png", dpi=_DPI, **size)
     image = Image.open(buffer).convert("RGB")
     if not any(axes.images for axes in figure.axes):
         # A palette of 256 colours looks the same for line drawings and takes a third of the space.

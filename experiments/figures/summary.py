@@ -19,7 +19,7 @@ _NUMBERS = ["mean", "std", "paper_mean", "median", "lowest", "highest"]
 
 
 @styled
-def summary(table: pd.DataFrame, n_landmarks: int) -> Figure:
+def summary(table: pd.DataFrame, n_landmarks: int, unit: float = 1e-4) -> Figure:
     """MSE and missing depth correlation of every method: filled here, hollow in the paper.
 
     The depth correlation is a trace with the number of landmarks as its maximum. The figure shows
@@ -30,24 +30,27 @@ def summary(table: pd.DataFrame, n_landmarks: int) -> Figure:
             where there is no number. Perhaps also `n_seeds`, `median`, `lowest` and `highest` over
             seeds.
         n_landmarks: Of a face.
+        unit: Power of ten in which the errors are counted.
     """
     methods = table["method"].unique()
     rows = table.reindex(columns=["metric", "method", *_NUMBERS]).set_index(["metric", "method"])
-    mse = rows.loc["mse"].reindex(methods) / _MSE_UNIT
+    mse = rows.loc["mse"].reindex(methods) / unit
     depth_corr = rows.loc["depth_corr"].reindex(methods)
     missing = (n_landmarks - depth_corr).assign(std=depth_corr["std"])
     # For the FLAME landmarks, the paper prints values above the maximum.
-    missing["paper_mean"] = missing["paper_mean"].where(missing["paper_mean"] >= 0)
+    impossible = missing["paper_mean"] < 0
+    missing["paper_mean"] = missing["paper_mean"].mask(impossible)
     figure = Figure(figsize=(7.2, 1.0 + 0.2 * len(methods)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     _draw_rows(left, mse)
-    left.set_xlabel("MSE ($10^{-4}$ squared normalised units)\n← better")
+    left.set_xlabel(f"MSE ($10^{{{np.log10(unit):.0f}}}$ squared normalised units)\n← better")
     _draw_rows(right, missing)
-    right.set_xlabel(f"{n_landmarks} − depth correlation (no unit)\n← better")
+    not_drawn = f"; as published above {n_landmarks}: not drawn" if impossible.any() else ""
+    right.set_xlabel(f"{n_landmarks} − depth correlation (no unit)\n← better{not_drawn}")
     left.set_yticks(range(len(methods)), [title(method) for method in methods])
     left.set_ylim(len(methods) - 0.5, -0.5)
     dot = {"color": INK, "marker": "o", "ms": 5}
-    handles = [Line2D([], [], **dot, lw=0.9, label="this work, mean ± s.d.")]
+    handles = [Line2D([], [], **dot, lw=0.9, label="this work, mean ± s.d., if beyond the marker")]
     if "n_seeds" in table:
         label = f"over {table['n_seeds'].max():.0f} seeds, median and range"
         handles.append(Line2D([], [], **dot, lw=3, alpha=0.6, label=label))
@@ -66,6 +69,9 @@ def _draw_rows(axes: Axes, rows: pd.DataFrame) -> None:
         else:
             axes.plot([row.lowest, row.highest], [y, y], color=colour(row.Index), lw=3, alpha=0.45)
             axes.plot(row.median, y, **style, ms=4.5, mew=0)
+        if np.isnan(row.mean) and np.isnan(row.median):
+            place = {"transform": axes.get_yaxis_transform(), "va": "center", "ha": "right"}
+            axes.text(0.99, y, "not run", color=INK, size=6, **place)
         if y % 2 == 0:
             axes.axhspan(y - 0.5, y + 0.5, color="#F5F5F5", lw=0, zorder=0)
     axes.set_xscale("log", nonpositive="clip")

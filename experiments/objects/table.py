@@ -64,6 +64,9 @@ def main(run: Run) -> dict:
         )
         for noise in NOISES
     ]
-    figures = {"errors": error_lines(panels, unit=_UNIT)}
+    figure = error_lines(
+        panels, "MSE of an object", _UNIT, "squared r.m.s. radii", interval="range over seeds"
+    )
+    figures = {"errors": figure}
     folder = run.shared_results / "objects"
     return write_results(run, folder, {"table": table, "metrics": scores}, cells, _NOTES, figures)

@@ -39,9 +39,9 @@ PRINTED = {"printed": 1.4e-4, "printed_trivial": 2.9e-4}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {
     "released": Look("authors' networks", colour("deep_mds"), marker("deep_mds")),
-    "released_2": Look("the same, second dissimilarity net", colour("deep_mds_released"), "h"),
+    "released_2": Look("the same, second dissimilarity net", colour("deep_mds_released"), "p"),
     "deep_mds_constant": Look(_CONSTANT, colour("zhao"), "^"),
-    "random_face": Look("a random face, for all views", "#777777", "v"),
+    "random_face": Look("a random face, for all views", "#117733", "v"),
     "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
     "printed": Look("printed: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
     "printed_trivial": Look("printed: trivial case, 2.9", INK, "", (0, (1, 1))),
@@ -189,5 +189,6 @@ def draw_trained(trained: pd.DataFrame) -> Figure:
     rows = ratios.melt(ignore_index=False, value_name="mean").reset_index()
     rows = rows.groupby(["method", "scale"])["mean"].agg(["median", "min", "max"]).reset_index()
     rows.columns = ["method", "scale", "mean", "low", "high"]
-    panel = Panel(rows, "scale", "Scale of the s.d.")
-    return error_lines([panel], "MSE", 1, "in that of the mean shape")
+    rows = rows.assign(scale=rows["scale"].map("{:g}".format))  # too few to be joined by lines
+    panel = Panel(rows, "scale", "Scale of the s.d. (no unit)")
+    return error_lines([panel], "MSE", 1, "in that of the mean shape", interval="range over seeds")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -68,7 +69,11 @@ def parameter_table(metrics: pd.DataFrame, n_coefficients: int = 199) -> pd.Data
 
 def latex(table: pd.DataFrame) -> str:
     r"""The table as a booktabs `tabular` to `\input`."""
-    cells = table.assign(method=table["method"].map(title)).replace("", NOTHING)
+    counts = {
+        column: [re.sub(r"\d{4,}", lambda n: f"{int(n[0]):,}", text) for text in table[column]]
+        for column in ("trainable", "total", "paper")
+    }
+    cells = table.assign(method=table["method"].map(title), **counts).replace("", NOTHING)
     return tabular(cells.rename(columns=HEADS), "lrrrll" + 3 * "r", [_LEGEND])
 
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scipy.stats import sem
 
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
+from experiments.figures.curves import FIRST_EPOCH, epochs_from
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import Look
 from experiments.inputs import load_faces
@@ -30,7 +31,6 @@ _HEADS = {
 }
 _SCHEDULES = {"": "Constant rate", "_cosine": "Decayed rate"}
 _MODES = {"train": "training mode", "inference": "inference mode"}
-_FIRST_EPOCH = 3  # drawn; earlier losses all fall alike, and would hide any difference
 
 
 def main(run: Run) -> dict:
@@ -102,7 +102,8 @@ def mini_batches(losses: pd.DataFrame) -> Figure:
         "same_face": Look("pairs of one face", "#D55E00", "o"),
         "shuffled": Look("pairs of different faces", "#0072B2", "s"),
     }
-    losses = losses[losses["epoch"] >= min(_FIRST_EPOCH, losses["epoch"].max())]
+    first = min(FIRST_EPOCH, losses["epoch"].max())
+    losses = losses[losses["epoch"] >= first]
     panels = []
     for suffix, schedule in _SCHEDULES.items():
         ids = {f"{name}{suffix}": name for name in looks}
@@ -110,5 +111,6 @@ def mini_batches(losses: pd.DataFrame) -> Figure:
         for column, mode in _MODES.items():
             over_seeds = shown.groupby(["method", "epoch"])[column]
             rows = over_seeds.agg(mean="mean", low="min", high="max").reset_index()
-            panels.append(Panel(rows, "epoch", "Training time (epochs)", f"{schedule}, {mode}"))
-    return error_lines(panels, "Mean squared error", looks=looks, n_columns=2)
+            panels.append(Panel(rows, "epoch", epochs_from(first), f"{schedule}, {mode}"))
+    options = {"looks": looks, "interval": "range over seeds", "n_columns": 2}
+    return error_lines(panels, "Mean squared error", **options)

@@ -70,4 +70,5 @@ def draw(table: pd.DataFrame) -> Figure:
     line = pd.DataFrame({"scale": table["scale"].agg(["min", "max"])}).assign(**printed)
     label = "Scale of the s.d. of 3DDFA's fits"
     looks = {_PRINTED: Look(f"printed: Deep-MDS, {mse / _UNIT:.1f}", INK, "", (0, (4, 2)))}
-    return error_lines([Panel(pd.concat([rows, line]), "scale", label)], looks=looks)
+    panel = Panel(pd.concat([rows, line]), "scale", label)
+    return error_lines([panel], looks=looks, interval="range over seeds")

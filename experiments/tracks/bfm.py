@@ -84,7 +84,8 @@ def draw(evaluation: Evaluation) -> None:
     poses = pd.DataFrame({"yaw": test.cameras.yaw, "pitch": test.cameras.pitch})
     poses["projection"] = np.array(PROJECTIONS)[test.cameras.projection]
     errors = [poses.assign(method=m, mse=scores.mse) for m, scores in evaluation.drawn.items()]
-    evaluation.save(error_per_pose(pd.concat(errors, ignore_index=True)), "error_per_pose")
+    errors = pd.concat(errors, ignore_index=True)
+    evaluation.save(error_per_pose(errors, evaluation.unit), "error_per_pose")
 
 
 def typical_faces(test: Faces, mse: np.ndarray) -> tuple[list[str], np.ndarray]:

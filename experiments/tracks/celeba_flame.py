@@ -60,11 +60,12 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
     return [folder / f"{name}.jpeg" for name in names], np.array(landmarks, float)
 
 
-def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
+def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray, list[str]]:
     """Photos rendered in place of CelebA's, and the 51 landmarks that dlib finds in them.
 
     Returns:
-        `(H, W, 3)` uint8 each, of heads turned by up to 45 degrees, and `(n, 51, 2)` pixels.
+        `(H, W, 3)` uint8 each, of heads turned by up to 45 degrees, `(n, 51, 2)` pixels, and what
+        the heads are turned by.
 
     Raises:
         InputError: The face model cannot be drawn, or dlib finds no face.
@@ -82,7 +83,8 @@ def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray]:
         raise InputError(f"dlib must find a face in {_DRAWN} photos of {run.model}. None found.")
     yaws, images, landmarks = zip(*detections, strict=True)
     nearest = dict.fromkeys(np.abs(np.array(yaws) - yaw).argmin() for yaw in _YAWS)
-    return [images[k] for k in nearest], np.stack([landmarks[k] for k in nearest])
+    titles = [f"turned by {yaws[k]:.0f}°" for k in nearest]
+    return [images[k] for k in nearest], np.stack([landmarks[k] for k in nearest]), titles
 
 
 def inputs_for(method: str, images: list[np.ndarray], landmarks: np.ndarray):
@@ -108,11 +110,11 @@ def main(run: Run, *methods: str) -> dict:
     if run.tf_flame is None:
         # VTK and TensorFlow do not get on in one process.
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-            images, landmarks = process.submit(draw_photos, run).result()
+            images, landmarks, titles = process.submit(draw_photos, run).result()
     else:
         photos, landmarks = read_folder(Path(run.tf_flame))
         images = [open_photo(path) for path in photos]
-        record["faces"] = [path.name for path in photos]
+        record["faces"] = titles = [path.name for path in photos]
     mean = load_faces(run, "train").shapes.mean(0).astype(float)
     # Methods that see the photo are drawn next to it.
     order = sorted(methods, key=lambda method: METHODS[method].inputs)
@@ -121,6 +123,6 @@ def main(run: Run, *methods: str) -> dict:
         predicted = predict(load(run, method), inputs_for(method, images, landmarks))
         shapes[method] = upright(predicted, mean)
     squares = face_squares(images, landmarks, _PHOTO, CROP_MARGIN)
-    figure = gallery(*squares, shapes, load_scheme(run.scheme))
+    figure = gallery(*squares, shapes, titles, load_scheme(run.scheme))
     save(figure, new_results(folder) / "figures", "celeba_flame", run.preset.caution)
     return record | {"methods": order, "results": [str(folder)]}

@@ -59,7 +59,8 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
             for method, scores in evaluation.drawn.items()
         ]
         means = mean_errors(pd.concat(rows).dropna(), "condition")
-        evaluation.save(error_lines([Panel(means, "condition")]), "error_per_expression")
+        figure = error_lines([Panel(means, "condition")], unit=evaluation.unit)
+        evaluation.save(figure, "error_per_expression")
     if "example" in scans:
         names = scans["name"][scans["status"] == USED]
         faces = np.flatnonzero(np.isin(names, scans["example"]))

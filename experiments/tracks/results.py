@@ -24,6 +24,7 @@ from experiments.inputs import Faces, image_files, load_faces
 from experiments.methods import CONSTANT, DEEP_MDS, METHODS, constant_answers, notes
 from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
+from experiments.scoring.published import unit_of
 from experiments.scoring.scores import (
     Scores,
     evaluate,
@@ -37,7 +38,7 @@ from experiments.scoring.typesetting import paper_layout
 
 # Of photos in a picture: pixels of a side, and the side in sizes of the landmarks' box.
 _PHOTO, _MARGIN = 112, 1.4
-_RENDERS = 24
+_RENDERS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,11 @@ class Evaluation:
         """Folder of results."""
         return self.run.experiment_results(self.name)
 
+    @property
+    def unit(self) -> float:
+        """Power of ten in which its table and figures have errors, that of the paper's table."""
+        return unit_of(self.run.track, "mse")
+
     @cached_property
     def _new(self) -> Path:
         return new_results(self.folder)
@@ -111,7 +117,7 @@ class Evaluation:
         table = write_tables(self._new, self.metrics, per_face=values, **self.table_options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self._new / "table_paper.tex", layout)
-        self.save(summary(table, self.table_options["n_landmarks"]), "summary")
+        self.save(summary(table, self.table_options["n_landmarks"], self.unit), "summary")
 
     def save(self, figure: Figure, name: str) -> None:
         """Write a figure."""
@@ -136,7 +142,9 @@ class Evaluation:
         for pictured, suffix in ((True, ""), (False, "_others")):
             scores = {m: s for m, s in self.drawn.items() if METHODS[m].pictured == pictured}
             if scores:
-                figure = qualitative(views, frontal, scores, faces, titles, scheme, seen)
+                figure = qualitative(
+                    views, frontal, scores, faces, titles, scheme, seen, unit=self.unit
+                )
                 self.save(figure, f"{name}{suffix}")
         errors = landmark_errors(self.drawn)
         maps = [method for method in errors if self.run.track in METHODS[method].mapped]

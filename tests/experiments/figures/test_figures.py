@@ -1,8 +1,11 @@
 """Laws of the figures: they show the data, in stated units, in small files of equal bytes."""
 
+import itertools
+
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_rgb
 
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.errors import InputError
@@ -48,6 +51,14 @@ def face_errors(rng, n=60):
             "mse": rng.uniform(1e-5, 1e-3, n),
         }
     )
+
+
+def draw_gallery(rng):
+    shapes = faces(rng, 2, "ibug51")
+    lost = np.stack([shapes[0], np.full((51, 3), np.nan)])
+    photos = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 51, 2))
+    names = ["left", "right"]
+    return gallery(*photos, {"deep_mds": shapes, "mediapipe": lost}, names, IBUG51)
 
 
 def scans(rng, n=6):
@@ -112,6 +123,7 @@ PLOTS = {
     "fits": draw_fits,
     "errors_by_seed": lambda rng: errors_by_seed(seed_metrics(rng)),
     "summary": lambda rng: summary(headline_table(), 72),
+    "gallery": draw_gallery,
 }
 
 
@@ -121,6 +133,52 @@ def test_figures_of_a_small_preset_are_stamped_wherever_they_lie(preset, tmp_pat
     style.save(figure, tmp_path / "smoke" / "figures", "curves", preset.caution)
     stamps = [text.get_text() for text in figure.texts]
     assert stamps == ([] if preset.name == "full" else [preset.caution])
+
+
+@pytest.mark.parametrize("draw", PLOTS.values(), ids=PLOTS)
+def test_figures_fit_a_page_and_neither_stamp_nor_legend_covers_anything(draw, tmp_path):
+    figure = draw(np.random.default_rng(0))
+    assert figure.get_figwidth() <= 7.2
+    style.save(figure, tmp_path, "figure", "too small a run")
+    stamp = next(text for text in figure.texts if text.get_text() == "too small a run")
+    assert stamp.get_window_extent().x0 >= figure.bbox.x1
+    for legend in figure.legends:
+        box = legend.get_window_extent()
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+
+
+# Machado, Oliveira and Fernandes (2009), severity 1, in linear RGB.
+SIGHTS = {
+    "normal": np.eye(3),
+    "protanopia": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                            [-0.003882, -0.048116, 1.051998]]),
+    "deuteranopia": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                              [-0.011820, 0.042940, 0.968881]]),
+}  # fmt: skip
+TO_XYZ = np.array([[0.4339, 0.3762, 0.1899], [0.2127, 0.7152, 0.0721], [0.0178, 0.1095, 0.8727]])
+
+
+def lab(colour, sight):
+    """CIELAB of an sRGB colour as it is seen, with white at (100, 0, 0)."""
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = TO_XYZ @ (SIGHTS[sight] @ linear).clip(0, 1)
+    x, y, z = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("sight", SIGHTS)
+def test_methods_of_a_figure_differ_in_marker_and_to_all_readers_in_colour(sight):
+    for first, second in itertools.combinations(METHODS.values(), 2):
+        assert (first.marker, first.colour) != (second.marker, second.colour)
+        if first.drawn and second.drawn and {*first.tracks} & {*second.tracks}:
+            if {first.id, second.id} == {"ringnet", "ringnet_licensed"}:
+                continue  # only one of them is in a run
+            apart = np.linalg.norm(lab(first.colour, sight) - lab(second.colour, sight))
+            assert first.marker != second.marker and apart > 14, (first.id, second.id, apart)
+    for method in (method for method in METHODS.values() if method.drawn):
+        apart = np.linalg.norm(lab(method.colour, sight) - lab(style.TRUTH_COLOUR, sight))
+        assert apart > 14, method.id
 
 
 @pytest.mark.slow
@@ -156,7 +214,8 @@ def test_lines_are_means_in_the_unit_with_their_intervals():
         np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [low, high])
         assert line.get_color() == style.colour("deep_mds")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["Deep-MDS", "Ridge regression", "training views"]
+    interval = "95 % confidence interval"
+    assert labels == ["Deep-MDS", "Ridge regression", interval, "training views"]
     other = [errors.Panel(rows.assign(method="somebody"), "x")]
     with pytest.raises(InputError, match="somebody"):
         errors.error_lines(other)
@@ -170,7 +229,9 @@ def test_errors_by_pose_are_means_of_the_faces_in_it():
     ours = table[table["method"] == "deep_mds"].groupby(["projection", "yaw"])["mse"].mean() / 1e-4
     drawn = kinds.containers[0].lines[0].get_xydata()[:, 1]
     np.testing.assert_allclose(drawn[:3], ours["orthographic"])
-    assert [text.get_text() for text in kinds.get_xticklabels()][:3] == ["−45°", "0°", "45°"]
+    assert [text.get_text() for text in kinds.get_xticklabels()][:3] == [
+        f"orth.\n{yaw}°" for yaw in ("−45", "0", "45")
+    ]
     for axes in errors.error_per_pose(table.assign(mse=2e-4)).axes[1:]:
         assert len(axes.lines) == len(axes.collections) == 2
         for band in axes.collections:
@@ -185,7 +246,12 @@ def test_region_errors_are_root_mean_squares():
     )
     regions = next(axes for axes in figure.axes if "Region" in axes.get_xlabel())
     drawn = regions.containers[0].lines[0].get_xydata()[:, 1]
-    np.testing.assert_allclose(drawn, np.sqrt(np.sort(groups)))
+    names = [label.get_text().split("\n(")[0] for label in regions.get_xticklabels()]
+    expected = [groups[name.replace("\n", "_")] for name in names]
+    np.testing.assert_allclose(drawn, np.sqrt(expected))
+    for part in ("brow", "eye"):  # in the face's order, both sides next to each other
+        assert names.index(f"left\n{part}") == names.index(f"right\n{part}") + 1
+    assert names[0] == "right\nbrow" and names[-1] == "chin"
 
 
 def test_curves_are_the_losses_by_epoch_and_leave_out_the_first_of_training():
@@ -203,6 +269,20 @@ def test_summary_draws_the_median_over_seeds_and_what_the_depth_correlation_lack
         assert all(np.isclose(axes, value).any() for value in expected)
         assert not np.nanmin(axes) < 0  # the paper's impossible value
     assert not np.isclose(drawn[0], 9).any()  # the mean of one seed
+
+
+def test_summary_says_what_was_not_run_and_what_cannot_be_drawn():
+    left, right = summary(headline_table(), 72).axes
+    for axes in (left, right):
+        ((place, text),) = [(text.get_position()[1], text.get_text()) for text in axes.texts]
+        assert text == "not run" and left.get_yticklabels()[int(place)].get_text() == "MobileFace"
+    assert "above 72: not drawn" in right.get_xlabel() and "drawn" not in left.get_xlabel()
+
+
+def test_markers_without_lines_have_none_in_the_legend():
+    rows = pd.DataFrame({"method": ["deep_mds", "ridge"] * 2, "x": list("aabb"), "mean": 1e-4})
+    (legend,) = errors.error_lines([errors.Panel(rows, "x")]).legends
+    assert [line.get_ls() for line in legend.get_lines()] == ["None", "None"]
 
 
 def test_every_seed_is_a_dot_above_its_median():
@@ -243,17 +323,33 @@ def test_qualitative_shows_the_best_score_and_what_was_not_found():
     assert [text.get_text() for axes in others for text in axes.texts].count("N/A") == 1
     left, right, _, top = photo.images[0].get_extent()
     np.testing.assert_allclose(photo.collections[0].get_offsets()[:2], [[left, top], [right, top]])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ground truth"]
+    (grey,) = figure.legends[0].get_lines()
+    assert grey.get_color() == style.TRUTH_COLOUR
     # The truth lies beneath a frontal view that is normalised by itself.
     truth, drawn = (frontal.collections[k].get_offsets() for k in (1, 3))
     np.testing.assert_allclose(drawn, truth, atol=1e-12)
 
 
+def test_no_face_is_cut_off():
+    rng = np.random.default_rng(0)
+    wild = faces(rng, 1)[0] / 200 * (1, 1.3, 1.2)
+    truth = faces(rng, 1) / 200
+    scores = {"deep_mds": Scores(truth, truth, np.full(1, 200.0), np.zeros(1))}
+    object.__setattr__(scores["deep_mds"], "aligned", wild[None])
+    figure = qualitative(truth[..., :2], truth[..., :2], scores, np.arange(1), ["view"], BFM72)
+    for axes in figure.axes:
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        for dots in axes.collections[1::2]:
+            x, y = np.array(dots.get_offsets()).T
+            assert left < x.min() and x.max() < right and bottom < y.min() and y.max() < top
+
+
 def test_gallery_marks_what_was_not_found():
-    shapes = faces(np.random.default_rng(0), 2, "ibug51")
-    lost = np.stack([shapes[0], np.full((51, 3), np.nan)])
-    photos = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 51, 2))
-    figure = gallery(*photos, {"deep_mds": shapes, "mediapipe": lost}, IBUG51)
-    assert [len(axes.texts) for axes in figure.axes] == [0, 0, 0, 0, 0, 1]
+    axes = np.array(draw_gallery(np.random.default_rng(0)).axes, object).reshape(2, 3)
+    photos, others = axes[:, 0], axes[:, 1:]
+    assert [axes.texts[0].get_text() for axes in photos.ravel()] == ["left", "right"]
+    assert [len(axes.texts) for axes in others.ravel()] == [0, 0, 0, 1]
 
 
 def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
@@ -270,6 +366,6 @@ def test_contact_sheet_has_landmarks_in_its_lower_half():
     rng = np.random.default_rng(0)
     images, landmarks = rng.integers(0, 255, (24, 9, 9, 3), np.uint8), rng.random((24, 72, 2))
     figure = renders(images, landmarks, BFM72)
-    assert not figure.axes[11].lines
-    assert np.array_equal(figure.axes[12].lines[-1].get_xydata(), landmarks[12])
+    assert not figure.axes[11].collections
+    assert np.array_equal(figure.axes[12].collections[-1].get_offsets(), landmarks[12])
     assert np.array_equal(figure.axes[23].images[0].get_array(), images[23])
