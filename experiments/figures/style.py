@@ -106,7 +106,7 @@ def save(figure: Figure, folder: str | Path, name: str, caution: str = "") -> No
         figure: As returned by the functions of this package.
         folder: Created if it is missing.
         name: File name without its ending.
-        caution: Written to the right of the figure, `run.preset.caution`: too small a run means nothing.
+        caution: Written beside the figure, `run.preset.caution`: too small a run means nothing.
     """
     size = {}
     if caution:
