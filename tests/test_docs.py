@@ -224,7 +224,7 @@ def test_the_method_in_the_readme_runs_and_finds_the_shape_of_a_face():
     head = load_model("openhead")
     faces = head.restrict(head.landmarks["ibug51"])
     rng = np.random.default_rng(0)
-    shapes = faces.shape(rng.standard_normal((100, faces.n_identity)))
+    shapes = faces.shape(rng.standard_normal((300, faces.n_identity)))
     views, shapes = sample_views(shapes, 1, yaw=40, pitch=20, roll=0, rng=rng)
     names = {"views": views, "shapes": shapes, "view": views[0]}
     exec("import keras, numpy as np; from scipy.spatial.distance import pdist, squareform", names)
