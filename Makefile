@@ -6,8 +6,8 @@ SHELL := bash
 # Targets whose steps are in experiments/Snakefile, and those that read what they wrote.
 TARGETS := reproduce-bfm reproduce-flame reproduce-celeba ablation audit bench stream seeds scales \
            objects pretrained lifting released-weights real-faces surface footprint check report
-.PHONY: help setup $(TARGETS) all-results check-results dag docs article site tour pictures openhead \
-        test nightly lint clean
+.PHONY: help setup $(TARGETS) all-results check-results dag docs article site tour pictures \
+        openhead test nightly lint clean
 
 # Variables: `make help` prints the lines with two signs.
 ## PYTHON      interpreter that set-up uses, 3.11 to 3.13; VENV, its folder
@@ -153,10 +153,13 @@ docs: | $(READY) ## README.md and docs/ from their templates and the results   (
 	@$(PY) -m docs.make_docs
 
 article: ## the article that make docs wrote, as PDF: build/article/article.pdf   (needs LaTeX)
-	@command -v latexmk >/dev/null || { echo 'error: latexmk must be installed, with LaTeX. On Debian:' \
-	  'apt install latexmk texlive-latex-recommended texlive-latex-extra texlive-fonts-recommended.' >&2; exit 2; }
-	@latexmk -cd -pdf -quiet -interaction=nonstopmode -halt-on-error -outdir=../../build/article \
-	  docs/article/article.tex
+	@if ! command -v latexmk >/dev/null; then \
+	  echo 'error: latexmk must be installed, with LaTeX. On Debian: apt install latexmk' \
+	    'texlive-latex-recommended texlive-latex-extra texlive-fonts-recommended.' >&2; \
+	  exit 2; \
+	fi
+	@latexmk -cd -pdf -quiet -interaction=nonstopmode -halt-on-error \
+	  -outdir=../../build/article docs/article/article.tex
 	@echo build/article/article.pdf
 
 $(VENV)/.docs: $(READY)
@@ -168,7 +171,8 @@ site: | $(VENV)/.docs ## the pages as a site, build/site/   (30 s)
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build
 
 tour: | $(VENV)/.docs ## the notebook docs/tour.ipynb, run from docs/tour.py   (3 min)
-	@TF_ENABLE_ONEDNN_OPTS=0 TF_CPP_MIN_LOG_LEVEL=3 $(PY) -m jupytext --to ipynb --set-kernel python3 --execute docs/tour.py
+	@TF_ENABLE_ONEDNN_OPTS=0 TF_CPP_MIN_LOG_LEVEL=3 \
+	  $(PY) -m jupytext --to ipynb --set-kernel python3 --execute docs/tour.py
 
 pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures

@@ -22,7 +22,7 @@ from pandas.api.types import is_numeric_dtype
 from experiments.figures.style import INK, Look, drawn, look, method_legend, styled
 from experiments.figures.wireframe import draw_error_map
 from experiments.methods import title
-from experiments.scoring.numbers import minus
+from experiments.scoring.numbers import minus, power
 
 if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
@@ -86,9 +86,9 @@ def error_lines(
     grid = figure.subplots(n_rows, n_columns, sharey=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=True):
         _draw_panel(axes, panel, unit, looks)
-    power = "" if unit == 1 else f"$10^{{{np.log10(unit):.0f}}}$ "
+    counted = "" if unit == 1 else f"{power(unit)} "
     for axes in grid[:, 0]:
-        axes.set_ylabel(f"{quantity}\n({power}{units})")
+        axes.set_ylabel(f"{quantity}\n({counted}{units})")
     if log_y:
         plain_log_ticks(grid[0, 0].yaxis)
     else:

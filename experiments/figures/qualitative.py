@@ -20,6 +20,7 @@ from experiments.figures.wireframe import (
     side_view,
 )
 from experiments.methods import title
+from experiments.scoring.numbers import power
 
 if TYPE_CHECKING:
     from deepmds_keras.landmarks import LandmarkScheme
@@ -116,7 +117,7 @@ def qualitative(
 
         true_shape = truth[row] - centres[row]
         _draw_views(truth_axes, true_shape, scheme, TRUTH_COLOUR, top / 2)
-        _write(truth_axes, score_place, f"MSE ($10^{{{np.log10(unit):.0f}}}$)", va="top")
+        _write(truth_axes, score_place, f"MSE ({power(unit)})", va="top")
         of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
             if not score.detected[face]:

@@ -13,13 +13,14 @@ from matplotlib.lines import Line2D
 from experiments.figures.errors import plain_log_ticks
 from experiments.figures.style import INK, colour, marker, styled
 from experiments.methods import title
+from experiments.scoring.numbers import power
 
 _MSE_UNIT = 1e-4
 _NUMBERS = ["mean", "std", "paper_mean", "median", "lowest", "highest"]
 
 
 @styled
-def summary(table: pd.DataFrame, n_landmarks: int, unit: float = 1e-4) -> Figure:
+def summary(table: pd.DataFrame, n_landmarks: int, unit: float = _MSE_UNIT) -> Figure:
     """MSE and missing depth correlation of every method: filled here, hollow in the paper.
 
     The depth correlation is a trace with the number of landmarks as its maximum. The figure shows
@@ -43,7 +44,7 @@ def summary(table: pd.DataFrame, n_landmarks: int, unit: float = 1e-4) -> Figure
     figure = Figure(figsize=(7.2, 1.0 + 0.2 * len(methods)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     _draw_rows(left, mse)
-    left.set_xlabel(f"MSE ($10^{{{np.log10(unit):.0f}}}$ squared normalised units)\n← better")
+    left.set_xlabel(f"MSE ({power(unit)} squared normalised units)\n← better")
     _draw_rows(right, missing)
     not_drawn = f"; as published above {n_landmarks}: not drawn" if impossible.any() else ""
     right.set_xlabel(f"{n_landmarks} − depth correlation (no unit)\n← better{not_drawn}")

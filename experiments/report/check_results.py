@@ -12,6 +12,7 @@ import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pandas as pd
@@ -43,7 +44,7 @@ def main() -> None:
     last = git("rev-parse", "HEAD", folder=_ROOT)
     stale = False
     for made in find_results(_ROOT / "results"):
-        answers = [check(made, commit, last) for commit in made.commits]
+        answers = [check(made, commit, last) for commit in made.commits] or ["of unknown commits"]
         print(f"{made.folder}: " + "; ".join(answers), flush=True)
         stale |= not all("same digits" in answer for answer in answers)
     sys.exit(stale)
@@ -78,13 +79,26 @@ def small_run(made: Made, commit: str) -> Path:
     Raises:
         InputError: That code has no such command, a file is missing, or it failed.
     """
-    program, *words = shlex.split(made.command) or [""]
     tree = _TREES / commit[:12]
     if not tree.is_dir():
         git("worktree", "add", "--force", "--detach", str(tree), commit, folder=_ROOT)
-    if program != "make" or not (tree / "experiments" / "make.py").is_file():
+    if not made.command.startswith("make ") or not (tree / "experiments" / "make.py").is_file():
         raise InputError(f"{commit[:12]} has no command that runs `{made.command}` at a small size")
-    target, *given = words
+    fault = _make(tree, made.command)
+    folder = tree / "results" / "smoke" / made.folder
+    if fault is not None or not folder.is_dir():
+        raise InputError(f"`{made.command}` failed at {commit[:12]}: {fault or 'no results'}")
+    return folder
+
+
+@cache  # several folders are of one command
+def _make(tree: Path, command: str) -> str | None:
+    """Run a command of `make` at the small size in a checkout; the last line if it failed.
+
+    Raises:
+        InputError: A file is missing.
+    """
+    _, target, *given = shlex.split(command)
     variables = dict(word.split("=", 1) for word in given) | {"PRESET": "smoke"}
     if "SEEDS" in variables:
         variables["SEEDS"] = "2"
@@ -98,11 +112,7 @@ def small_run(made: Made, commit: str) -> Path:
         [sys.executable, "-m", "experiments.make", target, *words],
         cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, capture_output=True, text=True,
     )  # fmt: skip
-    folder = tree / "results" / "smoke" / made.folder
-    if done.returncode or not folder.is_dir():
-        last_line = (done.stderr.strip() or "no results").splitlines()[-1]
-        raise InputError(f"make {target} failed at {commit[:12]}: {last_line}")
-    return folder
+    return done.stderr.strip().rpartition("\n")[2] if done.returncode else None
 
 
 def compare(before: Path, now: Path) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from deepmds_keras.files import atomic_write
+from deepmds_keras.geometry.views import about_axis
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.predict.faces import Face
 
@@ -17,13 +18,8 @@ _SIDE, _LEAST = 1200, 600  # largest side of the photo in a picture, pixels; sma
 _REACH = 1.05  # from the middle of the landmarks, relative to their box; shows the head
 _TILE, _COLUMNS = 300, 3  # of faces without a photo, pixels
 _MARGIN = 0.1  # of a tile
-_YAW, _PITCH = np.radians([-40, 10])  # of the view in 3D, as the page begins with one
-_SIDEWAYS = np.array(
-    [
-        [np.cos(_YAW), 0, np.sin(_YAW)],
-        [-np.sin(_YAW) * np.sin(_PITCH), np.cos(_PITCH), np.cos(_YAW) * np.sin(_PITCH)],
-    ]
-)
+_YAW, _PITCH = np.radians([[-40], [10]])  # of the view in 3D, as the page begins with one
+_SIDEWAYS = (about_axis(0, -_PITCH) @ about_axis(1, _YAW))[0, :2]
 _LINE, _DOT, _EDGE = "#FF9448", "#FFD000", "#333333"
 
 
