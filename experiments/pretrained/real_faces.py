@@ -15,7 +15,6 @@ from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.camera import refit
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
@@ -24,6 +23,7 @@ from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.pretrained import SCHEMES, errors_of
+from experiments.pretrained.residuals import mean_residuals, misfits, of_detectors
 from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.recipes import mlp
 from experiments.records import write_csv
@@ -33,7 +33,6 @@ from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 
 _SCHEME = "ibug51"
-_EYES = ("right_eye_outer_corner", "left_eye_outer_corner")
 # Assumed variance of the errors, of both detectors together, relative to that of their difference.
 # Errors are correlated, between neighbouring landmarks and between the two detectors, and weigh
 # more than white ones of the same size: with 1, the shapes from the two agree less.
@@ -63,13 +62,18 @@ def main(run: Run) -> dict:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces))
     methods = _methods(run)
     table = pd.DataFrame(reliability(methods, faces, run.seed))
-    misfit = pd.DataFrame(misfits(methods, faces))
+    found = of_detectors(methods.lifter, faces)
+    tables = {
+        "table": table,
+        "misfit": pd.DataFrame(misfits(found)),
+        "residuals": pd.DataFrame(mean_residuals(found)),
+    }
     texts = {
         head: [between(*ends) for ends in table[[*names]].to_numpy()]
         for head, names in _COLUMNS.items()
     }
     cells = pd.DataFrame(texts, index=table["method"].map(title))
-    return write_results(run, "real", {"table": table, "misfit": misfit}, cells, _NOTES)
+    return write_results(run, "real", tables, cells, _NOTES)
 
 
 def _methods(run: Run) -> Trained:
@@ -197,24 +201,3 @@ def _interval(values: np.ndarray, *names: str) -> dict[str, float]:
     """The first of the values, which is of all people as they are, and an interval of the rest."""
     ends = np.quantile(values[1:], [0.025, 0.975])
     return dict(zip(names, map(float, [values[0], *ends]), strict=True))
-
-
-def misfits(methods: Trained, faces: dict[str, np.ndarray]) -> list[dict]:
-    """Distance of the projected lifted shape from the landmarks.
-
-    Returns:
-        Rows of `detector, given_sd, misfit`: the median over faces of the root mean square residual
-        of a coordinate, relative to the distance between the outer corners of the eyes; with the
-        detector's s.d., and with the lifter's default.
-    """
-    right, left = map(load_scheme(_SCHEME).index, _EYES)
-    rows = []
-    for detector, landmarks in faces.items():
-        views, eyes = landmarks * (1, -1), landmarks[:, right] - landmarks[:, left]
-        sd = rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
-        for given, options in (("detector", {"landmark_sd": sd}), ("none", {})):
-            shapes, _, pose = methods.lifter.estimate(views, **options)
-            off = refit(pose, views, shapes).project(shapes) - views
-            off = np.sqrt((off**2).mean((1, 2))) / np.linalg.norm(eyes, axis=1)
-            rows.append({"detector": detector, "given_sd": given, "misfit": np.median(off)})
-    return rows

@@ -33,7 +33,9 @@ rule pretrained_weights:
 # It also replaces the table of detectors of the package, at full size.
 rule real_photos:
     input: plan.begun, plan.open, plan.shipped, RUN.real or [], record("bfm", "portraits")
-    output: record("bfm", "real"), results("real", "table.csv", "misfit.csv", "table.tex")
+    output:
+        record("bfm", "real"),
+        results("real", "table.csv", "misfit.csv", "residuals.csv", "table.tex"),
     threads: workflow.cores
     shell: step("pretrained.real_faces", uses=["data", "real"])
 

@@ -12,6 +12,7 @@ from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.camera import HeadPose
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.detection import move, upright_axes
@@ -24,6 +25,7 @@ from experiments.pretrained.canonical_face import (
 )
 from experiments.pretrained.pretrained import errors_of
 from experiments.pretrained.real_faces import differences, reliability
+from experiments.pretrained.residuals import mean_residuals, misfits, of_detectors
 from experiments.pretrained.train import sample_faces
 
 CANONICAL_OBJ = SHARED / "mediapipe" / "canonical_face_model.obj"
@@ -123,6 +125,32 @@ def test_the_offset_between_detectors_is_found_and_taken_back():
     np.testing.assert_allclose(apart.mean(0), offset, atol=0.01)
     back = move(faces["mediapipe"], "ibug51", apart.mean(0)) - faces["dlib"]
     assert np.abs(back).max() < 1.5, "pixels, of faces of 90"
+
+
+def test_a_landmark_that_a_detector_puts_elsewhere_on_every_face_stands_in_the_table():
+    faces = real_faces(np.zeros((51, 2)), 0.02)
+    true, nose = faces["dlib"].copy(), load_scheme("ibug51").index("nose_tip")
+    axes, radius = upright_axes(true, "ibug51")
+    faces["dlib"][:, nose] += 0.1 * radius[:, None] * axes[:, 1]
+
+    class Lifter:
+        """It knows the faces, and sees them straight from the front."""
+
+        def estimate(self, views, landmark_sd):
+            n = len(views)
+            flat = np.concatenate([true * (1, -1), np.zeros((n, 51, 1))], axis=2)
+            turned = np.stack([np.eye(3)] * n)
+            return flat, None, HeadPose(turned, np.ones(n), np.zeros((n, 2)), np.zeros(n))
+
+    found = of_detectors(Lifter(), faces)
+    table = pd.DataFrame(mean_residuals(found))
+    assert len(table) == 2 * 51
+    tip = table[table["differs"]].squeeze()
+    assert (tip["detector"], tip["name"], tip["landmark"]) == ("dlib", "nose_tip", 31)
+    assert 0.03 < tip["down"] < 0.06 and abs(tip["right"]) < 1e-3 and tip["error"] < 0.01
+    dlib, _, mediapipe, _ = misfits(found)
+    assert dlib["less_mean"] < 0.3 * dlib["misfit"], "it is the same on every face"
+    assert 0.95 < mediapipe["less_mean"] / mediapipe["misfit"] < 1.1, "its errors are not"
 
 
 def test_shapes_that_agree_between_detectors_and_differ_between_people_are_reliable():
