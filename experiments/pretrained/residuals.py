@@ -15,9 +15,8 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.detection import detector_sd, upright_axes
 
 _SCHEME = load_scheme("ibug51")
-_EYES = [_SCHEME.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
-# A detector means another point where its mean residual is longer than both: a share of the eye
-# distance, and so many standard errors, which chance reaches at none of 2 x 51 landmarks.
+# A detector means another point where its mean residual is longer than both: in radii, and in
+# standard errors, so many that chance reaches it at none of 2 x 51 landmarks.
 _LEAST, _ERRORS = 0.01, 4.0
 
 
@@ -30,14 +29,13 @@ def residuals(lifter: LandmarkLifter, landmarks: np.ndarray, sd: np.ndarray | No
         sd: `(n, 51)` pixels, given to the lifter; None for its default.
 
     Returns:
-        `(n, 51, 2)` in distances between the outer corners of the eyes, along `upright_axes`.
+        `(n, 51, 2)` in axes and radii of `upright_axes`.
     """
     views = landmarks * (1, -1)
     shapes, _, pose = lifter.estimate(views, landmark_sd=sd)
     off = landmarks - refit(pose, views, shapes).project(shapes) * (1, -1)
-    axes = upright_axes(landmarks, _SCHEME.name)[0]
-    eyes = np.linalg.norm(np.diff(landmarks[:, _EYES], axis=1), axis=2)
-    return off @ np.swapaxes(axes, 1, 2) / eyes[:, :, None]
+    axes, radius = upright_axes(landmarks, _SCHEME.name)
+    return off @ np.swapaxes(axes, 1, 2) / radius[:, None, None]
 
 
 def of_detectors(

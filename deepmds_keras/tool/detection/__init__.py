@@ -56,7 +56,7 @@ def describe_detector(name: str, landmarker: str | None) -> dict[str, str]:
 
 
 def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
-    """Landmarks of a detector, moved to where iBUG 300-W has them.
+    """Landmarks of a detector, moved to where the training shapes of the weights have them.
 
     They move by the mean offset in `landmarks/detectors.csv`, in the axes of the upright face.
 

@@ -147,7 +147,7 @@ def test_a_landmark_that_a_detector_puts_elsewhere_on_every_face_stands_in_the_t
     assert len(table) == 2 * 51
     tip = table[table["differs"]].squeeze()
     assert (tip["detector"], tip["name"], tip["landmark"]) == ("dlib", "nose_tip", 31)
-    assert 0.03 < tip["down"] < 0.06 and abs(tip["right"]) < 1e-3 and tip["error"] < 0.01
+    assert 0.08 < tip["down"] < 0.11 and abs(tip["right"]) < 1e-3 and tip["error"] < 0.01
     dlib, _, mediapipe, _ = misfits(found)
     assert dlib["less_mean"] < 0.3 * dlib["misfit"], "it is the same on every face"
     assert 0.95 < mediapipe["less_mean"] / mediapipe["misfit"] < 1.1, "its errors are not"
@@ -166,7 +166,7 @@ def test_shapes_that_agree_between_detectors_and_differ_between_people_are_relia
             }
 
     faces = real_faces(np.zeros((51, 2)), 0.01)
-    rows = {row["method"]: row for row in reliability(Methods(), faces)}
+    rows = {row["method"]: row for row in reliability(Methods(), faces, np.zeros((60, 51, 2)))}
     lifter, noise = rows["landmark_lifter"], rows["noise"]
     assert lifter["ratio"] < 0.2 and 0 < lifter["within"] < lifter["between"]
     assert lifter["low"] < lifter["ratio"] < lifter["high"] < noise["low"] < 1 < noise["high"]
