@@ -198,6 +198,11 @@ _ROWS = (
         colour="#3D2B00", marker="v", drawn=False, complexity="O(t (n^3 + n k))",
     ),
     Method(
+        id="map_learnt", title="MAP fit, learnt components",
+        description="the same fit, of the principal components of the training shapes",
+        colour="#3D2B00", marker="v", drawn=False,
+    ),
+    Method(
         id="aldrian_hindsight", title="Aldrian & Smith, best noise",
         description="the same fit, given the noise that is best on the test faces: its own misfit",
         colour="#EE6677", marker="p", drawn=False,

@@ -96,7 +96,7 @@ class Trained:
         shapes = {method: model.predict(seen) for method, model in self._regressions.items()}
         shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
         with single_threaded():
-            shapes["map"] = self._map.predict(given, sd)
+            shapes["map_learnt"] = self._map.predict(given, sd)
         if truth is not None:
             fitted = fit_aldrian_in_hindsight(*self._components, views, truth)
             shapes["aldrian_hindsight"] = fitted

@@ -18,7 +18,7 @@ from experiments.streams import Stream
 # the training has not seen, of separate things as many at random as of 920 chairs 220.
 SEQUENCES = ("walking", "dance", "yoga", "stretch", "pickup", "drink", "jaws", "face")
 OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
-METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map", "landmark_lifter")
+METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map_learnt", "landmark_lifter")
 NOISES = (0.0, 0.02)  # s.d. of a coordinate in the view, in r.m.s. radii of the shape
 _COMMON = 0.9  # share of the shapes that must have a landmark if it is to be used
 

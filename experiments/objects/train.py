@@ -49,7 +49,7 @@ def predicted(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Shapes of the test views by a method trained on the others, and what else is measured."""
     n_landmarks, n_steps = train.views.shape[1], run.preset.lifting_steps // 2
-    if method == "map":
+    if method == "map_learnt":
         model = MapFit(*principal_components(train.shapes, _LEAST_SD), perspective=_ORTHOGRAPHIC)
         return model.predict(test.views, noise), {}
     if method == "landmark_lifter":

@@ -94,4 +94,4 @@ def test_every_method_is_measured_on_every_object(folder, tmp_path):
     cells = measured.set_index(["object", "noise", "method"])["median"]
     assert len(cells) == len(OBJECTS) * 2 * len(METHODS) and np.isfinite(cells).all()
     exact = cells.unstack("method").xs(0.0, level="noise")
-    assert (exact["map"] < exact["mean_shape"]).all()
+    assert (exact["map_learnt"] < exact["mean_shape"]).all()
