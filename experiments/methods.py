@@ -200,7 +200,7 @@ _ROWS = (
     Method(
         id="map_learnt", title="MAP fit, learnt components",
         description="the same fit, of the principal components of the training shapes",
-        colour="#3D2B00", marker="v", drawn=False,
+        colour="#3D2B00", marker="^", drawn=False,
     ),
     Method(
         id="aldrian_hindsight", title="Aldrian & Smith, best noise",

@@ -40,7 +40,7 @@ TIME = (
 SCALE = {
     "mm": "millimetres, set by a distance that was given: one view does not show the true size",
     "normalised": "no unit of length: one view does not show the true size; by the shipped "
-    "weights the largest extent of a face is about 0.8 with 51 landmarks, 0.67 with the others",
+    "weights the largest extent of a face is about 1",
 }
 _COLUMNS = "number,name,x,y,z,std_x,std_y,std_z,image_x,image_y,image_z,residual"
 # Lines of the comments above a table.

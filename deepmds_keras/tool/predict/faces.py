@@ -77,8 +77,7 @@ class Face:
             down; NaN where a landmark is missing.
         xyz: `(L, 3)` from the front: +x to the subject's left, +y up, +z out of the face.
         unit: Unit of `xyz` and `std`: `"mm"`, or `"normalised"`: the range of all coordinates of a
-            face together, see `normalise`. By the shipped weights a face measures about 0.8 with 51
-            landmarks, 0.67 with the others.
+            face together, see `normalise`. By the shipped weights a face measures about 1.
         pose: The camera that projects the shape onto the landmarks.
         notes: What a reader must know about this face, such as a pose beyond those of training.
         detector: Name and licence of the detector, or None: the landmarks were given.
