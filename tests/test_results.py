@@ -11,15 +11,18 @@ RESULTS = committed() / "results"
 FOLDERS = sorted(path.parent.relative_to(RESULTS) for path in RESULTS.rglob("manifest.json"))
 
 
-# Begun at 84a3afc and ended at 91b48fe; between them no step changed that had been run.
-OF_TWO_COMMITS = {f"bfm68/{name}" for name in ("bfm", "parameters", "seeds")}
+# Begun at one commit and ended at another; between them no step changed that had been run.
+OF_SEVERAL_COMMITS = {f"bfm68/{name}": 2 for name in ("bfm", "parameters", "seeds")} | {
+    "openhead/pretrained": 3,  # the network is trained before what it is measured with is made
+    "openhead/real": 2,
+}
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
 def test_every_table_is_of_one_clean_commit(folder):
     commits = commits_of(read_manifest(RESULTS / folder))
     assert not any(commit.endswith("+") for commit in commits)
-    assert len(commits) == 1 + (str(folder) in OF_TWO_COMMITS)
+    assert len(commits) == OF_SEVERAL_COMMITS.get(str(folder), 1)
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)

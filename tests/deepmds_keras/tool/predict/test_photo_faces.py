@@ -119,15 +119,21 @@ def test_the_first_picture_of_an_animation_is_read_and_a_note_says_so(predict, h
         assert any("the first of 3 pictures of the file" in note for note in face.notes)
 
 
-def test_landmarks_of_mediapipe_move_with_the_face_and_those_of_dlib_stay():
+@pytest.mark.parametrize("detector", ["dlib", "mediapipe"])
+def test_landmarks_of_a_detector_move_with_the_face(detector):
     views = np.random.default_rng(0).normal(0, 90, (4, 51, 2)) + 300
-    moved = to_ibug(views, "mediapipe", "ibug51") - views
+    moved = to_ibug(views, detector, "ibug51") - views
     turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
-    again = to_ibug(3 * views @ turn + 70, "mediapipe", "ibug51") - (3 * views @ turn + 70)
+    again = to_ibug(3 * views @ turn + 70, detector, "ibug51") - (3 * views @ turn + 70)
     np.testing.assert_allclose(again, 3 * moved @ turn, atol=1e-9)
     assert 0 < np.abs(moved).max() < 0.3 * 90
-    np.testing.assert_array_equal(to_ibug(views, "dlib", "ibug51"), views)
-    np.testing.assert_array_equal(to_ibug(views, "mediapipe", "bfm72"), views)
+    np.testing.assert_array_equal(to_ibug(views, detector, "bfm72"), views)
+
+
+def test_the_jaw_as_dlib_finds_it_stays():
+    views = np.random.default_rng(0).normal(0, 90, (4, 68, 2)) + 300
+    moved = to_ibug(views, "dlib", "ibug68") - views
+    assert not moved[:, :17].any() and moved[:, 17:].any(axis=(0, 2)).all()
 
 
 def test_errors_of_each_detector_are_known_in_its_schemes():
