@@ -15,15 +15,22 @@ from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import normalise, rms_radius
+from deepmds_keras.geometry.units import normalise
 from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.tool.detection import detector_sd, measured, move, upright_axes
+from deepmds_keras.tool.detection import detector_sd, measured, move
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
 from experiments.pretrained.pretrained import SCHEMES, errors_of
-from experiments.pretrained.residuals import mean_residuals, misfits, of_detectors
+from experiments.pretrained.residuals import (
+    along_face,
+    mean_residuals,
+    misfits,
+    of_detectors,
+    residuals,
+    sd_in_pixels,
+)
 from experiments.pretrained.train import LIFTERS, photo_faces
 from experiments.recipes import mlp
 from experiments.records import write_csv
@@ -60,16 +67,16 @@ def main(run: Run) -> dict:
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
     methods = _methods(run)
-    found = of_detectors(methods.lifter, faces)
-    off = found[_KEPT, "detector"]
+    # First of all, since everything below reads the s.d. in it.
     if run.preset.name == "full" and not open_models(run.data)[1]:
-        write_csv(FOLDER / "detectors.csv", detector_table(run, faces, off))
+        write_csv(FOLDER / "detectors.csv", detector_table(run, faces, methods.lifter))
         measured.cache_clear()
-    table = pd.DataFrame(reliability(methods, faces, off, run.seed))
+    found = of_detectors(methods.lifter, faces)
+    table = pd.DataFrame(reliability(methods, faces, found[_KEPT, "detector"], run.seed))
     tables = {
         "table": table,
         "misfit": pd.DataFrame(misfits(found)),
-        "residuals": pd.DataFrame(mean_residuals(found)),
+        "residuals": mean_residuals(found),
     }
     texts = {
         head: [between(*ends) for ends in table[[*names]].to_numpy()]
@@ -89,15 +96,13 @@ def _methods(run: Run) -> Trained:
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
     """`(n, 51, 2)` from MediaPipe's landmarks to dlib's, in axes and radii of the upright face."""
-    axes, radius = upright_axes(faces["mediapipe"], _SCHEME)
-    apart = faces["dlib"] - faces["mediapipe"]
-    return apart @ np.swapaxes(axes, 1, 2) / radius[:, None, None]
+    return along_face(faces["dlib"] - faces["mediapipe"], faces["mediapipe"])
 
 
-def detector_table(run: Run, faces: dict[str, np.ndarray], off: np.ndarray) -> pd.DataFrame:
+def detector_table(run: Run, faces: dict[str, np.ndarray], lifter: LandmarkLifter) -> pd.DataFrame:
     """Rows of `detector, landmark, dx, dy, sd`, landmarks by their iBUG numbers.
 
-    dlib's landmarks move back by their mean residual `off` of the lifted shapes, the jaw apart;
+    dlib's landmarks move back by their mean residual of the lifted shapes, the jaw apart;
     MediaPipe's to where dlib's are then. The s.d. of landmarks relative to each other are those on
     rendered photos; their common scale is set by the difference on real ones.
     """
@@ -105,9 +110,12 @@ def detector_table(run: Run, faces: dict[str, np.ndarray], off: np.ndarray) -> p
     variances = {name: _variance(run, name) for name in SCHEMES}
     both = sum(variance[-apart.shape[1] :] for variance in variances.values()).mean()
     size = np.sqrt(_STRENGTH * apart.var(0).mean() / both)
+    sds = {name: (size * np.sqrt(variance)).round(5) for name, variance in variances.items()}
+    kept = faces[_KEPT]
+    off = residuals(lifter, kept, sd_in_pixels(kept, sds[_KEPT][-apart.shape[1] :]))
     parts = []
     for detector, (scheme, *_) in SCHEMES.items():
-        sd = size * np.sqrt(variances[detector])
+        sd = sds[detector]
         offset = np.zeros((len(sd), 2))
         offset[-apart.shape[1] :] = _offset(detector, apart, off)
         part = {"detector": detector, "landmark": load_scheme(scheme).numbers}
@@ -178,7 +186,7 @@ def reliability(
 def _predict(
     methods: Trained, landmarks: np.ndarray, detector: str, size: float
 ) -> dict[str, np.ndarray]:
-    sd = size * rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME)
+    sd = size * sd_in_pixels(landmarks, detector_sd(detector, _SCHEME))
     return methods.predict(landmarks * (1, -1), sd)
 
 

@@ -7,6 +7,7 @@ than the shapes that the lifter learnt from.
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from deepmds_keras.geometry.camera import refit
 from deepmds_keras.geometry.units import rms_radius
@@ -33,9 +34,19 @@ def residuals(lifter: LandmarkLifter, landmarks: np.ndarray, sd: np.ndarray | No
     """
     views = landmarks * (1, -1)
     shapes, _, pose = lifter.estimate(views, landmark_sd=sd)
-    off = landmarks - refit(pose, views, shapes).project(shapes) * (1, -1)
+    projected = refit(pose, views, shapes).project(shapes) * (1, -1)
+    return along_face(landmarks - projected, landmarks)
+
+
+def along_face(offsets: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """Offsets `(n, 51, 2)` in pixels, in axes and radii of `upright_axes`: what `move` takes."""
     axes, radius = upright_axes(landmarks, _SCHEME.name)
-    return off @ np.swapaxes(axes, 1, 2) / radius[:, None, None]
+    return offsets @ np.swapaxes(axes, 1, 2) / radius[:, None, None]
+
+
+def sd_in_pixels(landmarks: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """`(n, 51)` of landmarks `(n, 51, 2)`, from `(51,)` as in `detectors.csv`."""
+    return rms_radius(landmarks)[:, None] * sd
 
 
 def of_detectors(
@@ -44,7 +55,7 @@ def of_detectors(
     """Residuals by detector and by the s.d. that the lifter is given, `"detector"` or `"none"`."""
     found = {}
     for detector, landmarks in faces.items():
-        sd = rms_radius(landmarks)[:, None] * detector_sd(detector, _SCHEME.name)
+        sd = sd_in_pixels(landmarks, detector_sd(detector, _SCHEME.name))
         found[detector, "detector"] = residuals(lifter, landmarks, sd)
         found[detector, "none"] = residuals(lifter, landmarks, None)
     return found
@@ -70,7 +81,7 @@ def _median(off: np.ndarray) -> float:
     return float(np.median(np.sqrt((off**2).mean((1, 2)))))
 
 
-def mean_residuals(found: dict[tuple[str, str], np.ndarray]) -> list[dict]:
+def mean_residuals(found: dict[tuple[str, str], np.ndarray]) -> pd.DataFrame:
     """Where each detector finds a landmark, from where the lifted shape has it.
 
     Returns:
@@ -78,16 +89,15 @@ def mean_residuals(found: dict[tuple[str, str], np.ndarray]) -> list[dict]:
         residual towards the subject's left (right in the picture) and down the face, its standard
         error, and whether the detector means another point.
     """
-    rows = []
+    parts = []
     for (detector, given), off in found.items():
-        if given == "detector":
-            mean, errors = off.mean(0), off.std(0, ddof=1) / np.sqrt(len(off))
-            length, error = np.linalg.norm(mean, axis=1), np.linalg.norm(errors, axis=1)
-            differs = (length > _LEAST) & (length > _ERRORS * error)
-            columns = _SCHEME.numbers, _SCHEME.names, *mean.T, error, differs
-            names = "landmark", "name", "right", "down", "error", "differs"
-            rows += [
-                {"detector": detector} | dict(zip(names, row, strict=True))
-                for row in zip(*columns, strict=True)
-            ]
-    return rows
+        if given != "detector":
+            continue
+        mean = off.mean(0)
+        length = np.linalg.norm(mean, axis=1)
+        error = np.linalg.norm(off.std(0, ddof=1), axis=1) / np.sqrt(len(off))
+        part = {"detector": detector, "landmark": _SCHEME.numbers, "name": _SCHEME.names}
+        part |= {"right": mean[:, 0], "down": mean[:, 1], "error": error}
+        part |= {"differs": (length > _LEAST) & (length > _ERRORS * error)}
+        parts.append(pd.DataFrame(part))
+    return pd.concat(parts)

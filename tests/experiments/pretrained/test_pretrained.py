@@ -143,7 +143,7 @@ def test_a_landmark_that_a_detector_puts_elsewhere_on_every_face_stands_in_the_t
             return flat, None, HeadPose(turned, np.ones(n), np.zeros((n, 2)), np.zeros(n))
 
     found = of_detectors(Lifter(), faces)
-    table = pd.DataFrame(mean_residuals(found))
+    table = mean_residuals(found)
     assert len(table) == 2 * 51
     tip = table[table["differs"]].squeeze()
     assert (tip["detector"], tip["name"], tip["landmark"]) == ("dlib", "nose_tip", 31)

@@ -236,17 +236,18 @@ def test_the_pose_is_said_and_turns_the_view_until_someone_else_does(opened):
 def test_the_discs_are_drawn_if_asked_for(opened):
     page = opened()
     show(page, frontal())
+    # The alpha of one disc; lines and hidden landmarks are faint, too, but hardly ever just so.
     faint = """async () => {
       await new Promise(requestAnimationFrame), await new Promise(requestAnimationFrame);
       const { width, height } = at("shape");
       const { data } = at("shape").getContext("2d").getImageData(0, 0, width, height);
-      return data.filter((value, i) => i % 4 === 3 && value > 20 && value < 50).length;
+      return data.filter((value, i) => i % 4 === 3 && value === 33).length;
     }"""
     page.locator("#shape").scroll_into_view_if_needed()
     with_discs = page.evaluate(faint)
     page.get_by_label("Standard deviations").uncheck()
     show(page, frontal(), time=0.1)
-    assert with_discs > 2 * page.evaluate(faint)
+    assert with_discs > 5 * page.evaluate(faint)
 
 
 def test_the_camera_starts_and_stops(opened):
