@@ -1,16 +1,19 @@
 """What the site needs beyond the pages of docs/, as hooks of MkDocs: `make site`.
 
 Pages are written for GitHub. Here their links to files outside docs/ lead to the repository, the
-pictures among these are copied, and formulas are marked as MkDocs' extension for them reads them.
+pictures among these are copied, and formulas become MathML, which browsers draw without a script.
 """
 
 from __future__ import annotations
 
+import html
 import os
 import re
 from pathlib import Path
 
 import yaml
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
 import deepmds_keras
@@ -22,6 +25,7 @@ _LIVE = ROOT / "build" / "live.html"  # of `deepmds live`, in the site if it is 
 _PICTURES = (".jpg", ".png")
 _LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
 _FORMULA = re.compile(r"\$`([^`]+)`\$")
+_MARKED = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.+?)\\[)\]]</\1>', re.DOTALL)
 
 
 def on_config(config):
@@ -57,6 +61,18 @@ def on_page_markdown(markdown, page, config, files):
     if page.file.src_uri == "live.md" and _LIVE.exists():
         markdown = markdown.replace("\n", "\n\n**[Open the page](live.html)**\n", 1)
     return _LINK.sub(link, _FORMULA.sub(r"$\1$", markdown))
+
+
+def on_page_content(content, page, config, files):
+    return _MARKED.sub(lambda match: _mathml(html.unescape(match[2]), match[1], page), content)
+
+
+def _mathml(formula, element, page):
+    drawn = convert(formula.strip(), display="inline" if element == "span" else "block")
+    if "\\" in drawn:  # a command that the converter does not know shows as it is written
+        name = page.file.src_uri
+        raise PluginError(f"{name}: the site cannot draw the formula {formula.strip()!r}.")
+    return drawn
 
 
 def _copy(source, place, files, config):
