@@ -51,7 +51,9 @@ def summarise(scores: pd.DataFrame) -> pd.DataFrame:
 def cells(table: pd.DataFrame) -> pd.DataFrame:
     """For readers: a row per method, a column per scale with its error and slope."""
     texts = [f"{_text(row, 'mse', _UNIT)}; {_text(row, 'slope')}" for _, row in table.iterrows()]
-    shown = table.assign(text=texts, method=table["method"].map(title))
+    shown = table.assign(
+        text=texts, method=table["method"].map(title), scale=table["scale"].map("{:g}".format)
+    )
     return shown.pivot_table("text", "method", "scale", "first", sort=False).rename_axis(
         index="Method", columns=None
     )

@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+from experiments.scoring.latex import tabular
 from experiments.studies.scales import cells, draw, summarise
 
 
@@ -21,7 +22,9 @@ def test_medians_and_ranges_are_over_seeds_and_each_ratio_is_within_its_own():
     assert (row["n_seeds"], row["mse"], row["mse_lowest"]) == (3, 4e-5, pytest.approx(3e-5))
     # Of 9 / 1, 3 / 2 and 4 / 4; the ratio of the medians would be 2.
     assert row["over_mean_shape"] == pytest.approx(1.5)
-    assert cells(table.reset_index()).loc["Deep-MDS", 2] == "0.40 [0.30, 0.90]; 0.40 [0.30, 0.90]"
+    shown = cells(table.reset_index())
+    assert shown.loc["Deep-MDS", "2"] == "0.40 [0.30, 0.90]; 0.40 [0.30, 0.90]"
+    assert "Method & 1 & 2 \\\\" in tabular(shown.reset_index(), "lrr", ())
 
 
 def test_what_the_paper_prints_is_a_line_over_all_scales():
