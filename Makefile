@@ -170,9 +170,11 @@ $(VENV)/.docs: $(READY)
 site: | $(VENV)/.docs ## the pages as a site, build/site/   (30 s)
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build
 
+# Without times and with the cells' ids of before, so that a second run changes nothing.
 tour: | $(VENV)/.docs ## the notebook docs/tour.ipynb, run from docs/tour.py   (3 min)
-	@TF_ENABLE_ONEDNN_OPTS=0 TF_CPP_MIN_LOG_LEVEL=3 \
-	  $(PY) -m jupytext --to ipynb --set-kernel python3 --execute docs/tour.py
+	@$(PY) -m jupytext --quiet --to ipynb --update --set-kernel python3 docs/tour.py
+	@TF_ENABLE_ONEDNN_OPTS=0 TF_CPP_MIN_LOG_LEVEL=3 $(PY) -m nbconvert --log-level WARN --to notebook \
+	  --inplace --execute --ExecutePreprocessor.record_timing=False docs/tour.ipynb
 
 pictures: | $(READY) ## the pictures of docs/, from the head model   (20 s)
 	@$(PY) -m docs.make_pictures
