@@ -102,6 +102,8 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
         lifter.predict_landmarks(np.zeros((51, 2)))
     with pytest.raises(InputError, match="must have 51, 68, 72, 468 or 478 .* Received 14"):
         predict_landmarks(np.load(points))
+    with pytest.raises(InputError, match="parts.csv must have a model of their own"):
+        predict_landmarks(np.load(points), scheme=scheme)
 
 
 @pytest.mark.parametrize(
