@@ -10,6 +10,8 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.validation import as_numbers
 
+_ROUNDS = 10  # of `align_to_mean`, after which the mean no longer turns
+
 
 class Similarity(NamedTuple):
     """`source * scale @ rotation + translation`, of one set of points or of each of many.
@@ -90,6 +92,28 @@ def align(
     rotation, scale, _ = procrustes(source, target, scaling=scaling, reflection=reflection)
     middle = np.asarray(target, float).mean(-2, keepdims=True)
     return centre(source) @ rotation * scale[..., None, None] + middle
+
+
+def align_to_mean(shapes: np.ndarray, n_known: int, *, upright: bool = False) -> np.ndarray:
+    """Turn each shape onto the mean of the first `n_known`: generalised Procrustes analysis.
+
+    Gower 1975 (doi:10.1007/BF02291478), without scale or reflection. Where views are from all
+    sides, which way a shape faced is variance that no view shows.
+
+    Args:
+        shapes: `(n, L, 3)`, centred.
+        n_known: How many of them make the mean; those of the training.
+        upright: Whether to turn about the vertical (y) alone.
+
+    Returns:
+        The turned shapes, `(n, L, 3)`.
+    """
+    axes = [0, 2] if upright else slice(None)
+    turned, mean = shapes.copy(), shapes[0]
+    for _ in range(_ROUNDS):
+        turned[..., axes] = align(turned[..., axes], mean[:, axes], scaling=False, reflection=False)
+        mean = turned[:n_known].mean(0)
+    return turned
 
 
 def is_mirrored(source: np.ndarray, target: np.ndarray) -> np.ndarray:

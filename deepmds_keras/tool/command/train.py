@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import map_npy
-from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.alignment import align, align_to_mean
 from deepmds_keras.geometry.units import centre_to_radius_1, normalise
 from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
@@ -21,6 +21,7 @@ _HELD_OUT = 10  # one in so many shapes is left for the report
 _VIEWS = 20_000  # to train on, at least: twice as many gain nothing
 _TEST_VIEWS = 20  # of each shape
 _UNIT = 1e-3
+_ALL_AROUND = 180  # degrees of yaw to either side, at which no view shows which way a shape faced
 
 
 def train(
@@ -31,6 +32,7 @@ def train(
     noise: float,
     missing: float,
     seed: int,
+    yaw: float = _ALL_AROUND,
     **angles: float,
 ) -> dict[str, list[float]]:
     """Train a lifter on random views of shapes, write it, and print a report.
@@ -42,7 +44,9 @@ def train(
         out: File to write, as `LandmarkLifter.save` does; it must not exist.
         steps, missing, seed: As for `LandmarkLifter`.
         noise: Likewise; the report has views with half of it, the mean in training, too.
-        angles: `yaw`, `pitch`, `roll` and `field_of_view` of `sample_views`, degrees.
+        yaw: As for `sample_views`, degrees. At 180 shapes that face different ways are first turned
+            about the vertical, onto their mean.
+        angles: `pitch`, `roll` and `field_of_view` likewise.
 
     Returns:
         Errors by method on the shapes that are held out, in exact and in noisy views: the mean
@@ -61,10 +65,14 @@ def train(
     shapes = _read_shapes(Path(source))
     order = np.random.default_rng([seed, Stream.SHAPES_HELD_OUT]).permutation(len(shapes))
     n_held_out = len(shapes) // _HELD_OUT
-    held_out, known = shapes[order[:n_held_out]], shapes[order[n_held_out:]]
+    n_known = len(shapes) - n_held_out
+    shapes = shapes[np.roll(order, -n_held_out)]
+    if yaw >= _ALL_AROUND:
+        shapes = align_to_mean(shapes, n_known, upright=True)
+    known, held_out = shapes[:n_known], shapes[n_known:]
     rng = np.random.default_rng([seed, Stream.VIEWS_OF_SHAPES])
-    seen = sample_views(known, -(-_VIEWS // len(known)), rng=rng, **angles)
-    test = sample_views(held_out, _TEST_VIEWS, rng=rng, **angles)
+    seen = sample_views(known, -(-_VIEWS // len(known)), yaw=yaw, rng=rng, **angles)
+    test = sample_views(held_out, _TEST_VIEWS, yaw=yaw, rng=rng, **angles)
     lifter = LandmarkLifter(shapes.shape[1], steps=steps, noise=noise, missing=missing, seed=seed)
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     with tqdm(total=steps, unit="step") as bar:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from places import ROOT, SHARED
+from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, LandmarkLifter
 from deepmds_keras.__main__ import main
@@ -65,6 +66,23 @@ def test_shapes_of_the_report_are_not_those_of_the_training(source, untrained, t
     assert errors["lifter"][0] < 0.02 * errors["mean shape"][0]
     assert errors["lifter"][0] < errors["lifter"][1] < errors["mean shape"][1]
     assert errors["mean shape"][0] == pytest.approx(errors["mean shape"][1])
+
+
+def test_which_way_shapes_faced_is_nothing_to_learn_from_views_of_all_sides(
+    source, untrained, tmp_path
+):
+    shapes = np.unique(np.load(source), axis=0)
+    headings = np.random.default_rng(1).uniform(0, 360, (len(shapes), 1))
+    turns = Rotation.from_euler("y", headings, degrees=True).as_matrix()
+    np.save(tmp_path / "turning.npy", shapes @ turns)
+    errors = {
+        (name, yaw): train(file, tmp_path / f"{name}-{yaw}.npz", yaw=yaw, **OPTIONS)
+        for name, yaw in (("shapes", 180), ("turning", 180), ("turning", 60))
+        for file in [tmp_path / f"{name}.npy"]
+    }
+    error = {key: rows["mean shape"][0] for key, rows in errors.items()}
+    assert error["turning", 180] == pytest.approx(error["shapes", 180], rel=0.3)
+    assert error["turning", 60] > 5 * error["turning", 180]
 
 
 def test_the_error_is_of_all_landmarks_in_squared_radii(source, untrained, tmp_path, monkeypatch):
