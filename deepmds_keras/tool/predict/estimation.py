@@ -57,8 +57,8 @@ def estimate_faces(
     chosen = load_model(name_for(detections.scheme, model))
     if chosen.n_landmarks != len(scheme):
         raise InputError(
-            f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks a face "
-            f"for the model {model}. Received {len(scheme)}."
+            f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks per "
+            f"face for the model {model}. Received {len(scheme)}."
         )
     seen = np.flatnonzero(~np.isnan(detections.landmarks).all((1, 2)))
     landmarks = detections.landmarks[seen]

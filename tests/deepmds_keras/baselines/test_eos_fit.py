@@ -37,5 +37,5 @@ def test_the_fit_finds_faces_of_its_own_model_wherever_and_however_large_they_ar
     for path in SFM.glob("*"):
         if path.name != "sfm_shape_3448.bin":
             (tmp_path / path.name).symlink_to(path)
-    with pytest.raises(InputError, match="must hold eos's files, whole"):
+    with pytest.raises(InputError, match="must hold eos's files, undamaged"):
         EosFit(tmp_path)

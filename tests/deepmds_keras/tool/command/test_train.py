@@ -87,7 +87,7 @@ def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
         patched.setattr(module, "tqdm", Bar)
         train(source, stopped, **OPTIONS)
     assert not stopped.exists() and (tmp_path / "stopped.npz.checkpoint").exists()
-    with pytest.raises(InputError, match="stopped.npz.checkpoint is of another run"):
+    with pytest.raises(InputError, match="stopped.npz.checkpoint is from another run"):
         train(source, stopped, **OPTIONS | {"seed": 1})
     train(source, stopped, **OPTIONS)
     assert not (tmp_path / "stopped.npz.checkpoint").exists()
@@ -133,7 +133,7 @@ def test_unusable_shapes_are_named(source, tmp_path, change, message):
 
 def test_files_that_exist_or_are_no_npz_are_refused(source, tmp_path):
     (tmp_path / "old.npz").touch()
-    with pytest.raises(InputError, match="old.npz must be the name of a new file.* exists"):
+    with pytest.raises(InputError, match="old.npz must be a new file.* exists"):
         train(source, tmp_path / "old.npz", **OPTIONS)
     with pytest.raises(InputError, match="new.onnx must be .*npz. Received the suffix '.onnx'"):
         train(source, tmp_path / "new.onnx", **OPTIONS)

@@ -147,7 +147,7 @@ def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour):
     whole = path.read_bytes()
     for content, received in [
         (b"", "0 bytes"),
-        (b"text", "no image of a kind that Pillow reads"),
+        (b"text", "no image format that Pillow reads"),
         (whole[: len(whole) // 2], "OSError: .*[Tt]runcated"),
     ]:
         path.write_bytes(content)
