@@ -66,7 +66,7 @@ def read_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> tuple[np.
             received = "no image format that Pillow reads" if content else "0 bytes"
         elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
             received = "a folder"
-        raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
+        raise InputError(f"{name} must be a readable photo. Received {received}.") from None
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ SFM = SHARED / "sfm"
 
 
 def test_files_that_are_missing_are_named(tmp_path):
-    with pytest.raises(InputError, match="must hold sfm_shape_3448.bin, of eos's folder share"):
+    with pytest.raises(InputError, match="must hold sfm_shape_3448.bin, from eos's folder share"):
         surrey_files(tmp_path)
 
 

@@ -70,7 +70,7 @@ def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
     output = capsys.readouterr().out
     assert "9 faces" in output and "51, lifting " in output and "exact" not in output
     np.save(tmp_path / "seen.npy", np.where(np.arange(9)[:, None, None] == 4, np.nan, noise))
-    with pytest.raises(InputError, match="seen.npy must have .* Received none of face 5"):
+    with pytest.raises(InputError, match="seen.npy must have .* Received none for face 5"):
         evaluate(tmp_path / "truth.csv", landmarks=tmp_path / "seen.npy", out=tmp_path / "gap")
 
 

@@ -117,7 +117,7 @@ def test_the_page_on_objects_has_what_the_command_prints(tmp_path, capsys):
     ("change", "message"),
     [
         (lambda s: s[..., :2], r"must hold shapes \(n, L, 3\).* Received \(90, 9, 2\)"),
-        (lambda s: s[:, :5], r"of 6 landmarks or more. Received \(90, 5, 3\)"),
+        (lambda s: s[:, :5], r"with 6 landmarks or more. Received \(90, 5, 3\)"),
         (lambda s: s[:9], "must hold 10 different shapes or more.* Received 9"),
         (lambda s: np.repeat(s[:1], 30, 0), "10 different shapes or more.* Received 1"),
         (lambda s: np.where(s == s[4, 2, 1], np.nan, s), "must be finite. Received NaN .*face 4"),
