@@ -42,6 +42,8 @@ CELEBA ?=
 TF_FLAME ?=
 ## SFM         folder share of eos, with the Surrey Face Model, for lifting and pretrained
 SFM ?=
+## BFM68       of all-results: the folder that is DATA of MODEL=bfm68
+BFM68 ?=
 ## FACES       of stream; REAL, file of real-faces; OBJECTS, folder of objects; TARGET, of dag
 FACES ?=
 OBJECTS ?=
@@ -58,13 +60,13 @@ VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR M
 $(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL OBJECTS,$(VARIABLES))))
 READ_BY_check := $(filter-out REAL OBJECTS JOBS DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_dag := TARGET $(filter-out DRY SNAKEMAKE,$(VARIABLES))
-READ_BY_all-results := DATA AUTHORS SFM REAL
+READ_BY_all-results := DATA BFM68 AUTHORS SFM REAL OBJECTS
 READ_BY_objects := OBJECTS PRESET SEED JOBS DRY SNAKEMAKE
 READ_BY_real-faces := DATA REAL PRESET SEED
 READ_BY_surface := DATA
 READ_BY_footprint :=
 ALWAYS := PYTHON VENV
-NAMES := $(ALWAYS) $(VARIABLES) TARGET
+NAMES := $(ALWAYS) $(VARIABLES) BFM68 TARGET
 NEAREST = $(shell $(PYTHON) -c 'import difflib, sys; print(*difflib.get_close_matches(sys.argv[1], sys.argv[2:], 1, 0))' $(1) $(NAMES))
 GIVEN := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
 ifeq ($(MAKELEVEL),0)
@@ -123,25 +125,26 @@ $(TARGETS): | $(READY)
 
 # What is done is skipped, so the same command goes on after a stop.
 LICENSED := AUTHORS=$(AUTHORS) SFM=$(SFM)
-all-results: | $(READY) ## all of results/, on both open models   (12 h)
-	@for given in 'DATA=$(DATA)' 'AUTHORS=$(AUTHORS)' 'SFM=$(SFM)' 'REAL=$(REAL)'; do \
+all-results: | $(READY) ## all of results/, on three face models   (20 h)
+	@for given in 'DATA=$(DATA)' 'BFM68=$(BFM68)' 'AUTHORS=$(AUTHORS)' 'SFM=$(SFM)' \
+	    'REAL=$(REAL)' 'OBJECTS=$(OBJECTS)'; do \
 	  [[ -e "$${given#*=}" && "$$given" != *' '* ]] || { \
 	    echo "error: $${given%%=*} must be a file or folder without a space in its path, see" \
 	      "docs/commands.md. Received '$${given#*=}'." >&2; exit 2; }; \
 	done
-	@for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
-	  for target in 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
-	      'reproduce-bfm PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba ablation \
-	      'seeds SEEDS=10' 'audit SEEDS=10' 'lifting DATA=$(DATA)'; do \
-	    $(MAKE) --no-print-directory DATA= $$model $(LICENSED) $$target; \
+	@run() { \
+	  for target in "$${@:2}"; do \
+	    $(MAKE) --no-print-directory DATA= $(LICENSED) $$1 $$target; \
 	  done; \
+	}; \
+	run 'MODEL=bfm68 DATA=$(BFM68) MOBILEFACE=no SEEDS=10' reproduce-bfm seeds scales report; \
+	for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
+	  run "$$model" 'reproduce-bfm SEEDS=10' 'reproduce-bfm SEEDS=10 EVALUATOR=released' \
+	    'reproduce-bfm SEEDS=10 PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba \
+	    ablation 'seeds SEEDS=10' 'audit SEEDS=10' 'lifting DATA=$(DATA)'; \
 	done; \
-	for target in pretrained 'real-faces REAL=$(REAL)' surface released-weights bench footprint; do \
-	  $(MAKE) --no-print-directory DATA=$(DATA) $(LICENSED) $$target; \
-	done; \
-	for target in stream report 'report MODEL=ict DATA=$(DATA)' docs; do \
-	  $(MAKE) --no-print-directory DATA= $$target; \
-	done
+	run 'DATA=$(DATA)' pretrained 'real-faces REAL=$(REAL)' surface released-weights bench footprint; \
+	run '' stream 'objects OBJECTS=$(OBJECTS)' report 'report MODEL=ict DATA=$(DATA)' docs
 
 check-results: | $(READY) ## whether the last commit would make the committed results, by small runs
 	@$(PY) -m experiments.report.check_results

@@ -106,6 +106,21 @@ class Results:
         rows = [["The paper's order", *protocols]]
         return grid(rows + [[head, *(o.verdict for o in of)] for head, of in found.items()])
 
+    def pairs(self, *folders: str, **instead: str) -> str:
+        """How many pairs stand in the paper's order by its authors' protocol, in folders.
+
+        Args:
+            folders: Of tables of one training.
+            instead: Ids of methods by the id of the method whose place they take.
+        """
+        found = []
+        for folder in folders:
+            rows = self.rows(folder).copy()
+            for method, other in instead.items():
+                rows.loc[method, "mean"] = rows.loc[other, "mean"]
+            found.append(orders(rows)[0])
+        return _pairs(found)
+
     def answers(self, columns: Mapping[str, str], tables: Mapping[str, str]) -> Grid:
         """Whether the paper's tables are found again: Deep-MDS, and in brackets the mean shape.
 

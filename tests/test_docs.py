@@ -13,13 +13,20 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from places import ROOT, SHARED, committed
+from places import MEDIAPIPE, ROOT, SHARED, committed
 from scipy.spatial.distance import pdist
 
 from data_gen.models import basel, flame
 from data_gen.models.registry import MODELS, load_model
 from data_gen.views import PROTOCOLS
-from deepmds_keras import build_autoencoder, build_dissimilarity_net, normalise, sample_views
+from deepmds_keras import (
+    build_autoencoder,
+    build_dissimilarity_net,
+    normalise,
+    predict_landmarks,
+    predict_photo,
+    sample_views,
+)
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.ringnet import RingNet
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
@@ -271,6 +278,14 @@ def test_numbers_of_the_method_are_those_of_the_code():
         f"one prediction of {FULL.timed_faces} test faces on one core",
     ):
         assert text in method, text
+
+
+@pytest.mark.skipif(not MEDIAPIPE, reason="MediaPipe is absent")
+def test_the_pitch_from_a_photo_and_from_a_file_is_that_of_the_questions():
+    (face,) = predict_photo(FOLDER / "docs/pictures/astronaut.jpg", detector="mediapipe")
+    (given,) = predict_landmarks(face.landmarks)
+    pitches = f"pitch {given.pose.pitch:.0f}° from a file and {face.pose.pitch:.0f}° from the photo"
+    assert pitches.replace("-", "−") in text_of("docs/questions.md")
 
 
 def test_the_table_of_recipes_is_that_of_the_code():

@@ -152,7 +152,8 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
         yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
     elif result.base == "audit":
         of_all_models = result.folder.parents[1] / "audit"
-        paths = (folder / "claims.csv" for folder in (result.folder, of_all_models))
+        # That of all models first: it has both protocols, as claims.md has.
+        paths = (folder / "claims.csv" for folder in (of_all_models, result.folder))
         if path := next(filter(Path.is_file, paths), None):
             claims = read_table(path)
             if "model" in claims:

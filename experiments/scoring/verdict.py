@@ -84,7 +84,8 @@ def orders(rows: pd.DataFrame) -> list[Order]:
 
     Args:
         rows: Rows of a table with the MSE, by method. Those with a number of the paper are made as
-            the authors made it; `Method.fair` names what to compare instead.
+            the authors made it as far as their code shows: not Zhao's net on photos, nor the
+            training of MobileFace. `Method.fair` names what to compare instead.
     """
     here = rows["median"].fillna(rows["mean"]) if "median" in rows else rows["mean"]
     published = rows["paper_mean"].drop(CONSTANT, errors="ignore").dropna()

@@ -437,13 +437,13 @@ def test_the_makefile_hands_on_every_variable_and_needs_all_for_all_results():
     for name, value in given.items():
         assert f"'{name}={value}'".replace("it's", "it'\\''s") in done.stdout
     done = subprocess.run(
-        ["make", "-o", ".venv/.ready", "all-results", "DATA=.", "AUTHORS=."],
+        ["make", "-o", ".venv/.ready", "all-results", "DATA=.", "BFM68=.", "AUTHORS=."],
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode and "error: SFM must be a file or folder" in done.stderr
     defaults = {line.split()[0] for line in makefile.splitlines() if " ?=" in line}
     handed_on = makefile.partition("VARIABLES :=")[2].partition("\n\n")[0].split()
-    assert defaults - {"PYTHON", "VENV", "TARGET"} == {*handed_on} - {"\\"}
+    assert defaults - {"PYTHON", "VENV", "TARGET", "BFM68"} == {*handed_on} - {"\\"}
 
 
 # A new step.

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
@@ -213,7 +214,7 @@ def _figure(rows: list[dict], unit: str) -> bytes:
             label=method,
         )
     axes.set(xlabel="Yaw to either side (degrees)", ylim=(0, None))
-    axes.set_ylabel(f"MSE (10⁻³ of the {unit})")
+    axes.set_ylabel(fill(f"MSE (10⁻³ of the {unit})", 40))
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=150)

@@ -56,9 +56,12 @@ def estimate_faces(
     scheme = load_scheme(detections.scheme)
     chosen = load_model(name_for(detections.scheme, model))
     if chosen.n_landmarks != len(scheme):
+        received = f"{len(scheme)}"
+        if detections.detector is not None:
+            received += f" from {detections.detector['name']}; take another detector or model"
         raise InputError(
             f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks per "
-            f"face for the model {model}. Received {len(scheme)}."
+            f"face for the model {model}. Received {received}."
         )
     seen = np.flatnonzero(~np.isnan(detections.landmarks).all((1, 2)))
     landmarks = detections.landmarks[seen]

@@ -133,6 +133,11 @@ def target_scheme(scheme: str, model: str | None) -> str:
     """
     name = model or DEFAULT
     if name in FAMILIES:
+        if scheme not in FAMILIES[name].shipped and _lacks(scheme, FALLBACK):
+            raise InputError(
+                f"The landmarks of {scheme} need their own model (--model), unless they include "
+                f"those of {FALLBACK}. Received the model {name}."
+            )
         return scheme if scheme in FAMILIES[name].shipped else FALLBACK
     given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
     if len(given) == n_landmarks:
@@ -143,9 +148,13 @@ def target_scheme(scheme: str, model: str | None) -> str:
             f"takes no photos or videos. Received {len(given)}."
         )
     target = scheme_of(n_landmarks)
-    points = np.zeros((len(given), 2))
-    lacking = np.isnan(convert(points, scheme, target, missing="nan")).any()
-    return scheme if lacking else target
+    return scheme if _lacks(scheme, target) else target
+
+
+def _lacks(scheme: str, other: str) -> bool:
+    """Whether some landmarks of the other scheme are none of the first."""
+    points = np.zeros((len(load_scheme(scheme)), 2))
+    return bool(np.isnan(convert(points, scheme, other, missing="nan")).any())
 
 
 def name_for(scheme: str, model: str | None) -> str:

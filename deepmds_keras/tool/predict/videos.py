@@ -114,7 +114,10 @@ class Video:
                 "a path that does not exist" if missing else "a folder or device"
             )
         try:
-            with av.open(_url(self.path), options=_LOCAL, metadata_errors="replace") as opened:
+            # From 19 on PyAV reads metadata that are no UTF-8 anyway, and refuses the argument.
+            is_19 = int(av.__version__.split(".")[0]) >= 19
+            lenient = {} if is_19 else {"metadata_errors": "replace"}
+            with av.open(_url(self.path), options=_LOCAL, **lenient) as opened:
                 stream = opened.streams.best("video")
                 if stream is None or stream.codec_context is None:
                     raise self._unreadable("no pictures, or of an unknown kind")

@@ -102,6 +102,8 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
         lifter.predict_landmarks(np.zeros((51, 2)))
     with pytest.raises(InputError, match="must have 51, 68, 72, 468 or 478 .* Received 14"):
         predict_landmarks(np.load(points))
+    with pytest.raises(InputError, match="parts.csv need their own model"):
+        predict_landmarks(np.load(points), scheme=scheme)
 
 
 @pytest.mark.parametrize(
@@ -150,6 +152,8 @@ def test_it_is_evaluated_in_the_size_of_the_shapes(model, shapes, tmp_path, caps
     assert error["mean shape"] == pytest.approx(off, rel=0.3)
     assert error["lifting, exact"] < 0.02 * error["mean shape"]
     assert "mean squared coordinate of the truth" in capsys.readouterr().out
+    figure = np.asarray(Image.open(tmp_path / "errors.png").convert("L"))
+    assert figure[[0, -1]].min() == figure[:, [0, -1]].min() == 255, "a label is cut off"
     np.save(tmp_path / "few.npy", shapes[:, :12])
     with pytest.raises(InputError, match="few.npy must hold 14 landmarks"):
         evaluate(tmp_path / "few.npy", model=str(model), out=tmp_path / "few")

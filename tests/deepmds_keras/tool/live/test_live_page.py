@@ -386,6 +386,11 @@ def test_the_page_is_never_written_over_and_only_for_landmarks_that_are_found(pa
     assert not [*tmp_path.iterdir()]
 
 
+def test_the_page_says_how_many_faces_it_looks_for(page_file):
+    text = " ".join(page_file.read_text(encoding="utf-8").split())
+    assert "const MOST_FACES = 4;" in text and "up to four are drawn and kept" in text
+
+
 # With MediaPipe
 
 

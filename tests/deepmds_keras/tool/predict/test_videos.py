@@ -217,6 +217,17 @@ def test_of_a_damaged_file_there_is_what_can_be_decoded(tmp_path, suffix, damage
     assert (5 < len(list(Video(path))) < 20) if damage == "cut" else len(list(Video(path))) > 10
 
 
+def test_pyav_19_is_not_told_how_to_read_metadata(tmp_path, monkeypatch):
+    path, open_any = write_video(tmp_path / "a.mp4", counted(3)), av.open
+
+    def open_as_19(file, mode="r", format=None, options=None):
+        return open_any(file, mode, format, options)
+
+    monkeypatch.setattr(av, "__version__", "19.0.2")
+    monkeypatch.setattr(av, "open", open_as_19)
+    assert len(list(Video(path))) == 3
+
+
 @pytest.mark.parametrize("content", [b"", b"hello", PLAYLIST, b"\0\0\0\x18ftypmp42", None])
 def test_what_is_no_video_is_named(tmp_path, content):
     path = tmp_path / "a:b.mp4"
