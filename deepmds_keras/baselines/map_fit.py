@@ -22,6 +22,9 @@ _STAGES = (0.1, 0.01, 0.0)
 _STEPS = 6  # of each stage
 _LEAST_SD = 3e-4  # of exact landmarks, in parts of the radius
 _N_CAMERA = 7  # rotation, logarithm of the scale, perspective, translation
+# A step at most halves or doubles the scale: what the mean shape does not explain would shrink it
+# to nothing at once, where the equations have no solution.
+_MOST_CHANGE = np.log(2)
 
 
 @dataclass(eq=False, repr=False)
@@ -206,6 +209,7 @@ def _step(model: _Model, state: _State, views: _Views, length: np.ndarray) -> _S
     unexplained = (weighted[..., -1:] - weighted[..., :-1] @ camera).reshape(n, n_landmarks, 2, 1)
     code = (np.swapaxes(by_shape, 2, 3) @ unexplained).reshape(n, -1) @ model.basis.T
     change = length[:, None] * camera[..., 0]
+    change[:, 3] = change[:, 3].clip(-_MOST_CHANGE, _MOST_CHANGE)
     return _State(
         state.code + length[:, None] * (code - state.code),
         Rotation.from_rotvec(change[:, :3]).as_matrix() @ state.rotation,

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
+from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre_to_radius_1
 from experiments.run import Run
 from experiments.streams import Stream
@@ -21,6 +22,7 @@ OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
 METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map_learnt", "landmark_lifter")
 NOISES = (0.0, 0.02)  # s.d. of a coordinate in the view, in r.m.s. radii of the shape
 _COMMON = 0.9  # share of the shapes that must have a landmark if it is to be used
+_ROUNDS = 10  # of the alignment, after which the mean no longer turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,19 @@ def read_shapes(path: Path) -> np.ndarray:
     return centre_to_radius_1(points)
 
 
+def in_one_frame(shapes: np.ndarray, n_train: int) -> np.ndarray:
+    """Shapes turned onto the mean of the first `n_train` (generalised Procrustes, Gower 1975).
+
+    People turn in the sequences, by which most of the coordinates' variance is of their heading.
+    A view from any side does not show it.
+    """
+    mean = shapes[0]
+    for _ in range(_ROUNDS):
+        shapes = align(shapes, mean, scaling=False, reflection=False)
+        mean = shapes[:n_train].mean(0)
+    return shapes
+
+
 def views_of(run: Run, name: str, seed: int, noise: float) -> tuple[Views, Views]:
     """Training and test views of an object, orthographic, turned in any way.
 
@@ -74,11 +89,12 @@ def views_of(run: Run, name: str, seed: int, noise: float) -> tuple[Views, Views
     rng = np.random.default_rng([seed, Stream.OBJECTS, [*OBJECTS].index(name)])
     order = np.arange(len(shapes)) if name in SEQUENCES else rng.permutation(len(shapes))
     n_train = len(shapes) - round(held * len(shapes))
+    shapes = in_one_frame(shapes[order], n_train)
     n_views = run.preset.object_views
-    parts = (order[:n_train], n_views), (order[n_train:], max(1, n_views // 8))
+    parts = (shapes[:n_train], n_views), (shapes[n_train:], max(1, n_views // 8))
     seen = []
     for chosen, times in parts:
-        repeated = np.repeat(shapes[chosen], times, axis=0)
+        repeated = np.repeat(chosen, times, axis=0)
         turns = Rotation.random(len(repeated), rng).as_matrix()
         views = (repeated @ np.swapaxes(turns, 1, 2))[..., :2]
         seen.append(Views(views + noise * rng.standard_normal(views.shape), repeated))

@@ -15,7 +15,8 @@ _UNIT = 1e-3
 _NOTES = (
     "Mean squared distance of a landmark in 10⁻³ of the squared r.m.s. radius, after alignment "
     "with scale and reflection: median [lowest, highest] over seeds.",
-    "Views are orthographic and from all sides; noise is the s.d. of a coordinate in r.m.s. radii.",
+    "Shapes are first rotated onto the mean training shape, since views are from all sides.",
+    "Views are orthographic; noise is the s.d. of a coordinate in r.m.s. radii.",
     "Chairs: 220 of 920 are held out. Sequences: the last third is, with new poses.",
     "MAP knows the noise and, in place of a face model, the principal components of the training "
     "shapes. LandmarkLifter is told the noise; the others are trained with it.",

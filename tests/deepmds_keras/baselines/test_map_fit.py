@@ -65,6 +65,17 @@ def test_no_optimiser_finds_a_more_probable_shape(model, shapes, rng):
         np.testing.assert_allclose(shape, best, atol=0.02)
 
 
+def test_views_of_which_the_mean_shape_explains_nothing_are_fitted():
+    """Of a thin mean, seen from its end, the best scale is nothing."""
+    rng = np.random.default_rng(2)
+    mean, basis = 1e-3 * rng.standard_normal((L, 3)), rng.normal(0, 30, (60, L, 3))
+    mean[:, 2] = np.linspace(-1, 1, L)
+    shapes = mean + np.tensordot(rng.standard_normal((400, 60)), basis, 1)
+    turns = Rotation.random(400, rng).as_matrix()
+    views = (shapes @ np.swapaxes(turns, 1, 2))[..., :2]
+    assert np.isfinite(MapFit(mean, basis, perspective=(0, 1e-3)).predict(views)).all()
+
+
 def test_scale_place_roll_and_the_other_faces_do_not_matter(model, shapes, rng, monkeypatch):
     views = views_of(shapes, model[0], 0.1) + rng.normal(0, 0.02, (N, L, 2))
     views[:, 3] = np.nan
