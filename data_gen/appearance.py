@@ -117,7 +117,7 @@ def _cover(model: MorphableModel, open_mouths: bool) -> np.ndarray:
     """
     if "ibug68" not in model.landmarks:
         raise InputError(
-            f"{model.name} must have colours, or the landmarks ibug68 to be painted by. "
+            f"{model.name} must have colours, or the landmarks ibug68, by which to paint it. "
             "Received a model with neither."
         )
     mean = model.mean

@@ -195,7 +195,7 @@ def _known_landmarks(model: MorphableModel) -> tuple[np.ndarray, np.ndarray]:
     known = {i: vertex for i, vertex in sorted(known.items()) if i >= _N_JAW or i in _CHIN}
     if not known.keys() >= {*_OUTER_EYE_CORNERS, *_MOUTH_CORNERS}:
         raise InputError(
-            f"{model.name} must be a mesh on which the landmarks ibug68, ibug51 or bfm72 are known."
+            f"{model.name} must be a mesh with the landmarks ibug68, ibug51 or bfm72."
             f" Received one that has {', '.join(model.landmarks) or 'none'}."
         )
     return np.array([*known]), np.array([*known.values()])

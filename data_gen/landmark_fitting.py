@@ -118,7 +118,7 @@ class LandmarkFitter:
         pose = orthographic_cameras(points[None], self._mean[None])[0]
         if pose.rotation[2, 2] <= 0:
             raise InputError(
-                "points must be of a face seen from in front, x to the right and y up. "
+                "points must be a face seen from the front, x to the right and y up. "
                 "Received one seen from behind or mirrored."
             )
         noise = self._landmark_sd * pose.scale
@@ -168,8 +168,8 @@ class LandmarkFitter:
         long, narrow = np.linalg.svd(points - points.mean(0), compute_uv=False)
         if not narrow > _THINNEST * long:
             raise InputError(
-                "points must be the landmarks of a face, spread in two directions. "
-                f"Received {narrow:.3g} by {long:.3g}."
+                "points must not lie on one line. "
+                f"Received an extent of {narrow:.3g} by {long:.3g}."
             )
         return points
 

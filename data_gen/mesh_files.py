@@ -59,7 +59,7 @@ def _ply_elements(content: bytes) -> dict[str, np.ndarray]:
     header = _PLY_HEADER.match(content)
     if header is None:
         raise InputError(
-            f"must be a PLY file, binary_little_endian. Received one that begins {content[:20]!r}."
+            f"must be a PLY file, binary_little_endian. It begins with {content[:20]!r}."
         )
     elements, arrays, start = [], {}, header.end()
     for line in header[1].decode("latin1").splitlines():
@@ -74,7 +74,7 @@ def _ply_elements(content: bytes) -> dict[str, np.ndarray]:
     for name, n, properties in elements:
         row = np.dtype(properties)
         if not 0 <= n * row.itemsize <= len(content) - start:
-            raise InputError(f"must be a whole PLY file. Received less than {n} of {name}.")
+            raise InputError(f"must be a complete PLY file. Received fewer than {n} of {name}.")
         arrays[name] = np.frombuffer(content, row, n, start)
         start += n * row.itemsize
     return arrays
@@ -121,7 +121,7 @@ def _read(path: str | Path) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: must be a file that can be read. Received {error}.") from None
+        raise InputError(f"{path}: must be a readable file. Received {error}.") from None
 
 
 def _points(path: str | Path, words: list[bytes]) -> np.ndarray:

@@ -242,7 +242,7 @@ def _choose_window() -> None:
     if not windows:
         raise InputError(
             "Rendering needs the system library libEGL or libOSMesa (Debian: libegl1 with "
-            "libgl1-mesa-dri). Received a machine with neither; MOBILEFACE=no goes without."
+            "libgl1-mesa-dri). Found neither; MOBILEFACE=no does not need it."
         )
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", windows[0])
 

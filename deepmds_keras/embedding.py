@@ -142,7 +142,7 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
     off = (np.abs(matrices - np.swapaxes(matrices, 1, 2)).max((1, 2)) / largest).max()
     if off > 1e-5:
         raise InputError(
-            f"dissimilarities must be symmetric. Received differences of {off:.1e} of the largest."
+            f"dissimilarities must be symmetric. They differ by {off:.1e} of the largest."
         )
     if (matrices.min((1, 2)) < -_NEGATIVE_SHARE * largest).any():
         raise InputError(

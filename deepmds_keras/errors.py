@@ -42,7 +42,7 @@ def check_fork(library: str) -> None:
     """
     if _used_in.setdefault(library, os.getpid()) != os.getpid():
         raise InputError(
-            f"{library} must be used in a process that is no fork of one in which it was used: "
+            f"{library} cannot be used in a fork of a process that has used it: "
             "start processes by multiprocessing.get_context('spawn'). Received a fork."
         )
 
@@ -73,8 +73,7 @@ def needs(package: str, extra: str) -> Iterator[None]:
         backend = str(error.name).partition(".")[0]
         if backend in KERAS_BACKENDS:
             raise InputError(
-                "KERAS_BACKEND must be tensorflow, or jax where that is installed. "
-                f"Received {backend}."
+                f"KERAS_BACKEND must be tensorflow, or jax if installed. Received {backend}."
             ) from None
         raise MissingPackageError(
             f"{package} must be installed: from the repository, pip install '.[{extra}]'. "

@@ -80,12 +80,12 @@ def _pair(prediction, truth, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     shape = prediction.shape
     if shape != truth.shape:
         raise InputError(
-            f"prediction and truth must have one shape. Received {shape} and {truth.shape}."
+            f"prediction and truth must have the same shape. Received {shape} and {truth.shape}."
         )
     if len(shape) not in (2, 3) or shape[-1] != 3 or 0 in shape:
         raise InputError(f"prediction must have shape (n, L, 3) or (L, 3). Received {shape}.")
     if least and (len(shape) != 3 or shape[0] < least):
-        raise InputError(f"prediction must be of {least} faces or more. Received {shape}.")
+        raise InputError(f"prediction must have {least} faces or more. Received {shape}.")
     for name, array in (("prediction", prediction), ("truth", truth)):
         if not np.isfinite(array).all():
             raise InputError(f"{name} must be finite. Received NaN or infinity.")

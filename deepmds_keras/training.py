@@ -227,7 +227,7 @@ def restore_network(
         label: What is known of the run, including `"epochs"`; the data may be unknown.
 
     Raises:
-        InputError: The file is missing, damaged, of another run, or of an unfinished training.
+        InputError: The file is missing, damaged, from another run, or unfinished.
     """
     if not os.path.exists(checkpoint):
         raise InputError(f"{checkpoint} does not exist; {model.name} is not trained yet.")
@@ -237,9 +237,7 @@ def restore_network(
     _check_run(checkpoint, {name: written.get(name) for name in label}, label)
     done, epochs = len(history["train"]), label["epochs"]
     if done < epochs:
-        raise InputError(
-            f"{checkpoint} is not trained to the end. Received {done} of {epochs} epochs."
-        )
+        raise InputError(f"{checkpoint} is only partly trained: {done} of {epochs} epochs.")
     set_network_arrays(model, arrays, str(checkpoint))
     return history
 
@@ -249,7 +247,7 @@ def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
     if other:
         has, wants = ({name: run.get(name) for name in other} for run in (received, needed))
         raise InputError(
-            f"{checkpoint} is of another run; delete it to train again. "
+            f"{checkpoint} is from another run; delete it to train again. "
             f"Received {has}, needed {wants}."
         )
 

@@ -89,7 +89,7 @@ def check_faces(points, name: str, n_dimensions: int, n_landmarks: int) -> np.nd
     points = check_points(points, name, n_dimensions)
     if points.shape[1] != n_landmarks:
         raise InputError(
-            f"{name} must have {n_landmarks} landmarks a face. Received {points.shape[1]}."
+            f"{name} must have {n_landmarks} landmarks per face. Received {points.shape[1]}."
         )
     return points
 

@@ -276,8 +276,8 @@ def main() -> None:
         frames = traceback.extract_tb(error.__traceback__)
         place = next(frame for frame in frames if frame.filename.endswith(".j2"))
         sys.exit(
-            f"error: {place.filename}:{place.lineno} must be true of results/. Received numbers of "
-            f"which it is not: {place.line}"
+            f"error: {place.filename}:{place.lineno} must be true of results/. It is not: "
+            f"{place.line}"
         )
     except (KeyError, FileNotFoundError) as error:
         sys.exit(f"error: results/ must be those of make all-results. Missing: {error}.")
@@ -286,7 +286,7 @@ def main() -> None:
         print(place)
     for folder in sorted(results.of_one_seed):
         print(
-            f"note: results/{folder} is of one seed. The pages now have its error where they had "
+            f"note: results/{folder} has one seed. The pages now have its error instead of "
             "the median over ten seeds (make reproduce-bfm SEEDS=10)."
         )
 

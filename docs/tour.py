@@ -2,11 +2,11 @@
 # # The paper's method, step by step
 #
 # Deep-MDS (Kamyab and Azimifar 2022, [arXiv:2210.15200](https://arxiv.org/abs/2210.15200)) turns
-# the landmarks of one view into a 3D shape. An autoencoder makes the frontal view, a second network
-# estimates the 3D distance of every pair of landmarks, and non-metric multidimensional scaling
-# (MDS) finds points with these distances. Here it is trained on the open head, which comes with
-# this repository, with fewer faces and steps than `make reproduce-bfm`, for a few minutes on two
-# cores. `make setup` installs what it needs.
+# the landmarks of one view into a 3D shape. An autoencoder predicts the frontal view, a second
+# network estimates the 3D distance of every pair of landmarks, and non-metric multidimensional
+# scaling (MDS) finds points with these distances. Here it is trained on the open head, which comes
+# with this repository, with fewer faces and steps than `make reproduce-bfm`; this takes a few
+# minutes on two cores. `make setup` installs what it needs.
 
 # %%
 import sys
@@ -60,8 +60,8 @@ print("losses of the first and last epoch:", *np.round(losses.history["loss"], 5
 # %% [markdown]
 # ## Dissimilarity net: a pair of landmarks to its distance in 3D
 #
-# Six features of each pair in the autoencoder's view go in. The 2,556 pairs of one face are a
-# mini-batch; there are 8,000 of these, of every other face.
+# The input is six features of each pair in the autoencoder's view. The 2,556 pairs of one face are
+# a mini-batch; every other face is used, for 8,000 mini-batches.
 
 # %%
 seen = normalise(autoencoder.predict(flat, batch_size=1024, verbose=0).reshape(views.shape))
@@ -81,7 +81,7 @@ print("losses of the first and last epoch:", *np.round(losses.history["loss"], 5
 #
 # `embed` is scikit-learn's non-metric `MDS`. Distances determine neither position, rotation nor
 # mirror image, so each shape is aligned to the true one before it is scored, as in the paper. From
-# true distances MDS returns the true shape: what error remains is the networks'.
+# true distances MDS returns the true shape: the remaining error comes from the networks.
 
 # %%
 estimated = net.predict(features[test].reshape(-1, 6), batch_size=1 << 15, verbose=0)
@@ -104,8 +104,8 @@ for name, error in errors.items():
     print(f"{name:<33}{error / 1e-4:.4f} × 10⁻⁴")
 
 # %% [markdown]
-# The mean shape, which looks at no view, has less error than the method. With all faces and steps
-# that stays so (`make reproduce-bfm`).
+# The mean shape, which ignores the view, has a lower error than the method. The same holds with all
+# faces and steps (`make reproduce-bfm`).
 #
 # ## One face
 

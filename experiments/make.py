@@ -53,14 +53,14 @@ def main(arguments: list[str] | None = None) -> None:
         check_given(run)
         if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_mediapipe():
             raise InputError(
-                "MEDIAPIPE must be no where no MediaPipe is installed, which has no wheel for "
-                "Linux on ARM and for macOS on Intel. Received yes."
+                "MEDIAPIPE must be no if MediaPipe is not installed; it has no wheel for "
+                "Linux on ARM or macOS on Intel. Received yes."
             )
         draws = target == "reproduce-bfm" and "MOBILEFACE" not in left_out(variables)
         if draws and MODELS[run.model].scheme:
             raise InputError(
-                f"MOBILEFACE must be no with MODEL={run.model}, which has no mesh that could be "
-                "drawn. Received yes."
+                f"MOBILEFACE must be no with MODEL={run.model}, which has no mesh to "
+                "render. Received yes."
             )
         model_files(run.model, run.data)  # which says where to get what is missing
         snakemake = [
@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise InputError(f"{name} must be {_NEEDED[target][1]}. Received nothing.")
         if target == "scales" and run.model != "bfm68":
             raise InputError(
-                "MODEL must be bfm68, whose scale is not known. Received "
-                f"{run.model}, whose s.d. are."
+                "MODEL must be bfm68, whose scale is unknown. Received "
+                f"{run.model}, whose s.d. are known."
             )
         if target == "check":
             from experiments.scoring.verdict import check

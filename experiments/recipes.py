@@ -361,8 +361,8 @@ def ringnet_licensed(run: Run):
     """The published network, whose checkpoint was given."""
     if run.data is None:
         raise InputError(
-            "DATA= must be the folder of FLAME, on whose mesh the licensed RingNet has its "
-            "landmarks. Received none."
+            "DATA= must be FLAME's folder: the licensed RingNet has its landmarks on FLAME's "
+            "mesh. Received none."
         )
     from data_gen.models.flame import load_embedding, read_flame
     from data_gen.models.registry import find_model

@@ -81,13 +81,12 @@ def read_record(path: Path) -> dict:
         record = json.loads(path.read_text(encoding="utf-8"))
         whole = record.pop(_CHECKSUM) == _checksum(record)
     except FileNotFoundError:
-        raise InputError(f"{path} not found: the record of a step that is done.") from None
+        raise InputError(f"{path} not found: the record of a finished step.") from None
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError):
         whole = False
     if not whole:
         raise InputError(
-            f"{path} must be a record as it was written. Received another text; delete it and run "
-            "again."
+            f"{path} must be an unchanged record. Received other text; delete it and run again."
         )
     return record
 
@@ -213,7 +212,7 @@ def read_manifest(folder: Path) -> dict:
     except ValueError:
         manifest = None
     if not isinstance(manifest, dict):
-        raise InputError(f"{path} must be a JSON object. Received another text.")
+        raise InputError(f"{path} must be a JSON object. Received other text.")
     return manifest
 
 

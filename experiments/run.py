@@ -162,7 +162,7 @@ class Run:
             # Its expressions have no names by which a substitute could be made.
             raise InputError(
                 f"{dataset.upper()}= must be the folder of {_DATASETS[dataset]}, or DATA= must "
-                f"hold one that begins with {dataset}. Received neither."
+                f"have a subfolder whose name begins with {dataset}. Received neither."
             )
         return None if folder is None else Path(folder)
 
@@ -236,26 +236,25 @@ def run_of(values: dict) -> Run:
     for name in _PATHS[:-2]:
         if given[name] and not Path(given[name]).exists():
             raise InputError(
-                f"{name.upper()} must be a file or folder. Received {given[name]}, which does not "
-                "exist."
+                f"{name.upper()} must be a file or folder. {given[name]} does not exist."
             )
     for name in ("coma", "casia", "celeba") if given["data"] else ():
         given[name] = given[name] or _within(Path(given["data"]), name)
     run = Run(**given)
     if not 0 < run.bfm_scale < np.inf or run.bfm_scale != 1 and run.model != "bfm68":
         raise InputError(
-            "BFM_SCALE must be a positive number, and 1 but for MODEL=bfm68. "
+            "BFM_SCALE must be a positive number, and 1 unless MODEL=bfm68. "
             f"Received {run.bfm_scale:g} with MODEL={run.model}."
         )
     if MODELS[run.model].scheme and (run.track != "bfm" or run.authors):
         raise InputError(
-            f"MODEL={run.model} must be used for the BFM track, without AUTHORS: it has other "
-            f"landmarks than the released networks, and no mesh. Received the track {run.track}."
+            f"MODEL={run.model} works only on the BFM track, without AUTHORS: its landmarks differ "
+            f"from the released networks', and it has no mesh. Received the track {run.track}."
         )
     if run.track != "bfm" and run.evaluator != "paper":
         raise InputError(
-            "EVALUATOR must be paper but for the BFM track: no script of the authors scores "
-            f"another. Received {run.evaluator}."
+            "EVALUATOR must be paper except on the BFM track: the authors have no script that "
+            f"scores another. Received {run.evaluator}."
         )
     if run.model == "openhead" and run.data and Path(run.data).is_file():
         raise InputError(

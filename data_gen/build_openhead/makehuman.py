@@ -37,7 +37,7 @@ def download_wheel(wheel: str, folder: Path) -> Path:
     try:
         subprocess.run([*command, "--quiet", "--dest", str(folder), wheel], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise InputError(f"{wheel} must be within pip's reach. Received: {error}") from None
+        raise InputError(f"{wheel} must be available to pip. Received: {error}") from None
     return next(folder.glob("*.whl"))
 
 

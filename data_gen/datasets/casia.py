@@ -91,7 +91,7 @@ def find_scans(root: str | Path, report: Callable[[str], object] = print) -> lis
         raise InputError(
             f"{root}: must hold CASIA-3D FaceV1: 3D-Face-WRL/001/001-001.wrl and "
             "3D-Face-BMP/001/001-001.bmp, in folders of any depth. "
-            f"Received {len(clouds)} scans and {len(images)} images, no two of one name."
+            f"Received {len(clouds)} scans and {len(images)} images, with no name in common."
         )
     for what, paths, missing in (("scans", clouds, "image"), ("images", images, "scan")):
         alone = sorted(paths.keys() - {*names})
@@ -107,7 +107,7 @@ def write_index(path: str | Path, scans: Iterable[CasiaScan]) -> None:
         InputError: The file exists, and a user may have edited it.
     """
     if Path(path).exists():
-        raise InputError(f"{path}: must not exist yet; delete it to have it written again.")
+        raise InputError(f"{path}: already exists; delete it to have it written again.")
     rows = (f"{scan.name[:3]},{int(scan.name[4:])},yes,\n" for scan in scans)
     write_bytes(Path(path), "".join([_COMMENTS, ",".join(_COLUMNS), "\n", *rows]).encode())
 
@@ -137,14 +137,14 @@ def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
         name = f"{subject.zfill(3)}-{number.zfill(3)}"
         if name not in unlisted or use.lower() not in _USE:
             raise InputError(
-                f"{path}: must list scans that exist, each once, and for use yes, no, 1 or 0. "
+                f"{path}: must list existing scans, each once, with use yes, no, 1 or 0. "
                 f"Received {brief(name)} and {brief(repr(use))}."
             )
         scan = unlisted.pop(name)
         if _USE[use.lower()]:
             chosen.append(replace(scan, condition=condition))
     if not chosen:
-        raise InputError(f"{path}: must use at least one scan. Received none to use.")
+        raise InputError(f"{path}: must use at least one scan. Received none.")
     return sorted(chosen, key=lambda scan: scan.name)
 
 

@@ -102,7 +102,7 @@ def _read_chunk(paths: list[Path], embedding: LandmarkEmbedding) -> list[np.ndar
             if distance > _MAX_DISTANCE:
                 raise InputError(
                     "must be a mesh of FLAME in metres, with FLAME's triangles in FLAME's order. "
-                    f"Received one whose landmarks are {distance:.0f} mm from those of a face."
+                    f"Received one with landmarks {distance:.0f} mm from those of a face."
                 )
             frames.append(np.float32(landmarks))
         except InputError as error:

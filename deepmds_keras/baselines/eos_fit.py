@@ -35,7 +35,7 @@ def surrey_files(path: str | Path) -> list[Path]:
     files = [folder / name for name in (_FILE, _BLENDSHAPES, _MAPPING, _TOPOLOGY, _CONTOUR)]
     for file in files:
         if not file.is_file():
-            raise InputError(f"{folder} must hold {file.name}, of eos's folder share. It does not.")
+            raise InputError(f"{folder} must hold {file.name}, from eos's folder share. Not found.")
     return files
 
 
@@ -62,7 +62,7 @@ def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
         mapper = core.LandmarkMapper(str(folder / _MAPPING))
         return folder, shape, blendshapes, mapper, [int(mapper.convert(str(n))) for n in NUMBERS]
     except (RuntimeError, MemoryError, ValueError, TypeError) as error:
-        raise InputError(f"{folder} must hold eos's files, whole. {brief(error)}.") from None
+        raise InputError(f"{folder} must hold eos's files, undamaged. {brief(error)}.") from None
 
 
 class EosFit:

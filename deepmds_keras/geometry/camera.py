@@ -164,8 +164,8 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
     pose = head_poses(view, shape)[0]
     if pose.rotation[2, 2] <= 0:
         raise InputError(
-            "view must show the face from in front, x to the right and y up. "
-            "Received one that is mirrored, or seen from behind."
+            "view must show the face from the front, x to the right and y up. "
+            "Received a face that is mirrored or seen from behind."
         )
     return pose
 

@@ -57,7 +57,7 @@ def load_scheme(name: str | Path) -> LandmarkScheme:
         return _unnamed(name, int(match[1]))
     if name not in schemes:
         raise InputError(
-            f"scheme must be one of {', '.join(schemes)}, or a table of your own (CSV). "
+            f"scheme must be one of {', '.join(schemes)}, or your own table (CSV). "
             f"Received {name!r}."
         )
     return schemes[name]

@@ -41,7 +41,7 @@ def as_faces(points: ArrayLike, name: str, sizes: Collection[int] | None = None)
     if isinstance(points, (list, tuple)):
         points = _without_none(points)
         if points is None:
-            raise InputError(f"{name} must hold landmarks. Received nothing but null.")
+            raise InputError(f"{name} must hold landmarks. Received only null.")
     array = as_numbers(points, name)
     sizes = face_sizes() if sizes is None else sizes
     if array.ndim in (2, 3) and array.shape[-1] in sizes and array.shape[-2] in (2, 3):

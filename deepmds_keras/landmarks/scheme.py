@@ -112,21 +112,20 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
         lines = [_line(row["landmarks"]) for row in _rows(path, "_polylines")]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path} must have the columns number and name, and perhaps mirror and group, and its "
-            "table of polylines landmarks, such as 1-2-3. "
+            f"{path} must have the columns number and name, optionally mirror and group, and its "
+            "table of polylines the column landmarks, with values such as 1-2-3. "
             f"Received {type(error).__name__}: {brief(error)}."
         ) from None
     if not rows or numbers != [*range(numbers[0], numbers[0] + len(rows))]:
         raise InputError(
-            f"{path} must have landmarks whose numbers count up by one. "
-            f"Received {brief(numbers, 40)}."
+            f"{path} must have landmarks with consecutive numbers. Received {brief(numbers, 40)}."
         )
     if not all(names) or len({*names}) < len(names):
-        raise InputError(f"{path} must give each landmark a name of its own. It does not.")
+        raise InputError(f"{path} must give each landmark a different name. Received a name twice.")
     for number, mirror in mirrors.items():
         if mirrors.get(mirror) != number:
             raise InputError(
-                f"{path} must have pairs of landmarks in the column mirror, each the other's. "
+                f"{path} must pair landmarks in the column mirror, each with the other. "
                 f"Received {mirror} for landmark {number}, and {mirrors.get(mirror)} for {mirror}."
             )
     unknown = {number for line in lines for number in line} - {*numbers}

@@ -22,10 +22,10 @@ _ROTATED = (
     "eyes lie below the mouth, the right eye to the right."
 )
 _EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
-_PASS_Y_UP = "y must grow downwards; pass --y-up if it grows upwards."
-_NEGATE_Y = "y must grow upwards; negate it where it grows downwards, as in images."
+_PASS_Y_UP = "y must point down; pass --y-up if it points up."
+_NEGATE_Y = "y must point up; negate it if it points down, as in images."
 _MIRRORED = (
-    "x must grow to the right, and right and left be the subject's; mirror x, or swap right and "
+    "x must point right, and right and left be the subject's; mirror x, or swap right and "
     "left landmarks. Received a mirrored face."
 )
 

@@ -150,8 +150,8 @@ class LandmarkLifter:
         if callable(views):
             if shapes is not None or landmark_sd is not None:
                 raise InputError(
-                    "shapes and landmark_sd must be left out where views is a function, which "
-                    "returns them. Received one of them."
+                    "shapes and landmark_sd must be omitted if views is a function, which returns "
+                    "them. Received one of them."
                 )
             faces = sampled_faces(views, self.n_landmarks, self.missing, self.noise, self.seed)
         else:

@@ -71,8 +71,8 @@ def find_faces(
     statuses = dict(Counter(_brief(status) for status in table["status"]))
     if USED not in statuses:
         raise InputError(
-            f"At least one {kind} must give a test face. Received {len(table['status'])}, of "
-            "which: " + "; ".join(f"{count} {status}" for status, count in statuses.items())
+            f"At least one {kind} must give a test face. Received {len(table['status'])}: "
+            + "; ".join(f"{count} {status}" for status, count in statuses.items())
         )
     files = image_files(run, "test", statuses[USED])
     images = chain.from_iterable(np.load(_images_file(pieces, k)) for k in range(len(sizes)))

@@ -15,12 +15,11 @@ _UNIT = 1e-3
 _NOTES = (
     "Mean squared distance of a landmark in 10⁻³ of the squared r.m.s. radius, after alignment "
     "with scale and reflection: median [lowest, highest] over seeds.",
-    "Shapes are first turned onto the mean of those of the training, since views are from all "
-    "sides.",
+    "Shapes are first rotated onto the mean training shape, since views are from all sides.",
     "Views are orthographic; noise is the s.d. of a coordinate in r.m.s. radii.",
-    "Chairs: 220 of 920 are held out. Sequences: the last third is, with poses of its own.",
+    "Chairs: 220 of 920 are held out. Sequences: the last third is, with new poses.",
     "MAP knows the noise and, in place of a face model, the principal components of the training "
-    "shapes. LandmarkLifter is told the noise, which the others are trained with.",
+    "shapes. LandmarkLifter is told the noise; the others are trained with it.",
 )
 
 

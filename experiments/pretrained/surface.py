@@ -37,7 +37,7 @@ def main(run: Run) -> dict:
     if missing:
         raise InputError(
             f"DATA must be a folder with {', '.join(missing)}, see docs/data.md: the table has "
-            f"rows of both open face models. Received {run.data or 'nothing'}."
+            f"rows for both open face models. Received {run.data or 'nothing'}."
         )
     write_surface(FILE)
     table = pd.DataFrame(

@@ -38,7 +38,7 @@ RESULTS = {
     "parameters": ("Parameters and time", "reproduce-bfm"),
     "ablation": ("Ablation", "ablation"),
     "seeds": ("Seed variance", "seeds"),
-    "rounding": ("The same seed, rounded otherwise", ""),  # its step is gone, its results stay
+    "rounding": ("The same seed with different rounding", ""),  # its step is gone, its results stay
     "stream": ("Many faces: the tails of the errors", "stream"),
     "pretrained": ("The weights that ship with the package", "pretrained"),
     "real": ("Real faces by two detectors", "real-faces"),

@@ -147,7 +147,7 @@ def check(run: Run) -> None:
     """
     if run.preset.caution:
         raise InputError(
-            "PRESET must be full: no table of another size is committed to compare with. Received "
+            "PRESET must be full: no table of another size is committed for comparison. Received "
             f"{run.preset.name}."
         )
     fresh, committed = _fresh(run), _committed(run)
@@ -155,7 +155,7 @@ def check(run: Run) -> None:
         raise InputError(f"{_table(run)} not found in git's last commit.")
     if fresh == committed:  # times and all
         raise InputError(
-            f"{_table(run)} must be of a run of yours. Received the committed one: run "
+            f"{_table(run)} must come from your own run. Received the committed one: run "
             f"make reproduce-{run.track} first."
         )
     here, there = _errors(fresh), _errors(committed)

@@ -35,7 +35,7 @@ def wilcoxon_table(values: dict[str, np.ndarray]) -> pd.DataFrame:
             )
     if len({len(array) for array in arrays.values()}) > 1:
         lengths = ", ".join(f"{method} {len(array)}" for method, array in arrays.items())
-        raise InputError(f"values must be as many for every method. Received {lengths}.")
+        raise InputError(f"every method must have the same number of values. Received {lengths}.")
     columns = ("method_a", "method_b", "n", "statistic", "p_value", "p_value_normal")
     pairs = combinations(arrays, 2)
     rows = [(a, b, len(arrays[a]), *_signed_rank(arrays[a] - arrays[b])) for a, b in pairs]

@@ -129,8 +129,8 @@ def test_points_that_cannot_be_a_face_are_refused(model, fitter):
     for points, message in (
         (missing, r"\(51, 2\) finite numbers. Received \(51, 2\), 101 of them finite"),
         (pixels[:-1], r"must be \(51, 2\) finite numbers. Received \(50, 2\)"),
-        (np.ones((51, 2)), "spread in two directions. Received 0 by 0"),
-        (pixels * (1, -1), "seen from in front, x to the right and y up"),
+        (np.ones((51, 2)), "not lie on one line. Received an extent of 0 by 0"),
+        (pixels * (1, -1), "seen from the front, x to the right and y up"),
         (pixels * (-1, 1), "seen from behind or mirrored"),
     ):
         with pytest.raises(InputError, match=message):

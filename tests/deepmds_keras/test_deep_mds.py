@@ -62,7 +62,7 @@ def test_the_score_is_the_share_of_the_variance_explained(shipped, faces):
 
 def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped, faces):
     views = faces.views[:3] * [1, -1]
-    with pytest.raises(InputError, match="y must grow upwards.*check_orientation"):
+    with pytest.raises(InputError, match="y must point up.*check_orientation"):
         shipped.predict(views)
     assert np.isfinite(shipped.predict(views, check_orientation=False)).all()
 
@@ -115,10 +115,10 @@ def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        ({"autoencoder_epochs": 3}, "autoencoder-constant.npz is of another run; delete it"),
-        ({"dissimilarity_steps": 10}, "dissimilarity-paper-constant.npz is of another run"),
+        ({"autoencoder_epochs": 3}, "autoencoder-constant.npz is from another run; delete it"),
+        ({"dissimilarity_steps": 10}, "dissimilarity-paper-constant.npz is from another run"),
         ({"schedule": "cosine"}, "autoencoder-cosine.npz does not exist"),
-        ({"n_landmarks": 7}, "is of another run"),
+        ({"n_landmarks": 7}, "is from another run"),
     ],
 )
 def test_only_what_this_model_would_have_trained_is_restored(small, parameters, problem):
@@ -214,7 +214,7 @@ def test_impossible_numbers_of_landmarks_are_refused(n_landmarks):
 
 def test_bad_input_is_named(shipped, faces):
     views = faces.views[:4].copy()
-    with pytest.raises(InputError, match="views must have 72 landmarks a face. Received 71"):
+    with pytest.raises(InputError, match="views must have 72 landmarks per face. Received 71"):
         shipped.predict(views[:, 1:])
     views[1, 5] = np.nan
     with pytest.raises(InputError, match="NaN or infinity in face 1"):

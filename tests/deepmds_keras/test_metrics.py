@@ -53,7 +53,7 @@ def test_the_truth_explains_everything_and_the_mean_nothing(faces):
 @pytest.mark.parametrize(
     ("prediction", "truth", "message"),
     [
-        (np.ones((7, 5, 3)), np.ones((7, 12, 3)), r"must have one shape. Received \(7, 5"),
+        (np.ones((7, 5, 3)), np.ones((7, 12, 3)), r"must have the same shape. Received \(7, 5"),
         (np.ones((7, 12, 2)), np.ones((7, 12, 2)), r"prediction must have shape .*\(7, 12, 2\)"),
         (np.ones((7, 12, 3)), np.full((7, 12, 3), np.nan), "truth must be finite. Received NaN"),
         (np.ones((1, 12, 3)), np.full((1, 12, 3), np.inf), "2 faces or more. Received|truth must"),

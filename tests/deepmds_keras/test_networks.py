@@ -139,7 +139,9 @@ def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, tmp_path
         ((faces[0], faces[1] * 0.99), recipe, 0, "data"),
     )
     for data, other, seed, name in others:  # as many faces of other data were taken for the same
-        with pytest.raises(InputError, match=f"is of another run; delete it.* Received .'{name}'"):
+        with pytest.raises(
+            InputError, match=f"is from another run; delete it.* Received .'{name}'"
+        ):
             autoencoder(data, other, checkpoint=path, seed=seed)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError, match="checkpoint.npz must be an npz written by save"):

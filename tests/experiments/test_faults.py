@@ -221,5 +221,5 @@ def test_every_changed_byte_is_reported_or_changes_nothing(whole_bfm, tmp_path):
 def test_what_is_no_record_is_named(tmp_path, text):
     path = tmp_path / "faces.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"faces\.json must be a record as it was written"):
+    with pytest.raises(InputError, match=r"faces\.json must be an unchanged record"):
         read_record(path)

@@ -212,7 +212,7 @@ def test_folders_may_have_spaces(tmp_path):
         ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
         ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
         ("reproduce-bfm", ["JOBS=0"], "JOBS must be at least 1, or -1"),
-        ("scales", [], "MODEL must be bfm68, whose scale is not known. Received openhead"),
+        ("scales", [], "MODEL must be bfm68, whose scale is unknown. Received openhead"),
         ("reproduce-flame", ["RINGNET=ja"], "RINGNET must be yes, no or the path"),
         ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file of bfm2009"),
         ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),
@@ -250,7 +250,7 @@ def test_without_mediapipe_its_row_must_be_left_out(tmp_path, monkeypatch, capsy
     monkeypatch.setattr(make, "_planned", lambda command: "")
     with pytest.raises(SystemExit):
         make.main(["reproduce-flame", "DRY=1"])
-    assert capsys.readouterr().err.startswith("error: MEDIAPIPE must be no where no MediaPipe")
+    assert capsys.readouterr().err.startswith("error: MEDIAPIPE must be no if MediaPipe")
     make.main(["reproduce-flame", "DRY=1", "MEDIAPIPE=no"])
     make.main(["reproduce-bfm", "DRY=1"])
     assert capsys.readouterr() == (2 * "Nothing is to be done.\n", "")
@@ -361,7 +361,7 @@ def test_a_changed_record_is_not_read(tmp_path):
     write_record(path, {"seconds": 1.0, "rows": [[1, "a"]]})
     assert read_record(path) == {"seconds": 1.0, "rows": [[1, "a"]]}
     path.write_text(path.read_text().replace("1.0", "2.0"))
-    with pytest.raises(ValueError, match=r"faces\.json must be a record as it was written"):
+    with pytest.raises(ValueError, match=r"faces\.json must be an unchanged record"):
         read_record(path)
 
 

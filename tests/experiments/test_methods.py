@@ -49,7 +49,7 @@ def test_predictions_take_faces_whichever_way_up(whole_bfm, monkeypatch):
     run = Run(preset=TINY, jobs=1)
     turned = load_faces(run, "test").views * (1, -1)
     lifter = load(run, "landmark_lifter")
-    with pytest.raises(InputError, match="y must grow upwards"):
+    with pytest.raises(InputError, match="y must point up"):
         lifter.predict(turned)
     assert np.isfinite(predict(lifter, turned)).all()
     assert np.isfinite(predict(load(run, "mean_shape"), turned)).all()

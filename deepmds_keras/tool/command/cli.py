@@ -24,7 +24,7 @@ landmarks from files. Shapes face the front: +x to the subject's left, +y up, +z
 face. A single view does not show the true size: --interocular sets it."""
 _LISTED_FAULTS = 10  # of one source
 _SCHEME = (
-    "order and names of the landmarks: a scheme by name, or a table (csv) of your own "
+    "order and names of the landmarks: a scheme by name, or your own table (csv) "
     "(default: by their number)"
 )
 _ANGLES = {
@@ -87,41 +87,40 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add(
         "--landmarker",
         metavar="FILE",
-        help="file of a face landmarker (.task) of MediaPipe's (default: the one in the package)",
+        help="MediaPipe face landmarker (.task) (default: the one in the package)",
     )
-    add("--y-up", action="store_true", help="y grows upwards in files of landmarks")
+    add("--y-up", action="store_true", help="y points up in landmark files")
     add("--scheme", metavar="NAME|FILE", help=_SCHEME)
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
-        help="x and y in files of landmarks are fractions of an image of this size, as from "
+        help="x and y in landmark files are fractions of an image of this size, as from "
         "MediaPipe")  # fmt: skip
     add("--smooth", type=_smooth, default=0.0, metavar="FRAMES|causal",
-        help="smooth each face of a video over time by a Gaussian of this standard deviation, or "
-        "from earlier frames only (causal), but not over gaps; the rows of a file of landmarks are "
-        f"frames of one face, for causal {RATE} a second")  # fmt: skip
+        help="smooth each face of a video over time with a Gaussian of this standard deviation, or "
+        "from earlier frames only (causal), but not across gaps; the rows of a landmark file count "
+        f"as frames of one face, for causal at {RATE} a second")  # fmt: skip
     add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
-        help="use every N-th frame of a video (default: 1)")  # fmt: skip
+        help="use every Nth frame of a video (default: 1)")  # fmt: skip
     add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
         help="distance between the outer corners of the eyes; results are then in mm")  # fmt: skip
     add("--model", metavar="NAME|FILE",
-        help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file of "
+        help=f"{' or '.join(FAMILIES)}, shipped weights by name, or a file from "
         f"LandmarkLifter.save() or DeepMDS.save() (default: {DEFAULT})")  # fmt: skip
     add("--jobs", type=_number(0, "1 or more, or -1", int), default=-1, metavar="N",
         help="number of processes (default: one per core)")  # fmt: skip
     live = commands.add_parser(
         "live",
-        help="write a page that shows faces of a camera in 3D",
-        description="Writes one HTML file of 7 MB that finds the faces of a camera, photo or video "
-        "by MediaPipe and shows them in 3D, in a browser, without a network. To write it, "
-        "MediaPipe's package for browsers is downloaded from registry.npmjs.org (10 MB), unless it "
-        "is given.",
+        help="write a page that shows faces from a camera in 3D",
+        description="Writes one HTML file of 7 MB that finds faces from a camera, photo or video "
+        "with MediaPipe and shows them in 3D, in a browser, without a network. To write it, "
+        "MediaPipe's browser package is downloaded from registry.npmjs.org (10 MB), unless given.",
     )
     add = live.add_argument
     add("path", type=Path, metavar="OUT", help="new file, such as live.html")
     add("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
-        help="weights of a lifter for 51 landmarks: shipped ones, or a file of "
+        help="weights of a lifter for 51 landmarks: shipped ones, or a file from "
         "LandmarkLifter.save() (default: %(default)s)")  # fmt: skip
     add("--tasks-vision", type=Path, metavar="FILE|DIR",
-        help="that package, as npm pack writes it, or its folder")  # fmt: skip
+        help="that package as downloaded by npm pack, or its unpacked folder")  # fmt: skip
     export = commands.add_parser(
         "export",
         help="write a lifter as an ONNX model",
@@ -130,13 +129,13 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     export.add_argument("out", type=Path, metavar="OUT", help="new file, such as model.onnx")
     export.add_argument("--model", default=FAMILIES[DEFAULT].shipped[FALLBACK], metavar="NAME|FILE",
-        help="shipped weights of a lifter, or a file of LandmarkLifter.save() (default: "
+        help="shipped weights of a lifter, or a file from LandmarkLifter.save() (default: "
         "%(default)s)")  # fmt: skip
     export.add_argument("--scheme", metavar="NAME|FILE", help=_SCHEME)
     _add_train(commands)
     evaluate = commands.add_parser(
         "evaluate",
-        help="errors of lifting on your true 3D landmarks",
+        help="score lifting on your own true 3D landmarks",
         description="Lifts the x and y of true 3D landmarks and scores the shapes against them, by "
         "yaw, next to the mean shape and eos. Writes a table and a figure.",
     )
@@ -146,9 +145,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         "landmark per row; faces as the camera sees them")  # fmt: skip
     add("--landmarks", metavar="FILE",
         help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
-    add("--y-up", action="store_true", help="y grows upwards in that file")
+    add("--y-up", action="store_true", help="y points up in that file")
     add("--model", metavar="FILE",
-        help="a file of LandmarkLifter.save(), of a face or other objects (default: the shipped "
+        help="a file from LandmarkLifter.save(), for faces or other objects (default: the shipped "
         "weights)")  # fmt: skip
     add("--eos", metavar="DIR",
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
@@ -164,10 +163,10 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 def _add_train(commands: argparse._SubParsersAction) -> None:
     train = commands.add_parser(
         "train",
-        help="a lifter of other objects from their 3D shapes",
+        help="train a lifter for other objects on their 3D shapes",
         description="Trains a lifter on random views of given shapes and reports its error on "
-        "shapes that it has not seen, beside the mean shape and ridge regression. The same command "
-        "resumes a stopped training. It needs pip install '.[keras]', from the repository.",
+        "held-out shapes, next to the mean shape and ridge regression. The same command resumes an "
+        "interrupted training run. It needs pip install '.[keras]', from the repository.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = train.add_argument
@@ -180,13 +179,13 @@ def _add_train(commands: argparse._SubParsersAction) -> None:
         option = f"--{name.replace('_', '-')}"
         add(option, type=number, default=default, metavar="DEGREES", help=help_text)
     add("--noise", type=_number(-1e-300, "a number, not negative"), default=0.05, metavar="SD",
-        help="largest errors of the landmarks, in r.m.s. radii of a view")  # fmt: skip
+        help="largest s.d. of the landmark noise, in r.m.s. radii of a view")  # fmt: skip
     add("--missing", type=_number(-1e-300, "a number, not negative"), default=0.2, metavar="SHARE",
-        help="largest share of landmarks that are hidden")  # fmt: skip
+        help="largest share of hidden landmarks")  # fmt: skip
     add("--steps", type=_number(0, "1 or more", int), default=4000, metavar="N",
         help="number of mini-batches")  # fmt: skip
     add("--seed", type=_number(-1, "0 or more", int), default=0, metavar="N",
-        help="of everything that is random")  # fmt: skip
+        help="seed of everything that is random")  # fmt: skip
 
 
 def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:

@@ -71,7 +71,7 @@ def evaluate(
     files = [out / "errors.csv", out / "errors.png"]
     for file in files if not overwrite else ():
         if file.exists():
-            raise InputError(f"{file} must be a new file, or --overwrite given. It exists.")
+            raise InputError(f"{file} already exists; choose another --out or pass --overwrite.")
     lifter = None if model is None else LandmarkLifter.load(weights_path(model))
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
     scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
@@ -84,12 +84,12 @@ def evaluate(
         views = read_landmarks(landmarks, y_up=y_up, scheme=scheme) * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(
-                f"{landmarks} must have {shapes.shape[1]} landmarks of {len(shapes)} faces, as "
-                f"{truth}. Received {views.shape[1]} of {len(views)}."
+                f"{landmarks} must have {shapes.shape[1]} landmarks for {len(shapes)} faces, like "
+                f"{truth}. Received {views.shape[1]} for {len(views)}."
             )
         for face in np.flatnonzero(np.isnan(views).all((1, 2))).tolist():
             raise InputError(
-                f"{landmarks} must have landmarks of each face. Received none of face {face + 1}: "
+                f"{landmarks} must have landmarks of each face. Received none for face {face + 1}: "
                 "leave it out of both files."
             )
     predicted = {"lifting": lifter.predict(views, check_orientation=is_face)}
@@ -129,7 +129,7 @@ def read_truth(path: str | Path, sizes: tuple[int, ...] = _SIZES) -> np.ndarray:
         shapes = as_faces(map_npy(path), str(path), sizes)
     if not len(shapes) or shapes.shape[1] not in sizes or shapes.shape[2] != 3:
         raise InputError(
-            f"{path} must hold {said_sizes(sizes)} landmarks of x, y and z a face, (n, L, 3). "
+            f"{path} must hold {said_sizes(sizes)} landmarks (x, y, z) per face, (n, L, 3). "
             f"Received shape {shapes.shape}."
         )
     if not np.isfinite(shapes).all():

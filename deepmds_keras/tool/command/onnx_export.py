@@ -52,7 +52,7 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
             onnx is not installed, or the file exists or cannot be written.
     """
     if Path(path).exists():
-        raise InputError(f"{path} must be the name of a new file. Received one that exists.")
+        raise InputError(f"{path} must be a new file. It already exists.")
     lifter, weights = open_lifter(model)
     described = load_scheme(given_scheme(scheme, model) or scheme_of(lifter.n_landmarks))
     if len(described) != lifter.n_landmarks:

@@ -80,7 +80,7 @@ def run(
         print(f"skipped: {printable(list_skipped(skipped))}")
     _note_without_effect(paths, settings)
     if out.resolve() in {folder.resolve() for folder in {path.parent for path in paths}}:
-        raise InputError(f"{out} must not be a folder of sources. Name another (--out).")
+        raise InputError(f"{out} must not be a folder of sources. Choose another (--out).")
     named = [*zip(paths, name_sources(paths), strict=True)]
     described = {name: describe_run(path, settings) for path, name in named}
     records = read_records(out)
@@ -170,8 +170,8 @@ def _locked(out: Path) -> Iterator[Path]:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
-                f"{out} must not be in use by another run. Wait until that has ended, or name "
-                "another folder (--out)."
+                f"{out} is in use by another run. Wait until it has ended, or choose another "
+                "folder (--out)."
             ) from None
         for left in out.glob(f"{_HIDDEN}*.partial"):  # of a run that was killed
             shutil.rmtree(left, ignore_errors=True)

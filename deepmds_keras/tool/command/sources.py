@@ -123,7 +123,7 @@ def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str
     if not photos and len(errors) == before:
         raise InputError(
             f"{folder} must hold photos ({', '.join(PHOTO_SUFFIXES)}). Received none; name videos "
-            "and files of landmarks one by one."
+            "and landmark files one by one."
         )
     return photos
 
@@ -131,9 +131,7 @@ def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str
 def _checked(name: str | Path) -> Path:
     path = Path(name)
     kinds = f"photo ({', '.join(PHOTO_SUFFIXES)}), a folder of photos, a video "
-    kinds += (
-        f"({', '.join(VIDEO_SUFFIXES)}) or a file of landmarks ({', '.join(LANDMARK_SUFFIXES)})"
-    )
+    kinds += f"({', '.join(VIDEO_SUFFIXES)}) or a landmark file ({', '.join(LANDMARK_SUFFIXES)})"
     if not str(name):
         raise InputError(f"a source must be the name of a {kinds}. Received an empty name.")
     if not os.path.exists(path):

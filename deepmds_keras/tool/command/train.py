@@ -61,7 +61,7 @@ def train(
     out = Path(out)
     if out.suffix != ".npz" or out.exists():
         received = "one that exists" if out.exists() else f"the suffix {out.suffix!r}"
-        raise InputError(f"{out} must be the name of a new file, .npz. Received {received}.")
+        raise InputError(f"{out} must be a new file, .npz. Received {received}.")
     shapes = _read_shapes(Path(source))
     order = np.random.default_rng([seed, Stream.SHAPES_HELD_OUT]).permutation(len(shapes))
     n_held_out = len(shapes) // _HELD_OUT
@@ -100,7 +100,7 @@ def _read_shapes(path: Path) -> np.ndarray:
     shapes = map_npy(path)
     if shapes.ndim != 3 or shapes.shape[1] < LEAST_VISIBLE or shapes.shape[2] != 3:
         raise InputError(
-            f"{path} must hold shapes (n, L, 3), of {LEAST_VISIBLE} landmarks or more. "
+            f"{path} must hold shapes (n, L, 3) with {LEAST_VISIBLE} landmarks or more. "
             f"Received {shapes.shape}."
         )
     shapes = np.unique(check_points(shapes, f"{path}:", 3), axis=0)

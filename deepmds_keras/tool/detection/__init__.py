@@ -132,7 +132,7 @@ def _open_mediapipe(landmarker: str | None) -> Find:
 def _open_dlib(landmarker: str | None) -> Find:
     if landmarker is not None:
         raise InputError(
-            f"--landmarker {landmarker} goes with --detector mediapipe. Received --detector dlib."
+            f"--landmarker {landmarker} needs --detector mediapipe. Received --detector dlib."
         )
     detector = dlib_landmarks.shared_detector()
 

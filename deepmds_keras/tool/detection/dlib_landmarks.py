@@ -40,8 +40,8 @@ def find_shape_predictor() -> Path:
         if (folder / _FILE).is_file():
             return folder / _FILE
     raise InputError(
-        f"{_FILE} must be on this machine: install it with pip install {_PACKAGE}, or on Debian "
-        "and Ubuntu with apt install libdlib-data. Received neither."
+        f"{_FILE} not found: install it with pip install {_PACKAGE}, or on Debian and Ubuntu with "
+        "apt install libdlib-data."
     )
 
 
@@ -65,7 +65,7 @@ class DlibLandmarks:
         try:
             self._predict = dlib.shape_predictor(str(file))
         except (RuntimeError, MemoryError) as error:
-            raise InputError(f"{file} must be whole. Received: {brief(error)}") from None
+            raise InputError(f"{file} must be undamaged. Received: {brief(error)}") from None
         self._rectangle = dlib.rectangle
         self._find_faces = dlib.get_frontal_face_detector()
 

@@ -142,7 +142,7 @@ class MediaPipeLandmarks:
 
     def _no_landmarker(self, received: str) -> InputError:
         return InputError(
-            f"{self._path} must be a face landmarker of MediaPipe's. Received: {received}."
+            f"{self._path} must be a MediaPipe face landmarker. Received: {received}."
         )
 
 
@@ -212,7 +212,7 @@ def _no_mediapipe(error: Exception) -> InputError:
         received = "no MediaPipe"
     return InputError(
         "MediaPipe 0.10.30 or later must be installed: from the repository, pip install "
-        f"'.[mediapipe]'; or take --detector dlib. Received {received}, "
+        f"'.[mediapipe]'; or use --detector dlib. Received {received}, "
         f"{type(error).__name__}: {brief(error).rstrip('.')}."
     )
 

@@ -63,10 +63,10 @@ def read_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> tuple[np.
     except Exception as error:  # Pillow raises many kinds for a damaged file
         received = f"{type(error).__name__}: {brief(error)}"
         if isinstance(error, UnidentifiedImageError):
-            received = "no image of a kind that Pillow reads" if content else "0 bytes"
+            received = "no image format that Pillow reads" if content else "0 bytes"
         elif isinstance(error, (IsADirectoryError, PermissionError)) and os.path.isdir(name):
             received = "a folder"
-        raise InputError(f"{name} must be a photo that can be read. Received {received}.") from None
+        raise InputError(f"{name} must be a readable photo. Received {received}.") from None
 
 
 def check_photo(photo: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def write_live_page(
         OSError: The file cannot be written.
     """
     if Path(path).exists():
-        raise InputError(f"{path} must be the name of a new file. Received one that exists.")
+        raise InputError(f"{path} must be a new file. It already exists.")
     lifter, _ = open_lifter(model)
     known = settings(lifter, model)
     package = read_tasks_vision(tasks_vision)

@@ -36,8 +36,8 @@ def settings(lifter: LandmarkLifter, model: str) -> dict:
     rows = measured(_DETECTOR, scheme)
     if rows is None:
         raise InputError(
-            f"model must be of landmarks that MediaPipe finds, those of ibug51. Received {model}, "
-            f"of {scheme}."
+            f"model must have the landmarks that MediaPipe finds, ibug51. Received {model}, with "
+            f"{scheme}."
         )
     of = load_scheme(scheme)
     mean = lifter.weights_["mean"].T.astype(float)

@@ -60,6 +60,6 @@ def _unpacked(content: bytes) -> dict[str, bytes]:
 
 def _refused(place: str | Path | None, received: str) -> InputError:
     return InputError(
-        f"{place or _ADDRESS} must be {_PACKAGE}: where there is a network, npm pack {_PACKAGE} "
-        f"gets it; then pass the file by --tasks-vision. Received {received.rstrip('.')}."
+        f"{place or _ADDRESS} must be {_PACKAGE}: with a network, get it by npm pack {_PACKAGE}, "
+        f"and pass the file to --tasks-vision. Received {received.rstrip('.')}."
     )

@@ -60,8 +60,8 @@ def estimate_faces(
         if detections.detector is not None:
             received += f" from {detections.detector['name']}; take another detector or model"
         raise InputError(
-            f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks a face "
-            f"for the model {model}. Received {received}."
+            f"{detections.source or 'landmarks'} must have {chosen.n_landmarks} landmarks per "
+            f"face for the model {model}. Received {received}."
         )
     seen = np.flatnonzero(~np.isnan(detections.landmarks).all((1, 2)))
     landmarks = detections.landmarks[seen]

@@ -154,7 +154,7 @@ class FaceLifter:
             if not (np.isfinite(sd) & (sd >= 0)).all():
                 raise InputError("landmark_sd must be finite and not negative.")
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
-        needed = "y must grow downwards; negate it where it grows upwards."
+        needed = "y must point down; negate it if it points up."
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
         notes = dict.fromkeys(range(n), Z_UNUSED) if has_z else {}
         for i, fault in odd.items():
@@ -267,7 +267,7 @@ def _check_points(points) -> tuple[np.ndarray, bool]:
     faces = as_faces(points, "landmarks")
     points = faces[..., :2]
     if np.isinf(points).any():
-        raise InputError("landmarks must be finite, or NaN where they are missing.")
+        raise InputError("landmarks must be finite, or NaN if missing.")
     return points, faces.shape[2] > 2
 
 
@@ -286,6 +286,6 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
 def _check_faces(landmarks: np.ndarray) -> None:
     """Refuse faces from which no shape can be estimated, except gaps: no landmark at all."""
     if len(landmarks) and np.isnan(landmarks).all():
-        raise InputError("landmarks must not all be missing. Received nothing but NaN.")
+        raise InputError("landmarks must not all be missing. Received only NaN.")
     for face, fault in find_unusable(landmarks).items():
         raise InputError(f"landmarks {fault} in face {face}.")

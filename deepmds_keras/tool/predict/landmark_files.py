@@ -105,7 +105,7 @@ def read_faces(
         _check_size(path, _MAX_BYTES[suffix])
         read = _READERS[suffix](path, sizes)
     except (OSError, MemoryError, RecursionError) as error:
-        raise InputError(f"{path} must be a file that can be read. {_received(error)}") from None
+        raise InputError(f"{path} must be a readable file. {_received(error)}") from None
     if not len(read):
         raise InputError(f"{path} must hold at least one face. Received none.")
     check_count(path, read.shape[1], sizes)
@@ -115,7 +115,7 @@ def read_faces(
     points[[*faults]] = np.nan
     if np.isnan(points).all():
         if not faults:
-            raise InputError(f"{path} must hold landmarks. Received nothing but gaps (NaN).")
+            raise InputError(f"{path} must hold landmarks. Received only gaps (NaN).")
         face = min(faults)
         where = f"{path}, face {face + 1} of {len(points)}," if len(points) > 1 else path
         raise InputError(f"{where} {faults[face]}.")
@@ -166,11 +166,11 @@ def _in_pixels(
         if np.nanmax(np.abs(points)) > LARGEST_FRACTION:
             raise InputError(
                 f"{path} must have fractions of the width and height for --image-size. Received "
-                f"coordinates of up to {np.nanmax(np.abs(points)):g}: leave --image-size out."
+                f"coordinates of up to {np.nanmax(np.abs(points)):g}: omit --image-size."
             )
         return points * image_size
     if is_face and seem_fractions(points):
-        raise InputError(f"{path} must be in pixels, or --image-size W H be given. {FRACTIONS}.")
+        raise InputError(f"{path} must be in pixels, or pass --image-size W H. {FRACTIONS}.")
     return points
 
 
@@ -184,7 +184,7 @@ def _check_size(path: Path, max_bytes: int) -> None:
     else:
         return
     most = f"at most {max_bytes >> 20} MiB"
-    raise InputError(f"{path} must be a file of landmarks, of {most}. Received {received}.")
+    raise InputError(f"{path} must be a landmark file, {most}. Received {received}.")
 
 
 def _read_npy(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
@@ -221,7 +221,7 @@ def _read_pts(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     if not match:
         raise InputError(
             f"{path} must have its landmarks between lines of {{ and }}. "
-            "Received no such lines: it is cut short, or no 300-W file."
+            "Received no such lines: it is truncated, or not a 300-W file."
         )
     if "{" in match[3]:
         raise InputError(

@@ -93,7 +93,7 @@ def check_count(path: Path, n: int, sizes: Collection[int], where: str = "") -> 
     """Raise InputError unless n is one of the sizes; `where` follows n in the message."""
     if n not in sizes:
         raise InputError(
-            f"{path} must have {said_sizes(sizes)} landmarks a face. Received {n}{where}."
+            f"{path} must have {said_sizes(sizes)} landmarks per face. Received {n}{where}."
         )
 
 
@@ -115,8 +115,8 @@ def _layout(path: Path, first: str, axes: Sequence[Sequence[str]]) -> _Layout:
             used = [*sum(wide, []), "face"]
             if len({*map(len, wide)}) > 1 or max(map(header.count, used)) > 1:
                 raise InputError(
-                    f"{path} must have as many columns of each of {', '.join(coordinates)}, each "
-                    f"once. Received {brief(first, _SHOWN)!r}."
+                    f"{path} must have equally many columns of each of {', '.join(coordinates)}, "
+                    f"each once. Received {brief(first, _SHOWN)!r}."
                 )
             columns = np.array([[header.index(name) for name in each] for each in wide])
             return _Layout(separator, names, columns)
@@ -142,7 +142,7 @@ def _read_rows(
             continue  # a blank line: Windows may leave one after each row
         if len(row) > len(names):
             raise InputError(
-                f"{path} must be a table of {len(names)} cells a row, as the header has. "
+                f"{path} must be a table of {len(names)} cells per row, like the header. "
                 f"Received {len(row)} in row {len(faces) + 1}."
             )
         row += [""] * (len(names) - len(row))
@@ -172,7 +172,7 @@ def _landmarks_per_face(path: Path, faces: list[str], sizes: Collection[int]) ->
                 f"{path} must have the same number of landmarks in each face. Received {size}, "
                 f"and {n} for the face {brief(face, _SHOWN)!r}."
             )
-    where = "" if any(faces) else " rows, and no column face that tells faces apart"
+    where = "" if any(faces) else " rows, and no column face to tell faces apart"
     check_count(path, size, sizes, where)
     return size
 

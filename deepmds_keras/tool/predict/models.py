@@ -135,8 +135,8 @@ def target_scheme(scheme: str, model: str | None) -> str:
     if name in FAMILIES:
         if scheme not in FAMILIES[name].shipped and _lacks(scheme, FALLBACK):
             raise InputError(
-                f"The landmarks of {scheme} must have a model of their own (--model), or those of "
-                f"{FALLBACK} among them. Received the model {name}."
+                f"The landmarks of {scheme} need their own model (--model), unless they include "
+                f"those of {FALLBACK}. Received the model {name}."
             )
         return scheme if scheme in FAMILIES[name].shipped else FALLBACK
     given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
@@ -144,8 +144,8 @@ def target_scheme(scheme: str, model: str | None) -> str:
         return scheme
     if n_landmarks not in face_sizes():
         raise InputError(
-            f"The model {name} must be given its {n_landmarks} landmarks, of no face: it takes no "
-            f"photos or videos. Received {len(given)}."
+            f"The model {name} needs its {n_landmarks} landmarks. They are not a face's, so it "
+            f"takes no photos or videos. Received {len(given)}."
         )
     target = scheme_of(n_landmarks)
     return scheme if _lacks(scheme, target) else target
@@ -196,14 +196,14 @@ def weights_path(name: str) -> Path:
         return path
     if path.suffix:
         raise InputError(
-            f"{path} must be a file that LandmarkLifter.save() or DeepMDS.save() wrote. "
-            "Received no such file."
+            f"{path} must be a file written by LandmarkLifter.save() or DeepMDS.save(). "
+            "Received another file."
         )
     try:
         return pretrained_path(name)
     except InputError as error:
         raise InputError(
-            f"model must be {' or '.join(FAMILIES)}, a file of LandmarkLifter.save() or "
+            f"model must be {' or '.join(FAMILIES)}, a file from LandmarkLifter.save() or "
             f"DeepMDS.save(), or its {error}"
         ) from None
 

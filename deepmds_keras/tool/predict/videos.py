@@ -126,7 +126,7 @@ class Video:
             raise self._unreadable(error.strerror) from None
 
     def _unreadable(self, received: str) -> InputError:
-        return InputError(f"{self.path} must be a video that can be read. Received: {received}.")
+        return InputError(f"{self.path} must be a readable video. Received: {received}.")
 
 
 def _shown(image: np.ndarray, frame) -> np.ndarray:

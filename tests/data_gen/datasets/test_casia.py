@@ -57,7 +57,7 @@ def test_of_copies_one_is_used_and_what_has_no_partner_is_reported(tmp_path):
     without_image, without_points = reports
     assert f"1 scans have no image, such as {tmp_path}/001-002.wrl." in without_image
     assert f"1 images have no scan, such as {tmp_path}/001-003.bmp." in without_points
-    with pytest.raises(InputError, match="Received 0 scans and 0 images, no two of one name"):
+    with pytest.raises(InputError, match="Received 0 scans and 0 images, with no name in common"):
         find_scans(tmp_path / "absent")
 
 
@@ -75,7 +75,7 @@ class TestIndex:
         comments = "".join(line for line in path.read_text().splitlines() if line[0] == "#")
         # A spreadsheet would wrap such lines in quotes, and they would no longer be comments.
         assert "," not in comments and '"' not in comments
-        with pytest.raises(InputError, match=f"{path}: must not exist yet; delete it"):
+        with pytest.raises(InputError, match=f"{path}: already exists; delete it"):
             write_index(path, self.SCANS)
 
     def test_the_table_chooses_and_names(self, tmp_path):
@@ -90,9 +90,9 @@ class TestIndex:
             ("001,1,yes,", "subject,scan,used,condition", "must have columns subject,scan,use,con"),
             ("001,1,yes", None, "must have columns .* Received the row"),
             ("001,1,yes,a,b", None, "must have columns .* Received the row"),
-            ("004,1,yes,", None, "must list scans that exist, .* Received 004-001"),
-            ("one,1,yes,", None, "must list scans that exist, .* Received one-001"),
-            ("001,2,yes,\n1,2,no,", None, "must list scans .*, each once.* Received 001-002"),
+            ("004,1,yes,", None, "must list existing scans, .* Received 004-001"),
+            ("one,1,yes,", None, "must list existing scans, .* Received one-001"),
+            ("001,2,yes,\n1,2,no,", None, "must list existing scans, each once.* Received 001-002"),
             ("001,1,maybe,", None, "must list .* use yes, no, 1 or 0. Received .* 'maybe'"),
             ("001,1,no,", None, "must use at least one scan"),
         ],

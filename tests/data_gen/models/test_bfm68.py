@@ -72,10 +72,10 @@ def test_a_scale_multiplies_what_differs_from_the_mean_and_names_the_folders(che
 @pytest.mark.parametrize(
     ("variables", "track", "message"),
     [
-        ({"MODEL": "openhead", "BFM_SCALE": "2"}, "bfm", "BFM_SCALE must be .* 1 but for"),
+        ({"MODEL": "openhead", "BFM_SCALE": "2"}, "bfm", "BFM_SCALE must be .* 1 unless"),
         ({"BFM_SCALE": "0"}, "bfm", "BFM_SCALE must be a positive number"),
         ({"BFM_SCALE": "nan"}, "bfm", "BFM_SCALE must be a positive number"),
-        ({}, "flame", "MODEL=bfm68 must be used for the BFM track"),
+        ({}, "flame", "MODEL=bfm68 works only on the BFM track"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(checkout, variables, track, message):

@@ -132,7 +132,7 @@ def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method
     method.fit(views, shapes)
     np.testing.assert_allclose(method.predict(views), np.stack([shapes.mean(0)] * 5), atol=1e-4)
     np.testing.assert_allclose(method.predict(views[0]), shapes.mean(0), atol=1e-4)
-    with pytest.raises(InputError, match=r"views must have 20 landmarks a face. Received 19"):
+    with pytest.raises(InputError, match=r"views must have 20 landmarks per face. Received 19"):
         method.predict(views[:, 1:])
 
 

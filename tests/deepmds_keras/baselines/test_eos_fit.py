@@ -13,7 +13,7 @@ SFM = SHARED / "sfm"
 
 
 def test_files_that_are_missing_are_named(tmp_path):
-    with pytest.raises(InputError, match="must hold sfm_shape_3448.bin, of eos's folder share"):
+    with pytest.raises(InputError, match="must hold sfm_shape_3448.bin, from eos's folder share"):
         surrey_files(tmp_path)
 
 
@@ -37,5 +37,5 @@ def test_the_fit_finds_faces_of_its_own_model_wherever_and_however_large_they_ar
     for path in SFM.glob("*"):
         if path.name != "sfm_shape_3448.bin":
             (tmp_path / path.name).symlink_to(path)
-    with pytest.raises(InputError, match="must hold eos's files, whole"):
+    with pytest.raises(InputError, match="must hold eos's files, undamaged"):
         EosFit(tmp_path)

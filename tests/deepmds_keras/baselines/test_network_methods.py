@@ -90,7 +90,7 @@ def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
     with pytest.raises(ZeroDivisionError):
         clone(whole).fit(*data, checkpoint=path, progress=lambda losses: 1 / 0)
     resumed, seen = clone(whole), []
-    with pytest.raises(InputError, match="net.npz is not trained to the end. Received 1 of 2"):
+    with pytest.raises(InputError, match="net.npz is only partly trained: 1 of 2"):
         resumed.restore(path)
     with pytest.raises(InputError, match="is not trained: call fit or restore first"):
         resumed.predict(inputs)
@@ -105,7 +105,7 @@ def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
     other = untrained(method, seed=5)[0]
     kernels = [other._build(seed).trainable_weights[0].numpy() for seed in (5, 0)]
     assert not np.array_equal(*kernels)
-    with pytest.raises(InputError, match="net.npz is of another run"):
+    with pytest.raises(InputError, match="net.npz is from another run"):
         other.fit(*data, checkpoint=path)
 
 

@@ -76,7 +76,7 @@ def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
     views = seen(shape, cameras([10.0, 0, -20], [0.0, 5, 5], [0.0, 0, 10]))
     mirrored = views * [-1, 1]
     for view in mirrored:
-        with pytest.raises(InputError, match="view must show the face from in front, .* mirrored"):
+        with pytest.raises(InputError, match="view must show the face from the front, .* mirrored"):
             head_pose(view, shape)
     upside_down = views * [1, -1]  # y down: a mirrored view of a head that stands on its top
     with pytest.raises(InputError, match="y up"):

@@ -38,7 +38,7 @@ def test_profiles_from_slightly_behind_are_not_mirrored():
 def test_y_that_grows_upwards_is_refused_at_any_turn(scheme):
     angles = np.meshgrid(np.linspace(-90, 90, 7), (-20, 0, 20), np.arange(-60, 61, 30))
     for face in seen(*(angle.ravel() for angle in angles), scheme) * DOWN:
-        with pytest.raises(InputError, match="a.csv: y must grow downwards; pass --y-up"):
+        with pytest.raises(InputError, match="a.csv: y must point down; pass --y-up"):
             check_y_axis(face, scheme, "a.csv")
 
 
@@ -46,7 +46,7 @@ def test_a_mirrored_face_is_refused_unless_it_is_nearly_in_profile():
     for yaw in (-60, 0, 45):
         for roll in (-60, 0, 60):
             mirrored = seen(yaw, 0, roll) * (-1, 1)
-            with pytest.raises(InputError, match="a.csv: x must grow to the right.*a mirrored"):
+            with pytest.raises(InputError, match="a.csv: x must point right.*a mirrored"):
                 check_y_axis(mirrored, "bfm72", "a.csv")
 
 

@@ -266,7 +266,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(lifter, checkpoint):
     assert len(resumed.history_["train"]) == 2
     for name, array in lifter.weights_.items():
         assert np.array_equal(array, resumed.weights_[name]), name
-    with pytest.raises(InputError, match="killed.npz is of another run; delete it"):
+    with pytest.raises(InputError, match="killed.npz is from another run; delete it"):
         clone(lifter).set_params(seed=4).fit(sample_faces, checkpoint=checkpoint)
 
 
@@ -447,7 +447,7 @@ def test_five_odd_rows_of_2000_are_estimated_with_the_others():
     views[7] *= -1
     lifter = LandmarkLifter.pretrained("ibug51")
     assert np.isfinite(lifter.predict(views)).all()
-    with pytest.raises(InputError, match="views, face 1 of 2000: y must grow upwards; negate it"):
+    with pytest.raises(InputError, match="views, face 1 of 2000: y must point up; negate it"):
         lifter.predict(views * (1, -1))
 
 

@@ -96,13 +96,13 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
         assert np.array_equal(face.xyz, same.xyz) and not face.notes
         assert face.residuals.max() < 0.03 * np.ptp(face.landmarks, axis=0).max()
     lifter = FaceLifter(model=model)
-    with pytest.raises(InputError, match="chair.npz must be given its 14 landmarks, of no face"):
+    with pytest.raises(InputError, match="chair.npz needs its 14 landmarks. They are not a face"):
         lifter.predict(np.zeros((64, 64, 3), np.uint8))
     with pytest.raises(InputError, match=r"L = 14.* Received \(1, 51, 2\)"):
         lifter.predict_landmarks(np.zeros((51, 2)))
     with pytest.raises(InputError, match="must have 51, 68, 72, 468 or 478 .* Received 14"):
         predict_landmarks(np.load(points))
-    with pytest.raises(InputError, match="parts.csv must have a model of their own"):
+    with pytest.raises(InputError, match="parts.csv need their own model"):
         predict_landmarks(np.load(points), scheme=scheme)
 
 
@@ -111,7 +111,7 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
     [
         (["--mesh"], "the scheme of a head must be one of .* Received 'unnamed-14'"),
         (["--interocular", "90"], "must have a landmark right_eye_outer_corner"),
-        (["--scheme", "ibug51"], "points.npy must have 51 landmarks a face. Received 14"),
+        (["--scheme", "ibug51"], "points.npy must have 51 landmarks per face. Received 14"),
         (["--scheme", "no.csv"], "no.csv must be a table"),
     ],
 )

@@ -38,7 +38,7 @@ def test_lifting_is_far_below_the_mean_shape_and_exact_landmarks_are_best_as_suc
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
     by_yaw = [r["n_faces"] for r in rows if (r["landmarks"], r["method"]) == (51, "lifting")]
     assert by_yaw[0] == sum(by_yaw[1:]) == 60
-    with pytest.raises(InputError, match="errors.csv must be a new file, or --overwrite"):
+    with pytest.raises(InputError, match="errors.csv already exists.* --overwrite"):
         evaluate(tmp_path / "truth.npy", out=tmp_path)
 
 
@@ -70,7 +70,7 @@ def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
     output = capsys.readouterr().out
     assert "9 faces" in output and "51, lifting " in output and "exact" not in output
     np.save(tmp_path / "seen.npy", np.where(np.arange(9)[:, None, None] == 4, np.nan, noise))
-    with pytest.raises(InputError, match="seen.npy must have .* Received none of face 5"):
+    with pytest.raises(InputError, match="seen.npy must have .* Received none for face 5"):
         evaluate(tmp_path / "truth.csv", landmarks=tmp_path / "seen.npy", out=tmp_path / "gap")
 
 
@@ -85,7 +85,7 @@ def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (np.zeros((3, 50, 3)), "must hold 51 or 68 landmarks of x, y and z.*\\(3, 50, 3\\)"),
+        (np.zeros((3, 50, 3)), "must hold 51 or 68 landmarks .x, y, z. per face.*\\(3, 50, 3\\)"),
         (np.zeros((3, 51, 2)), "\\(3, 51, 2\\)"),
         (np.full((3, 51, 3), np.nan), "finite"),
         (np.full((3, 51, 3), "a"), "numbers"),

@@ -105,7 +105,7 @@ def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
         patched.setattr(module, "tqdm", Bar)
         train(source, stopped, **OPTIONS)
     assert not stopped.exists() and (tmp_path / "stopped.npz.checkpoint").exists()
-    with pytest.raises(InputError, match="stopped.npz.checkpoint is of another run"):
+    with pytest.raises(InputError, match="stopped.npz.checkpoint is from another run"):
         train(source, stopped, **OPTIONS | {"seed": 1})
     train(source, stopped, **OPTIONS)
     assert not (tmp_path / "stopped.npz.checkpoint").exists()
@@ -135,7 +135,7 @@ def test_the_page_on_objects_has_what_the_command_prints(tmp_path, capsys):
     ("change", "message"),
     [
         (lambda s: s[..., :2], r"must hold shapes \(n, L, 3\).* Received \(90, 9, 2\)"),
-        (lambda s: s[:, :5], r"of 6 landmarks or more. Received \(90, 5, 3\)"),
+        (lambda s: s[:, :5], r"with 6 landmarks or more. Received \(90, 5, 3\)"),
         (lambda s: s[:9], "must hold 10 different shapes or more.* Received 9"),
         (lambda s: np.repeat(s[:1], 30, 0), "10 different shapes or more.* Received 1"),
         (lambda s: np.where(s == s[4, 2, 1], np.nan, s), "must be finite. Received NaN .*face 4"),
@@ -151,7 +151,7 @@ def test_unusable_shapes_are_named(source, tmp_path, change, message):
 
 def test_files_that_exist_or_are_no_npz_are_refused(source, tmp_path):
     (tmp_path / "old.npz").touch()
-    with pytest.raises(InputError, match="old.npz must be the name of a new file.* exists"):
+    with pytest.raises(InputError, match="old.npz must be a new file.* exists"):
         train(source, tmp_path / "old.npz", **OPTIONS)
     with pytest.raises(InputError, match="new.onnx must be .*npz. Received the suffix '.onnx'"):
         train(source, tmp_path / "new.onnx", **OPTIONS)

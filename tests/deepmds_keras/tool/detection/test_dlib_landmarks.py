@@ -75,7 +75,7 @@ def test_what_is_missing_or_damaged_says_where_to_get_it(tmp_path, monkeypatch):
     debian = tmp_path / "shape_predictor_68_face_landmarks.dat"
     debian.write_bytes(b"text")
     assert find_shape_predictor() == debian
-    with pytest.raises(InputError, match=r"68_face_landmarks.dat must be whole"):
+    with pytest.raises(InputError, match=r"68_face_landmarks.dat must be undamaged"):
         DlibLandmarks()
     monkeypatch.setitem(sys.modules, "dlib", None)
     with pytest.raises(InputError, match=r"pip install '.\[dlib\]'"):

@@ -182,16 +182,22 @@ def test_what_is_not_installed_is_named_in_one_line(monkeypatch):
 @installed
 def test_a_landmarker_of_the_user_takes_the_place_of_the_package(tmp_path, heads):
     path = tmp_path / "face.task"
-    with pytest.raises(InputError, match=r"face.task must be a face landmarker.*No such file"):
+    with pytest.raises(
+        InputError, match=r"face.task must be a MediaPipe face landmarker.*No such file"
+    ):
         MediaPipeLandmarks(path)
-    with pytest.raises(InputError, match=r"must be a face landmarker.*directory"):
+    with pytest.raises(InputError, match=r"must be a MediaPipe face landmarker.*directory"):
         MediaPipeLandmarks(tmp_path)
     path.write_bytes(b"no model")
-    with pytest.raises(InputError, match=r"face.task must be a face landmarker.* not a zip file"):
+    with pytest.raises(
+        InputError, match=r"face.task must be a MediaPipe face landmarker.* not a zip file"
+    ):
         MediaPipeLandmarks(path)
     with zipfile.ZipFile(path, "w") as bundle:
         bundle.writestr("face_detector.tflite", b"no model")
-    with pytest.raises(InputError, match=r"face.task must be a face landmarker") as refused:
+    with pytest.raises(
+        InputError, match=r"face.task must be a MediaPipe face landmarker"
+    ) as refused:
         MediaPipeLandmarks(path)
     assert "\n" not in str(refused.value)
     shutil.copy(LANDMARKER, path)

@@ -93,7 +93,7 @@ def test_a_photo_is_opened_pixel_by_pixel_and_upright_from_a_file_or_its_content
     for wrong in (photo[..., 0], photo / 255, photo[:0], photo[:, :0]):
         with pytest.raises(InputError, match="image must be RGB, uint8"):
             check_photo(wrong)
-    with pytest.raises(InputError, match="^image must be a photo that can be read"):
+    with pytest.raises(InputError, match="^image must be a readable photo"):
         open_photo(content[:60])
 
 
@@ -120,7 +120,7 @@ def test_heic_is_read_whatever_it_is_called_and_upright(tmp_path, colour):
         assert np.abs(opened - np.rot90(colour[:40], -1)).mean() < 6
     whole = (tmp_path / "photo.heic").read_bytes()
     (tmp_path / "photo.heic").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="photo.heic must be a photo that can be read"):
+    with pytest.raises(InputError, match="photo.heic must be a readable photo"):
         open_photo(tmp_path / "photo.heic")
 
 
@@ -147,13 +147,13 @@ def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour):
     whole = path.read_bytes()
     for content, received in [
         (b"", "0 bytes"),
-        (b"text", "no image of a kind that Pillow reads"),
+        (b"text", "no image format that Pillow reads"),
         (whole[: len(whole) // 2], "OSError: .*[Tt]runcated"),
     ]:
         path.write_bytes(content)
-        needed = f"photo.jpg must be a photo that can be read. Received {received}"
+        needed = f"photo.jpg must be a readable photo. Received {received}"
         with pytest.raises(InputError, match=needed) as refused:
             open_photo(path)
         assert "\n" not in str(refused.value)
-    with pytest.raises(InputError, match="must be a photo that can be read. Received a folder"):
+    with pytest.raises(InputError, match="must be a readable photo. Received a folder"):
         open_photo(tmp_path)

@@ -50,7 +50,9 @@ def notes(landmarks, **options):
 def test_a_model_of_landmarks_that_the_detector_lacks_is_refused_by_both_names():
     found = detections(np.zeros((1, 468, 2)), "mediapipe", is_photo=True)
     found = replace(found, detector={"name": "mediapipe", "licence": "Apache 2.0"})
-    message = "68 landmarks a face for the model lifting-ibug68. Received 468 from mediapipe; take"
+    message = (
+        "68 landmarks per face for the model lifting-ibug68. Received 468 from mediapipe; take"
+    )
     with pytest.raises(InputError, match=message):
         estimate_faces(found, model="lifting-ibug68")
 

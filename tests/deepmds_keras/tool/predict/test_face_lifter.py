@@ -177,7 +177,7 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
     ("wrong", "message"),
     [
         (None, "hold numbers. Received dtype object"),
-        ([None, [None, None]], "nothing but null"),
+        ([None, [None, None]], "only null"),
         ({}, "hold numbers. Received dtype object"),
         ([1.0, 2.0], r"have shape .* Received \(2,\)"),
         ([[1.0], [2.0, 3.0]], "one array. Received rows of unequal lengths"),
@@ -213,7 +213,7 @@ def test_wrong_options_are_refused_by_name(landmarks, options):
 
 
 def test_a_batch_is_judged_by_its_majority_and_a_row_has_a_note(landmarks):
-    with pytest.raises(InputError, match="^landmarks, face 1 of 12: y must grow d") as refused:
+    with pytest.raises(InputError, match="^landmarks, face 1 of 12: y must point d") as refused:
         predict_landmarks(landmarks * (1, -1))
     assert "--" not in str(refused.value)
     one = landmarks.copy()

@@ -136,14 +136,12 @@ def test_fractions_of_mediapipe_become_pixels(tmp_path, n, key):
         path = written(tmp_path, "f.json", json.dumps({key: content} if key else content))
         points = read_landmarks(path, image_size=(640, 480))
         np.testing.assert_allclose(points, expected[..., :2] * (640, 480))
-    with pytest.raises(
-        InputError, match="or --image-size W H be given. .* multiply x by its width"
-    ):
+    with pytest.raises(InputError, match="or pass --image-size W H. .* multiply x by its width"):
         read_landmarks(path)
 
 
 def test_an_image_size_for_pixels_is_refused_and_small_units_about_a_middle_are_not(tmp_path):
-    with pytest.raises(InputError, match=r"up to 4.*: leave --image-size out"):
+    with pytest.raises(InputError, match=r"up to 4.*: omit --image-size"):
         read_landmarks(written(tmp_path, "f.npy", FACES), image_size=(640, 480))
     small = (FACES - FACES.mean(1, keepdims=True)) / 1000
     path = written(tmp_path, "f.npy", small)
@@ -155,7 +153,7 @@ def test_fractions_of_a_wide_image_are_not_taken_for_pixels(tmp_path, n):
     """Some points may lie beyond the image."""
     fractions = FACES[:, :n] / (1920, 1080) - (0, 0.05)
     path = written(tmp_path, "f.npy", fractions)
-    with pytest.raises(InputError, match="or --image-size W H be given"):
+    with pytest.raises(InputError, match="or pass --image-size W H"):
         read_landmarks(path)
     in_pixels = read_landmarks(path, image_size=(1920, 1080))
     np.testing.assert_allclose(in_pixels, fractions * (1920, 1080))
@@ -249,7 +247,11 @@ def test_a_coordinate_that_is_not_used_is_named(tmp_path, layout):
 REFUSED = {
     "two faces of 300-W": ("f.pts", 2 * pts(ONE[0]), "must hold one face. Received several"),
     "columns twice": ("f.csv", table(np.ones((68, 4)), "x,y,x,y"), "each once"),
-    "one axis longer": ("f.csv", wide(FACES).replace("y_67", "y_x"), "as many columns of each"),
+    "one axis longer": (
+        "f.csv",
+        wide(FACES).replace("y_67", "y_x"),
+        "equally many columns of each",
+    ),
     "two keys": ("f.json", '{"faces": [], "landmarks": []}', "Received faces and landmarks"),
     "millimetres alone": (
         "f.csv",
@@ -263,7 +265,11 @@ REFUSED = {
     ),
     "no header": ("f.csv", table(ONE[0]), "a header with columns x, y; save numbers without"),
     "other names": ("f.csv", table(ONE[0], "a,b"), "Received the first line 'a,b'"),
-    "cells more": ("f.csv", table(np.ones((68, 3)), "x,y"), "2 cells a row.* Received 3 in row 1"),
+    "cells more": (
+        "f.csv",
+        table(np.ones((68, 3)), "x,y"),
+        "2 cells per row.* Received 3 in row 1",
+    ),
     "faces not named": (
         "f.csv",
         table([r[2:] for r in long_rows()], "x,y"),
@@ -281,12 +287,12 @@ REFUSED = {
         np.where(FACES[1, 5, 0] == FACES, np.inf, FACES),
         "face 2 of 3, must .*landmark 6 of 68",
     ),
-    "nothing but gaps": ("f.npy", FACES * np.nan, "nothing but gaps"),
-    "fractions of MediaPipe": ("f.npy", MESH, "or --image-size W H be given"),
+    "only gaps": ("f.npy", FACES * np.nan, "only gaps"),
+    "fractions of MediaPipe": ("f.npy", MESH, "or pass --image-size W H"),
     "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
-    "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks a face. Received 5"),
+    "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks per face. Received 5"),
     "no faces": ("f.npy", FACES[:0], "at least one face. Received none"),
-    "axes swapped": ("f.npy", FACES.transpose(1, 2, 0), "landmarks a face. Received 2"),
+    "axes swapped": ("f.npy", FACES.transpose(1, 2, 0), "landmarks per face. Received 2"),
     "complex": ("f.npy", FACES + 1j, "complex"),
     "text as array": ("f.npy", np.full((68, 2), "1"), "numbers. Received dtype"),
     "a line": ("f.npy", np.outer(np.arange(68.0), [1, 2]), "on one line"),
@@ -294,10 +300,10 @@ REFUSED = {
     "points miscounted": ("f.pts", pts(ONE[0]).replace("  68", " 67"), "states, 67. Received 68"),
     "points too many": ("f.pts", pts(np.ones((194, 2))), "Received 194"),
     "JSON ragged": ("f.json", "[[1, 2], [3]]", "rows of unequal lengths"),
-    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "nothing but gaps"),
+    "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "only gaps"),
     "JSON without landmarks": ("f.json", '{"points": []}', "keys faces, landmarks"),
     "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "Received none of them"),
-    "JSON of null": ("f.json", "[null, [null]]", "nothing but null"),
+    "JSON of null": ("f.json", "[null, [null]]", "only null"),
 }
 
 

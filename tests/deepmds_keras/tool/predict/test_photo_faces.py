@@ -181,5 +181,5 @@ def test_in_a_fork_it_is_refused_instead_of_waiting_for_ever(library, use):
         pytest.skip("MediaPipe is not installed")
     command = [sys.executable, "-c", FORKED.replace("{use}", use)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.stdout.startswith(f"{library} must be used in a process that is no fork")
+    assert done.stdout.startswith(f"{library} cannot be used in a fork")
     assert "get_context('spawn')" in done.stdout

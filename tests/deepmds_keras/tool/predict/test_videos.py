@@ -233,7 +233,7 @@ def test_what_is_no_video_is_named(tmp_path, content):
     path = tmp_path / "a:b.mp4"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError, match="a:b.mp4 must be a video that can be read. Received: "):
+    with pytest.raises(InputError, match="a:b.mp4 must be a readable video. Received: "):
         list(Video(path))
 
 
