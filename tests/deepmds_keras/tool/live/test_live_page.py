@@ -381,7 +381,7 @@ def test_the_policy_blocks_every_request(with_camera, page_file):
 def test_the_page_is_never_written_over_and_only_for_landmarks_that_are_found(page_file, tmp_path):
     with pytest.raises(InputError, match="exists"):
         write_live_page(page_file, model="lifting-ibug51")
-    with pytest.raises(InputError, match=r"ibug51.* of bfm72"):
+    with pytest.raises(InputError, match=r"ibug51.* with bfm72"):
         write_live_page(tmp_path / "live.html", model="lifting-bfm72")
     assert not [*tmp_path.iterdir()]
 
