@@ -191,7 +191,8 @@ def _add_train(commands: argparse._SubParsersAction) -> None:
 def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
     """Lines to print about a finished source: its first faces, up to `most`."""
     if faces[0].frame_ref is not None:
-        yield f"{source}: faces in {len({frame_of(face).frame for face in faces})} frames"
+        frames = {frame_of(face).frame for face in faces}
+        yield f"{source}: faces in {_counted(len(frames), 'frame')}"
         yield from tell_tracks(faces, most)
         return
     seen = [face for face in faces if not face.is_gap]

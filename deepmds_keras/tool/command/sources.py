@@ -135,7 +135,7 @@ def _checked(name: str | Path) -> Path:
     if not str(name):
         raise InputError(f"a source must be the name of a {kinds}. Received an empty name.")
     if not os.path.exists(path):
-        raise InputError(f"{path} does not exist.")
+        raise InputError(f"{name} does not exist.")
     if kind_of(path) is None:
         raise InputError(f"{path} must be a {kinds}. Received the suffix {path.suffix!r}.")
     if not os.path.isfile(path):  # of a pipe a program would wait for ever

@@ -102,7 +102,8 @@ class Face:
     score: float | None = None
 
     def __repr__(self) -> str:
-        notes = f", {len(self.notes)} notes" if self.notes else ""
+        n = len(self.notes)
+        notes = f", {n} note{'s' * (n > 1)}" if n else ""
         return (
             f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {self.angles}{notes}>"
         )

@@ -70,12 +70,12 @@ def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
     b, a, points, text, _ = touched(
         tmp_path, "b.jpg", "a.jpg", "points.npy", "a.txt", "empty/.hidden.jpg"
     )
-    bad = [tmp_path / "none.jpg", text, tmp_path / "empty"]
+    bad = [tmp_path / "none.jpg", "https://example.com/a.jpg", text, tmp_path / "empty"]
     paths = [*bad, points, b, str(tmp_path), tmp_path / "." / "b.jpg", a]
     sources, errors, _ = find_sources(paths)
     assert sources == [points, b, a]
     for path, error, message in zip(
-        bad, errors, ("does not exist", "'.txt'", "must hold photos"), strict=True
+        bad, errors, (*["does not exist"] * 2, "'.txt'", "must hold photos"), strict=True
     ):
         assert isinstance(error, InputError)
         assert str(error).startswith(f"{path} ") and message in str(error)
