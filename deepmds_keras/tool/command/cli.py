@@ -13,7 +13,7 @@ from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.landmarks import load_scheme, said_sizes
 from deepmds_keras.tool.command.outputs import FORMATS
 from deepmds_keras.tool.detection import DETECTORS, default_detector
-from deepmds_keras.tool.predict.faces import Face, frame_of
+from deepmds_keras.tool.predict.faces import Face, counted, frame_of
 from deepmds_keras.tool.predict.models import DEFAULT, FALLBACK, FAMILIES
 from deepmds_keras.tool.predict.smoothing import CAUSAL, RATE
 from deepmds_keras.tool.predict.videos import tell_tracks
@@ -192,14 +192,14 @@ def lines_about(source: Path, faces: list[Face], most: int) -> Iterator[str]:
     """Lines to print about a finished source: its first faces, up to `most`."""
     if faces[0].frame_ref is not None:
         frames = {frame_of(face).frame for face in faces}
-        yield f"{source}: faces in {_counted(len(frames), 'frame')}"
+        yield f"{source}: faces in {counted(len(frames), 'frame')}"
         yield from tell_tracks(faces, most)
         return
     seen = [face for face in faces if not face.is_gap]
     gaps = len(faces) - len(seen)
     thing = load_scheme(faces[0].scheme).thing
-    counted = [_counted(len(seen), thing), *([_counted(gaps, "gap")] if gaps else [])]
-    yield f"{source}: {', '.join(counted)}"
+    said = [counted(len(seen), thing), *([counted(gaps, "gap")] if gaps else [])]
+    yield f"{source}: {', '.join(said)}"
     for face in seen[:most]:
         yield f"  {face.name}: {face.angles}"
         yield from (f"    {note}" for note in face.notes)
@@ -220,10 +220,6 @@ def fault_of(source: Path, faces: list[Face]) -> str | None:
         f"{', '.join(listed)}. "
         f"The first {min(faults.items())[1]}"
     )
-
-
-def _counted(n: int, thing: str) -> str:
-    return f"{n} {thing}s" if n > 1 else f"{n} {thing}"
 
 
 def printable(text: str) -> str:

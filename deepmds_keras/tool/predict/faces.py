@@ -102,8 +102,7 @@ class Face:
     score: float | None = None
 
     def __repr__(self) -> str:
-        n = len(self.notes)
-        notes = f", {n} note{'s' * (n > 1)}" if n else ""
+        notes = f", {counted(len(self.notes), 'note')}" if self.notes else ""
         return (
             f"<Face {self.name!r}: {len(self.xyz)} landmarks ({self.scheme}), {self.angles}{notes}>"
         )
@@ -171,6 +170,11 @@ def name_faces(name: str, n: int) -> list[str]:
     if n == 1:
         return [name]
     return [f"{name}-{i:0{len(str(n))}d}" for i in range(1, n + 1)]
+
+
+def counted(n: int, thing: str) -> str:
+    """A number of things, in words for readers."""
+    return f"{n} {thing}s" if n > 1 else f"{n} {thing}"
 
 
 def _nan(values: Mapping) -> dict:

@@ -133,12 +133,14 @@ def target_scheme(scheme: str, model: str | None) -> str:
     """
     name = model or DEFAULT
     if name in FAMILIES:
-        if scheme not in FAMILIES[name].shipped and _lacks(scheme, FALLBACK):
+        if scheme in FAMILIES[name].shipped:
+            return scheme
+        if _lacks(scheme, FALLBACK):
             raise InputError(
                 f"The landmarks of {scheme} need their own model (--model), unless they include "
                 f"those of {FALLBACK}. Received the model {name}."
             )
-        return scheme if scheme in FAMILIES[name].shipped else FALLBACK
+        return FALLBACK
     given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
     if len(given) == n_landmarks:
         return scheme
