@@ -38,7 +38,6 @@ RESULTS = {
     "parameters": ("Parameters and time", "reproduce-bfm"),
     "ablation": ("Ablation", "ablation"),
     "seeds": ("Seed variance", "seeds"),
-    "rounding": ("The same seed with different rounding", ""),  # its step is gone, its results stay
     "stream": ("Many faces: the tails of the errors", "stream"),
     "pretrained": ("The weights that ship with the package", "pretrained"),
     "real": ("Real faces by two detectors", "real-faces"),
@@ -131,7 +130,7 @@ def report(run: Run, results: list[Result]) -> str:
         missing=[
             (name, base, f"make {target} {given}")
             for base, (name, target) in RESULTS.items()
-            if target and base not in present
+            if base not in present
         ],
         steps_of=_steps,
         preset=_facts([step["preset"] for step in steps]),

@@ -17,7 +17,7 @@ from experiments.plan import Plan
 from experiments.records import MANIFEST, new_results, publish, read_manifest, steps_of
 from experiments.scoring.old_names import new_name
 
-_GONE = ("rounding", "intel", "published")  # results that no step makes any more
+_GONE = ("intel", "published")  # results of another processor, and the paper's
 
 
 def dry_run(folder, *words):

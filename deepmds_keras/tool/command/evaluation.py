@@ -19,6 +19,7 @@ from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
 from deepmds_keras.tool.predict.models import given_scheme, weights_path
@@ -106,7 +107,7 @@ def evaluate(
     rows = [*_rows(predicted, shapes, scheme, frame)]
     write_bytes(files[0], _csv(rows).encode())
     unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"
-    _print(rows, len(shapes), unit)
+    _print(rows, counted(len(shapes), load_scheme(scheme).thing), unit)
     try:
         with needs("matplotlib", "evaluate"):
             write_bytes(files[1], _figure(rows, unit))
@@ -186,9 +187,9 @@ def _csv(rows: list[dict]) -> str:
     return text.getvalue()
 
 
-def _print(rows: list[dict], n: int, unit: str) -> None:
+def _print(rows: list[dict], scored: str, unit: str) -> None:
     yaws = [*dict.fromkeys(row["yaw"] for row in rows)]
-    print(f"{n:,} faces; mean squared error in 10⁻³ of the {unit}, by yaw (°)")
+    print(f"{scored}; mean squared error in 10⁻³ of the {unit}, by yaw (°)")
     cells = {(row["landmarks"], row["method"], row["yaw"]): row["error"] for row in rows}
     print(f"{'landmarks, method':26}", *(f"{yaw:>9}" for yaw in yaws))
     for landmarks, method in dict.fromkeys((key[0], key[1]) for key in cells):

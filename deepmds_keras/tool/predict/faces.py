@@ -174,7 +174,7 @@ def name_faces(name: str, n: int) -> list[str]:
 
 def counted(n: int, thing: str) -> str:
     """A number of things, in words for readers."""
-    return f"{n} {thing}s" if n > 1 else f"{n} {thing}"
+    return f"{n:,} {thing}s" if n > 1 else f"{n} {thing}"
 
 
 def _nan(values: Mapping) -> dict:

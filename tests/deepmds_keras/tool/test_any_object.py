@@ -151,7 +151,9 @@ def test_it_is_evaluated_in_the_size_of_the_shapes(model, shapes, tmp_path, caps
     off = ((known - known.mean(0)) ** 2).mean() / (known**2).mean()
     assert error["mean shape"] == pytest.approx(off, rel=0.3)
     assert error["lifting, exact"] < 0.02 * error["mean shape"]
-    assert "mean squared coordinate of the truth" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert said.startswith(f"{len(shapes)} shapes; ")
+    assert "mean squared coordinate of the truth" in said
     figure = np.asarray(Image.open(tmp_path / "errors.png").convert("L"))
     assert figure[[0, -1]].min() == figure[:, [0, -1]].min() == 255, "a label is cut off"
     np.save(tmp_path / "few.npy", shapes[:, :12])

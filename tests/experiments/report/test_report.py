@@ -109,8 +109,8 @@ def test_other_tables_are_shown_as_they_are(text):
 def test_what_is_missing_is_listed_with_its_command(text):
     missing = section(text, "Not run yet")
     assert "(`flame`): `make reproduce-flame MODEL=openhead PRESET=smoke`" in missing
-    no_longer_run, present = {"rounding"}, {"bfm", "audit", "lifting/hard"}
-    assert len(re.findall("(?m)^- ", missing)) == len(RESULTS.keys() - no_longer_run - present)
+    present = {"bfm", "audit", "lifting/hard"}
+    assert len(re.findall("(?m)^- ", missing)) == len(RESULTS.keys() - present)
 
 
 def test_another_folder_of_results_is_one_row(run, monkeypatch):
