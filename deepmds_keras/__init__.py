@@ -55,7 +55,7 @@ _MODULES = ("baselines", "metrics")
 _KERAS = ("h5py", "keras", "sklearn", "tensorflow")  # what the extra of that name brings
 
 __all__ = ["InputError", "MissingPackageError", *_HOME, *_MODULES]
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 
 def __getattr__(name):
