@@ -167,10 +167,14 @@ def _interval(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
 
 
 def plain_log_ticks(axis: Axis) -> None:
-    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each decade, or 1 if there are many."""
+    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each decade, or 1 if there are many.
+
+    Over more decades than there is room for, a few powers of ten.
+    """
     low, high = axis.get_view_interval()
-    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5) if high < 1000 * low else (1,)))
-    axis.set_major_formatter(_PLAIN)
+    decades = np.log10(high / low)
+    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5) if decades < 3 else (1,), numticks=6))
+    axis.set_major_formatter(_PLAIN if decades < 6 else ticker.LogFormatterMathtext())
     axis.set_minor_formatter(ticker.NullFormatter())
 
 
