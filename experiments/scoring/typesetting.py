@@ -74,7 +74,7 @@ def paper_layout(
     layout = texts.pivot_table("text", "row", "column", "first", sort=False)
     layout = layout.rename_axis(index="Paper / here", columns=None).reset_index()
     (label,) = quoted["table"].unique()
-    caption = tex(f"The paper's table; after each slash the number of this run, on {faces}.")
+    caption = tex(f"The paper's table; after each slash that of one training, on {faces}.")
     body = tabular(layout, "l" + "c" * (layout.shape[1] - 1))
     lines = (r"\begin{table}", r"\centering", body.rstrip(), rf"\caption{{{caption}}}")
     return "\n".join([*lines, rf"\label{{{label}}}", r"\end{table}", ""])
