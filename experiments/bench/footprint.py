@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
@@ -65,7 +66,9 @@ def measure(extra: str, folder: Path) -> Iterator[tuple[str, float, str]]:
         shutil.copy(_ROOT / name, sources)
     subprocess.run([sys.executable, "-m", "venv", venv], check=True)
     empty, python = _size(venv), venv / "bin" / "python"  # pip is in every environment
+    start = time.perf_counter()
     subprocess.run([python, "-m", "pip", "install", "-q", f"{sources}[{extra}]"], check=True)
+    yield "pip install", time.perf_counter() - start, "s"
     yield "size of what is installed", (_size(venv) - empty) / _MB, "MB"
 
     command = [venv / "bin" / "deepmds", "predict", "--overwrite", "--out", folder / "out"]

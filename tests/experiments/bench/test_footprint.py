@@ -11,6 +11,7 @@ def test_an_installation_reads_a_photo_and_rows_of_landmarks(tmp_path, monkeypat
     monkeypatch.setattr(footprint, "_REPEATS", 1)
     monkeypatch.setattr(footprint, "_ROWS", 10)
     values = {measure: value for measure, value, _ in footprint.measure("dlib", tmp_path)}
+    assert values["pip install"] > values["one photo, warm"]
     assert 100 < values["size of what is installed"] < 2000
     assert 0 < values["one photo, warm"] < values["one photo, cold"]
     assert "10 rows to CSV" in values
