@@ -17,6 +17,7 @@ from deepmds_keras.tool.command.outputs import MESH_FORMATS, output_files, write
 from deepmds_keras.tool.command.overlay import write_overlay
 from deepmds_keras.tool.command.page import write_page
 from deepmds_keras.tool.command.sources import kind_of
+from deepmds_keras.tool.detection import FOUND_BY, to_ibug
 from deepmds_keras.tool.detection.photos import read_photo
 from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, name_faces
@@ -141,6 +142,8 @@ def _detect(
     if np.isnan(landmarks).all():
         fault = next(iter(faults.values()), f"must have landmarks of {target}. Received none")
         raise InputError(f"{source}: each face {fault}.")
+    if found_by := FOUND_BY.get(scheme):
+        landmarks = to_ibug(landmarks, found_by, target)
     rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     return None, Detections(
@@ -152,6 +155,7 @@ def _detect(
         faults=faults,
         notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},
         remarks=remarks,
+        found_by=found_by,
     )
 
 

@@ -17,6 +17,8 @@ from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.tool.detection import dlib_landmarks, mediapipe_landmarks
 
 Find = Callable[..., tuple[np.ndarray, np.ndarray]]
+# Schemes that are one detector's alone: whoever has such landmarks has them from it.
+FOUND_BY = {"mediapipe": "mediapipe"}
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,16 @@ def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
     They move by the mean offset in `landmarks/detectors.csv`, in the axes of the upright face.
 
     Args:
-        landmarks: `(n, L, 2)` pixels, x right and y down, or NaN.
+        landmarks: `(n, L, 2)` pixels, x right and y down, or NaN. Those of a face that lacks some
+            do not move: its axes are not known.
         detector: One of `DETECTORS`.
         scheme: Scheme of the landmarks; without a row in the table they do not move.
     """
     rows = measured(detector, scheme)
-    return landmarks if rows is None else move(landmarks, scheme, rows[:, :2])
+    if rows is None:
+        return landmarks
+    moved = move(landmarks, scheme, rows[:, :2])
+    return np.where(np.isnan(moved), landmarks, moved)
 
 
 def move(landmarks: np.ndarray, scheme: str, offsets: np.ndarray) -> np.ndarray:

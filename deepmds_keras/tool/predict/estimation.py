@@ -124,11 +124,12 @@ def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) ->
     if detections.landmark_sd is not None:
         sd = np.asarray(detections.landmark_sd, float)
         return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
-    detector = detections.detector
-    measured = detector_sd(detector["name"], detections.scheme) if detector else None
+    detector = detections.detector["name"] if detections.detector else detections.found_by
+    measured = detector_sd(detector, detections.scheme) if detector else None
     if measured is None:
         return None
-    return rms_radius(convert(views, detections.scheme, "ibug51"))[:, None] * measured
+    known = np.where(np.isnan(views), np.nanmean(views, axis=1, keepdims=True), views)
+    return rms_radius(convert(known, detections.scheme, "ibug51"))[:, None] * measured
 
 
 def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> HeadPose:

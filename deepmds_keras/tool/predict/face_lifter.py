@@ -15,7 +15,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces, seem_fractions
 from deepmds_keras.landmarks.y_axis import check_y_axis
-from deepmds_keras.tool.detection import DETECTORS, default_detector
+from deepmds_keras.tool.detection import DETECTORS, FOUND_BY, default_detector, to_ibug
 from deepmds_keras.tool.detection.photos import check_photo, read_photo
 from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
@@ -123,11 +123,13 @@ class FaceLifter:
                 is not used. A landmark that is NaN, None or masked is missing; a face without any
                 landmark gives a gap.
             scheme: Name of the landmark scheme, or a table of your own, as for `load_scheme`; None
-                infers it from L, or from the model.
+                infers it from L, or from the model. MediaPipe's landmarks are moved to where iBUG
+                300-W has them, as those of a photo are.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                points: one number, `(n,)` or `(n, L)`; None assumes 2.5 % of their r.m.s. radius,
-                about 1 % of the distance between the outer corners of the eyes.
+                points: one number, `(n,)` or `(n, L)`; None is what was measured of MediaPipe for
+                its landmarks, and for others 2.5 % of their r.m.s. radius, about 1 % of the
+                distance between the outer corners of the eyes.
 
         Returns:
             A face for each row. One that seems upside down or mirrored, unlike most others, gets
@@ -161,6 +163,8 @@ class FaceLifter:
             notes[i] = f"seems to stand otherwise than the other faces: {fault}"
         landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
+        if found_by := FOUND_BY.get(scheme):
+            landmarks = to_ibug(landmarks, found_by, target)
         return self._estimate(
             Detections(
                 source=None,
@@ -170,6 +174,7 @@ class FaceLifter:
                 is_photo=False,
                 notes=notes,
                 landmark_sd=landmark_sd,
+                found_by=found_by,
             )
         )
 

@@ -46,6 +46,7 @@ class Detections:
         remarks: What a reader must know about the source.
         landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
             landmarks: one number, `(n,)` or `(n, L)`; None if unknown.
+        found_by: Name of the detector of landmarks that were given, if their scheme tells it.
     """
 
     source: Path | None
@@ -60,6 +61,7 @@ class Detections:
     notes: Mapping[int, str] = field(default_factory=dict)
     remarks: Sequence[str] = ()
     landmark_sd: float | np.ndarray | None = None
+    found_by: str | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras import InputError, predict_landmarks, predict_photo
 from deepmds_keras.landmarks import convert
-from deepmds_keras.tool.detection import DETECTORS, Detector
+from deepmds_keras.tool.detection import DETECTORS, Detector, to_ibug
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
 
 N = 12
@@ -167,7 +167,7 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
     assert np.array_equal(shapes(predict_landmarks(landmarks, landmark_sd=each)), shapes(unsure))
     mesh = convert(landmarks, "ibug68", "mediapipe", missing="nan")
     alone = predict_landmarks(mesh[0], landmark_sd=np.full((1, 468), 0.1 * size[0]))
-    inner = convert(landmarks[0], "ibug68", "ibug51")
+    inner = to_ibug(convert(landmarks[:1], "ibug68", "ibug51"), "mediapipe", "ibug51")
     assert np.array_equal(
         shapes(alone), shapes(predict_landmarks(inner, landmark_sd=0.1 * size[0]))
     )

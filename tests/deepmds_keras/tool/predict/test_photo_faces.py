@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 from places import MEDIAPIPE, ROOT
 
-from deepmds_keras import FaceLifter
+from deepmds_keras import FaceLifter, convert
 from deepmds_keras.tool.detection import detector_sd, to_ibug
+from deepmds_keras.tool.detection.mediapipe_landmarks import shared_detector
 from deepmds_keras.tool.predict.photo_faces import find_upright
 
 # A face of 68 landmarks, all but its eyes and mouth in one place.
@@ -108,6 +109,29 @@ def test_no_small_face_is_missed_found_twice_or_turned(predict, head):
     corners = [(30 + 230 * (i % 5), 30 + 230 * (i // 5)) for i in range(25)]
     faces = predict(placed(head, 190, *corners))
     assert len(faces) == 25 and all(abs(face.pose.roll) < 20 for face in faces)
+
+
+def test_mediapipes_own_landmarks_give_what_the_photo_gives(predict, head, tmp_path):
+    photo = np.asarray(head.resize((500, 500), Image.Resampling.LANCZOS))
+    (face,) = predict(photo)
+    points = shared_detector().detect_all(photo)[..., :2].astype(float)
+    assert np.ptp(points, axis=1).max() > 1.2 * np.ptp(face.landmarks, axis=0).max(), "of all 468"
+    (given,) = FaceLifter().predict_landmarks(points)
+    assert np.array_equal(given.xyz, face.xyz) and np.array_equal(given.std, face.std)
+    assert np.array_equal(given.landmarks, face.landmarks)
+    gap = points[0].copy()
+    gap[33] = np.nan  # of the right eye: where the face's axes are is not known
+    (partly,) = FaceLifter().predict_landmarks(gap)
+    raw = convert(gap[None], "mediapipe", "ibug51", missing="nan")[0]
+    assert np.array_equal(partly.landmarks, raw, equal_nan=True), "it stays where it is"
+    assert partly.std.mean() > 0.9 * face.std.mean(), "the errors are MediaPipe's nevertheless"
+    np.save(tmp_path / "points.npy", points)
+    subprocess.run(
+        [sys.executable, "-m", "deepmds_keras", "predict", "points.npy", "--format", "npz"],
+        cwd=tmp_path, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    with np.load(tmp_path / "deepmds-out/points.npz") as saved:
+        np.testing.assert_array_equal(saved["shape"][0], face.xyz.astype(np.float32))
 
 
 def test_the_first_picture_of_an_animation_is_read_and_a_note_says_so(predict, head, tmp_path):
