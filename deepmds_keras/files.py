@@ -20,6 +20,7 @@ import numpy as np
 from deepmds_keras.errors import InputError, brief
 
 _ZIP_END_SIZE = 22
+_TRIES = 5
 _LONGEST_NAME = 32  # characters of a file's name in that of its temporary one: names have a limit
 
 
@@ -94,9 +95,8 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
     with _named(path, kind), open(path, "rb") as file, zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
             # Read to the end, so that the checksum is compared; NumPy stops at the array's end.
-            content = io.BytesIO(archive.read(member))
-            name = member.filename.removesuffix(".npy")
-            arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
+            name, content = member.filename.removesuffix(".npy"), archive.read(member)
+            arrays[name] = _parsed(_read_array, content)
         # Python reads a damaged directory up to the damage, and does not compare the count.
         file.seek(-_ZIP_END_SIZE, os.SEEK_END)
         end = file.read()
@@ -109,7 +109,22 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
     """Map the array of an npy file, read-only; bad files raise InputError as in `read_npz`."""
     with _named(path, kind):  # mapped: a header cannot claim more memory than the file has
-        return np.lib.format.open_memmap(path, mode="r")
+        return _parsed(lambda file: np.lib.format.open_memmap(file, mode="r"), path)
+
+
+def _read_array(content: bytes) -> np.ndarray:
+    return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
+
+
+def _parsed(read: Callable[..., np.ndarray], source: str | Path | bytes) -> np.ndarray:
+    """What NumPy reads from a source whose header it evaluates, if need be at a further try.
+
+    In threads Python fails to evaluate now and then up to version 3.11.7 (its issue 106905).
+    """
+    for _ in range(_TRIES):
+        with suppress(SystemError):
+            return read(source)
+    return read(source)
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
