@@ -109,22 +109,22 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
     """Map the array of an npy file, read-only; bad files raise InputError as in `read_npz`."""
     with _named(path, kind):  # mapped: a header cannot claim more memory than the file has
-        return _parsed(lambda file: np.lib.format.open_memmap(file, mode="r"), path)
+        return _parsed(np.lib.format.open_memmap, path, mode="r")
 
 
 def _read_array(content: bytes) -> np.ndarray:
     return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
 
 
-def _parsed(read: Callable[..., np.ndarray], source: str | Path | bytes) -> np.ndarray:
+def _parsed(read: Callable[..., np.ndarray], *source, **options) -> np.ndarray:
     """What NumPy reads from a source whose header it evaluates, if need be at a further try.
 
     In threads Python fails to evaluate now and then up to version 3.11.7 (its issue 106905).
     """
     for _ in range(_TRIES):
         with suppress(SystemError):
-            return read(source)
-    return read(source)
+            return read(*source, **options)
+    return read(*source, **options)
 
 
 def read_table(path: Path) -> list[dict[str, str]]:

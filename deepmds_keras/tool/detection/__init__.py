@@ -17,8 +17,6 @@ from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.tool.detection import dlib_landmarks, mediapipe_landmarks
 
 Find = Callable[..., tuple[np.ndarray, np.ndarray]]
-# Schemes that are one detector's alone: whoever has such landmarks has them from it.
-FOUND_BY = {"mediapipe": "mediapipe"}
 
 
 @dataclass(frozen=True)
@@ -161,3 +159,5 @@ DETECTORS = {
         commercial=False,
     ),
 }
+# A scheme with the name of a detector is that one's alone: who has such landmarks has them from it.
+FOUND_BY = {row.scheme: name for name, row in DETECTORS.items() if row.scheme == name}
