@@ -43,8 +43,8 @@ from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 _THREADS = 2
 # Several of these run at once, each with one thread: more would wait for each other.
 _TRAININGS = (
-    *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train"),
-    *("studies.variant", "studies.stream_part", "released_weights.train"),
+    *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train", "objects.train"),
+    *("studies.variant", "studies.scale", "studies.stream_part", "released_weights.train"),
 )
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
