@@ -143,7 +143,7 @@ all-results: | $(READY) ## all of results/, on three face models   (20 h)
 	    'reproduce-bfm SEEDS=10 PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba \
 	    ablation 'seeds SEEDS=10' 'audit SEEDS=10' 'lifting DATA=$(DATA)'; \
 	done; \
-	run 'DATA=$(DATA)' pretrained 'real-faces REAL=$(REAL)' surface released-weights bench footprint; \
+	run 'DATA=$(DATA)' pretrained 'real-faces REAL=$(REAL)' pretrained surface released-weights bench footprint; \
 	run '' stream 'objects OBJECTS=$(OBJECTS)' report 'report MODEL=ict DATA=$(DATA)' docs
 
 check-results: | $(READY) ## whether the last commit would make the committed results, by small runs

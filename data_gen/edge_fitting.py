@@ -56,15 +56,12 @@ class EdgeFit:
         identity: `(K,)` standard-normal coefficients, from -3 to 3.
         camera: Camera from the frame of the model to pixels, but y up.
         rms: Root mean square distance of the projected from the given landmarks, pixels.
-        edge_share: Share of the outline that was matched with edges; 0 where there were none, and
-            the fit is of landmarks alone.
         converged: Whether the last round changed next to nothing.
     """
 
     identity: np.ndarray
     camera: HeadPose
     rms: float
-    edge_share: float
     converged: bool
 
     def project(self, vertices: np.ndarray) -> np.ndarray:
@@ -176,7 +173,6 @@ class EdgeFitter:
             identity=identity,
             camera=pose,
             rms=float(np.sqrt((missed**2).sum(1).mean())),
-            edge_share=float(outline.shares.sum()),
             converged=converged,
         )
 

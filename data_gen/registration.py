@@ -132,7 +132,6 @@ class Registration:
 
     Attributes:
         fit: Of the model to the photo.
-        icp: Of the fitted model, as posed in the photo, to the scan.
         landmarks: `(51, 3)` the scan's points nearest to the model's landmarks, in the frame of the
             face model, millimetres.
         fitted: `(51, 3)` the landmarks of the fitted model, likewise.
@@ -141,7 +140,6 @@ class Registration:
     """
 
     fit: LandmarkFit
-    icp: IcpResult
     landmarks: np.ndarray
     fitted: np.ndarray
     model_to_scan: tuple[np.ndarray, np.ndarray]
@@ -193,7 +191,7 @@ class GroundTruth:
         rotation = motion.rotation @ fit.camera.rotation
         truth = (points[nearest] - motion.translation) @ rotation
         fitted = shape[self._n_surface :]
-        return Registration(fit, motion, truth, fitted, (rotation, motion.translation))
+        return Registration(fit, truth, fitted, (rotation, motion.translation))
 
 
 def _register(surface: np.ndarray, tree: KDTree) -> IcpResult:

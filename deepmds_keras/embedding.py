@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from numbers import Integral
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -70,6 +71,8 @@ def embed(
         )
     check_whole(max_iter, "max_iter")
     check_number(eps, "eps", zero=True)
+    if n_jobs is not None and (not isinstance(n_jobs, Integral) or not n_jobs):
+        raise InputError(f"n_jobs must be a whole number other than 0. Received {n_jobs!r}.")
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
         delayed(_embed_faces)(matrices[task], n_components, solve, max_iter, eps) for task in tasks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepmds_keras.errors import InputError, check_choice
+from deepmds_keras.validation import as_numbers
 
 VARIANTS = {"paper": 6, "released": 5}  # name: features of a pair
 
@@ -26,6 +27,8 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
     Raises:
         InputError: Unknown variant, or views of another shape.
     """
+    if np.ma.isMaskedArray(views):
+        views = as_numbers(views, "views")
     views = np.asarray(views, np.float32)
     if views.ndim not in (2, 3) or views.shape[-1] != 2:
         raise InputError(f"views must have shape (n, L, 2) or (L, 2). Received {views.shape}.")

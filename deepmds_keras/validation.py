@@ -163,4 +163,10 @@ def _not_fitted_error() -> type[InputError]:
         from sklearn.exceptions import NotFittedError
     except ImportError:
         return InputError
-    return type("NotFittedError", (InputError, NotFittedError), {})
+    # A class that is made here has no name by which pickle would find it.
+    pickled = {"__reduce__": lambda error: (_not_fitted, error.args)}
+    return type("NotFittedError", (InputError, NotFittedError), pickled)
+
+
+def _not_fitted(*arguments: str) -> InputError:
+    return _not_fitted_error()(*arguments)

@@ -27,7 +27,7 @@ from experiments.methods import METHODS, title
 from experiments.presets import FULL
 from experiments.records import read_manifest
 from experiments.scoring.numbers import NOTHING, power
-from experiments.scoring.old_names import read_table
+from experiments.scoring.old_names import new_name, read_table
 from experiments.scoring.verdict import Order, orders
 
 ROOT = Path(__file__).parents[1]
@@ -59,6 +59,17 @@ class Results:
     def has(self, folder: str) -> bool:
         """Whether there are results in a folder."""
         return (self._folder / folder / "table.csv").exists()
+
+    def figure(self, folder: str, name: str) -> str:
+        """Path of a figure in the results, whose file may have an older name.
+
+        Raises:
+            FileNotFoundError: There is none.
+        """
+        for path in (self._folder / folder / "figures").glob(f"*{Path(name).suffix}"):
+            if new_name(path.stem) == Path(name).stem:
+                return path.relative_to(self._folder).as_posix()
+        raise FileNotFoundError(f"{folder}/figures/{name}")
 
     def files_read(self) -> pd.DataFrame:
         """External files that manifests list: `name` and `sha256`, a row for each content."""

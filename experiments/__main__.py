@@ -41,10 +41,12 @@ from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
 # Sums are split between threads: their last digits depend on this number, not on the machine's.
 _THREADS = 2
-# Several of these run at once, each with one thread: more would wait for each other.
-_TRAININGS = (
+# Several of these, or of their tasks, run at once, each with one thread: more would wait for each
+# other.
+_SIDE_BY_SIDE = (
     *("tracks.train", "lifting.train", "lifting.train_pairs", "pretrained.train", "objects.train"),
     *("studies.variant", "studies.scale", "studies.stream_part", "released_weights.train"),
+    *("lifting.hard", "lifting.transfer"),
 )
 _XLA = "--xla_cpu_max_isa=AVX2"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -68,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
                 f"STEP must be a module of experiments, such as datasets.faces. Received {module}."
             )
         onednn = _is_onednn(values["step"], values["items"])
-        alone = onednn or values["step"] not in _TRAININGS
+        alone = onednn or values["step"] not in _SIDE_BY_SIDE
         prepare(onednn=onednn, threads=_THREADS if alone else 1)
         end_with_parent()
         Progress.step = in_words(values["record"]) if values["record"] else values["step"]

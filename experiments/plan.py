@@ -13,6 +13,7 @@ from pathlib import Path
 
 from data_gen.models.registry import OPEN, model_files, open_model_files
 from deepmds_keras.baselines.eos_fit import surrey_files
+from deepmds_keras.files import sha256_of
 from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.weights import PRETRAINED
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
@@ -31,6 +32,7 @@ TABLES = (
 )
 # What steps read of the package that other steps may have written.
 DETECTORS = FOLDER / "detectors.csv"
+_PUBLISHED = Path(__file__).parents[1] / "results" / "published"
 _ALWAYS = ("model", "bfm_scale", "preset", "protocol")
 
 
@@ -56,6 +58,7 @@ class Plan:
     Attributes:
         run: The run.
         seeds: Seeds of studies, and of the BFM table with `SEEDS=`.
+        published: Hash of what the paper prints and claims, with which results are compared.
         begun: File that is as old as the folder of arrays. Results that are older, such as
             committed ones, were not made from these arrays.
         model, open, openhead, ringnet, tf_flame, surrey, shipped: Files outside of `build`: of the
@@ -75,6 +78,7 @@ class Plan:
         self.ringnet = _matching(f"{glob.escape(run.ringnet)}.*") if run.ringnet else []
         self.tf_flame = _matching(f"{glob.escape(run.tf_flame)}/*.*") if run.tf_flame else []
         self.surrey = surrey_files(run.sfm) if run.sfm else []
+        self.published = sha256_of(sorted(_PUBLISHED.glob("*.csv")))
         self.shipped = [*sorted(PRETRAINED.glob("*.npz")), DETECTORS]
         self.begun = run.build / run.model / "begun"
         if not self.begun.exists():
@@ -101,8 +105,9 @@ class Plan:
 
     def other_results(self, *but: str) -> str:
         """What there is of results, but for some names: a step reads them as they are."""
+        own = {self.run.experiment_results(name) for name in but}
         folders = (path.parent for path in manifests(self.run.model_results))
-        return " ".join(listing(folder) for folder in folders if folder.name not in but)
+        return " ".join(listing(folder) for folder in folders if folder not in own)
 
     def step(
         self, command: str, track: str = "bfm", seed: str | None = None, uses: Iterable[str] = ()

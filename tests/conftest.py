@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 import runs
 from filelock import FileLock
@@ -34,6 +35,11 @@ def pytest_collection_modifyitems(items):
         return 3 if "experiments" in item.path.parts else 1
 
     items.sort(key=place)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
 
 
 @pytest.fixture(scope="session")

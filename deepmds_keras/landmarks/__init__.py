@@ -95,8 +95,8 @@ def convert(
         raise InputError(f"missing must be raise or nan. Received {missing!r}.")
     given, wanted = load_scheme(source), load_scheme(target)
     picks, sizes = _picks(given, wanted), given.sizes
-    is_masked = np.ma.isMaskedArray(landmarks)
-    landmarks = as_numbers(landmarks, "landmarks") if is_masked else np.asarray(landmarks)
+    if np.ma.isMaskedArray(landmarks) or not isinstance(landmarks, np.ndarray):
+        landmarks = as_numbers(landmarks, "landmarks")
     if not (
         landmarks.ndim in (2, 3)
         and landmarks.shape[-2] in sizes

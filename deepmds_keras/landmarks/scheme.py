@@ -10,6 +10,8 @@ import numpy as np
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import read_table
 
+_EYE_CORNERS = 37, 46  # in iBUG's 68
+
 
 @dataclass(frozen=True, eq=False)
 class LandmarkScheme:
@@ -52,6 +54,20 @@ class LandmarkScheme:
         if name not in self.names:
             raise InputError(f"The scheme must have a landmark {name}. Received {self.name}.")
         return self.names.index(name)
+
+    def eye_corners(self) -> tuple[int, int]:
+        """Return the 0-based indices of the outer corners of the right and of the left eye.
+
+        Raises:
+            InputError: It lacks one.
+        """
+        if not {*_EYE_CORNERS} <= self.ibug68.keys():
+            raise InputError(
+                "The scheme must have the outer corners of both eyes, iBUG's landmarks "
+                f"{_EYE_CORNERS[0]} and {_EYE_CORNERS[1]}. Received {self.name}."
+            )
+        right, left = _EYE_CORNERS
+        return self.ibug68[right], self.ibug68[left]
 
     @property
     def is_face(self) -> bool:
@@ -110,10 +126,12 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
         names = [row["name"] for row in rows]
         mirrors = {int(row["number"]): int(row.get("mirror") or row["number"]) for row in rows}
         lines = [_line(row["landmarks"]) for row in _rows(path, "_polylines")]
+        same = [(int(row["number"]), int(row["ibug68"])) for row in _rows(path, "_ibug68")]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path} must have the columns number and name, optionally mirror and group, and its "
-            "table of polylines the column landmarks, with values such as 1-2-3. "
+            f"{path} must have the columns number and name, optionally mirror and group, its table "
+            "of polylines the column landmarks, with values such as 1-2-3, and that of iBUG's "
+            "landmarks the columns number and ibug68. "
             f"Received {type(error).__name__}: {brief(error)}."
         ) from None
     if not rows or numbers != [*range(numbers[0], numbers[0] + len(rows))]:
@@ -134,6 +152,15 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
             f"{_beside(path, '_polylines')} must join landmarks of {path}. "
             f"Received {min(unknown)}, which it lacks."
         )
+    for column, values, known in (
+        ("number", [number for number, _ in same], numbers),
+        ("ibug68", [number for _, number in same], range(1, 69)),
+    ):
+        if len({*values}) < len(values) or not {*values} <= {*known}:
+            raise InputError(
+                f"{_beside(path, '_ibug68')} must have a different {column} in each row, from "
+                f"{known[0]} to {known[-1]}. Received {brief(values, 40)}."
+            )
     return read_scheme(str(path), path, range(numbers[0], numbers[-1] + 1))
 
 
@@ -152,10 +179,14 @@ def unnamed_scheme(name: str, n_landmarks: int) -> LandmarkScheme:
     )
 
 
+def scheme_files(table: Path) -> list[Path]:
+    """Files of a user's scheme, of which only the table itself must exist."""
+    return [_beside(table, kind) for kind in ("", "_polylines", "_ibug68")]
+
+
 def versions(table: Path) -> tuple[tuple[int, int] | None, ...]:
     """When the files of a scheme were written, and their sizes."""
-    files = [_beside(table, kind) for kind in ("", "_polylines", "_ibug68")]
-    states = [path.stat() if path.is_file() else None for path in files]
+    states = [path.stat() if path.is_file() else None for path in scheme_files(table)]
     return tuple(state and (state.st_mtime_ns, state.st_size) for state in states)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import load_model
+from data_gen.models.registry import load_model, model_files
 from experiments import recipes
 from experiments.inputs import Faces, as_seen
 from experiments.methods import predict
@@ -42,7 +42,8 @@ def main(run: Run, name: str) -> None:
     model = about_mean(model, float(scale), read_mean(run))
     train = _faces(seeded, model, run.preset.train_faces, Stream.RELEASED_WEIGHTS_TRAINING)
     test = _faces(seeded, model, run.preset.test_faces, Stream.RELEASED_WEIGHTS_FACES)
-    folder = resumable(run.work / "released-weights" / name, [mean_file(run)])
+    made_from = [mean_file(run), *model_files(run.model, run.data)]
+    folder = resumable(run.work / "released-weights" / name, made_from)
     data = train.views, train.shapes
     ours = recipes.deep_mds(seeded, "paper", "constant").set_params(solver="numba", n_jobs=1)
     lifting = recipes.landmark_lifter(seeded)

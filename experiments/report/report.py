@@ -23,27 +23,29 @@ from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scien
 from experiments.scoring.old_names import new_name, read_table
 from experiments.scoring.typesetting import cells, head_of, n_landmarks, remarks
 
-# Folder of results → title, and the target of `make` that writes it, in the report's order. Texts
-# about folders and figures are in the template.
+# Folder of results → title, in the report's order. Texts about folders and figures are in the
+# template.
 RESULTS = {
-    "bfm": ("The paper's BFM table", "reproduce-bfm"),
-    "bfm-evaluator-released": ("BFM, authors' evaluator", "reproduce-bfm EVALUATOR=released"),
-    "flame": ("The paper's CASIA-3D table", "reproduce-flame"),
-    "flame-true-landmarks": ("CASIA-3D, against the true landmarks", "reproduce-flame"),
-    "celeba": ("The paper's CelebA table", "reproduce-celeba"),
-    "celeba-true-landmarks": ("CelebA, against the true landmarks", "reproduce-celeba"),
-    "celeba-flame": ("The paper's CelebA faces with 51 landmarks", "reproduce-celeba TF_FLAME=dir"),
-    "celeba-flame-substitute": ("Rendered photos with 51 landmarks", "reproduce-flame"),
-    "audit": ("Claims of the paper", "audit"),
-    "parameters": ("Parameters and time", "reproduce-bfm"),
-    "ablation": ("Ablation", "ablation"),
-    "seeds": ("Seed variance", "seeds"),
-    "stream": ("Many faces: the tails of the errors", "stream"),
-    "pretrained": ("The weights that ship with the package", "pretrained"),
-    "real": ("Real faces by two detectors", "real-faces"),
-    "lifting/hard": ("Hard views, against the lower bound", "lifting"),
-    "lifting/component-ablation": ("Component ablation of Deep-MDS", "lifting"),
-    "lifting/transfer": ("Transfer between face models", "lifting"),
+    "bfm": "The paper's BFM table",
+    "bfm-evaluator-released": "BFM, authors' evaluator",
+    "flame": "The paper's CASIA-3D table",
+    "flame-true-landmarks": "CASIA-3D, against the true landmarks",
+    "celeba": "The paper's CelebA table",
+    "celeba-true-landmarks": "CelebA, against the true landmarks",
+    "celeba-flame": "The paper's CelebA faces with 51 landmarks",
+    "celeba-flame-substitute": "Rendered photos with 51 landmarks",
+    "audit": "Claims of the paper",
+    "parameters": "Parameters and time",
+    "ablation": "Ablation",
+    "seeds": "Seed variance",
+    "scales": "Scales of the standard deviation",
+    "stream": "Many faces: the tails of the errors",
+    "pretrained": "The weights that ship with the package",
+    "real": "Real faces by two detectors",
+    "surface": "The head of `deepmds predict --mesh`",
+    "lifting/hard": "Hard views, against the lower bound",
+    "lifting/component-ablation": "Component ablation of Deep-MDS",
+    "lifting/transfer": "Transfer between face models",
 }
 _MACHINE = ("platform", "processor", "python")
 _LONG = 40  # rows; a longer table gets a column per metric instead of a row
@@ -76,7 +78,7 @@ class Result:
     def title(self) -> str:
         """Title, with settings other than the default in brackets."""
         variant = self.name[len(self.base) :].strip("-").replace("-", " ")
-        name = RESULTS.get(self.base, (self.name,))[0]
+        name = RESULTS.get(self.base, self.name)
         return f"{name} ({variant})" if variant else name
 
     @property
@@ -119,7 +121,6 @@ def report(run: Run, results: list[Result]) -> str:
     environment.filters |= {"md": escaped, "table": markdown_table, "duration": duration}
     environment.filters |= {"commits": commits_of, "new_name": new_name}
     steps = [step for result in results for step in result.steps]
-    present = {result.base for result in results}
     given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "full")
     text = environment.get_template("report.md.j2").render(
         given=given,
@@ -127,11 +128,6 @@ def report(run: Run, results: list[Result]) -> str:
         results=results,
         tables=_tables,
         glance=pd.DataFrame(_glance(result) for result in results if result.track),
-        missing=[
-            (name, base, f"make {target} {given}")
-            for base, (name, target) in RESULTS.items()
-            if base not in present
-        ],
         steps_of=_steps,
         preset=_facts([step["preset"] for step in steps]),
         versions=_facts([{key: s[key] for key in _MACHINE} | s["packages"] for s in steps]),
@@ -150,9 +146,10 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
         columns = ["over", "method_a", "method_b", "n", "median_difference", "p_value"]
         yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
     elif result.base == "audit":
-        of_all_models = result.folder.parents[1] / "audit"
-        # That of all models first: it has both protocols, as claims.md has.
-        paths = (folder / "claims.csv" for folder in (of_all_models, result.folder))
+        folders = [result.folder]
+        if result.name == result.base:  # that of all models first: it has what claims.md has
+            folders.insert(0, result.folder.parents[1] / "audit")
+        paths = (folder / "claims.csv" for folder in folders)
         if path := next(filter(Path.is_file, paths), None):
             claims = read_table(path)
             if "model" in claims:

@@ -59,13 +59,16 @@ rule audited:
     output:
         record("bfm", "audit"),
         results("audit", *[f"{name}.csv" for name in (*AUDIT, *([] if SMALL else ["claims"]))]),
-    params: topics=[*TOPICS], others=plan.other_results("audit", "bfm", "parameters", "ablation")
-    shell: step("audit.audit {params.topics}")
+    params:
+        topics=[*TOPICS], published=plan.published,
+        others=plan.other_results("audit", "bfm", "parameters", "ablation"),
+    shell: step("audit.audit {params.topics}", uses=["coma", "casia", "celeba"])
 
 
 rule all_claims:
     input: plan.begun, rules.audited.output
     output: record("bfm", "claims"), f"{plan.shared('audit')}/claims.csv"
+    params: published=plan.published
     shell: step("audit.all_models")
 
 

@@ -21,14 +21,14 @@ rule bfm:
     output:
         record("bfm", "bfm"), results("bfm", *TABLES),
         results("parameters", "table.csv", "table.tex"),
-    params: methods=plan.compared("bfm")
+    params: methods=plan.compared("bfm"), published=plan.published
     shell: step("tracks.bfm {params.methods}", uses=["seeds", "mobileface"])
 
 
 rule bfm_evaluator_released:
     input: plan.begun, plan.predictions("bfm", plan.compared("bfm")), record("bfm", "times")
     output: record("bfm", "bfm-evaluator-released"), results("bfm-evaluator-released", *TABLES)
-    params: methods=plan.compared("bfm")
+    params: methods=plan.compared("bfm"), published=plan.published
     shell: step("tracks.bfm {params.methods} --evaluator released", uses=["mobileface"])
 
 
@@ -38,7 +38,7 @@ rule flame:
         record("flame", "flame"), results("flame", *TABLES, track="flame"),
         # Nobody knows the true landmarks of real faces.
         [] if RUN.casia else results("flame-true-landmarks", *TABLES, track="flame"),
-    params: methods=plan.compared("flame")
+    params: methods=plan.compared("flame"), published=plan.published
     shell: step("tracks.flame {params.methods}", "flame", uses=["ringnet"])
 
 
@@ -49,7 +49,7 @@ rule celeba:
     output:
         record("celeba", "celeba"), results("celeba", *TABLES, track="celeba"),
         [] if RUN.celeba else results("celeba-true-landmarks", *TABLES, track="celeba"),
-    params: methods=plan.compared("celeba")
+    params: methods=plan.compared("celeba"), published=plan.published
     shell: step("tracks.celeba {params.methods}", "celeba", uses=["data", "mobileface"])
 
 

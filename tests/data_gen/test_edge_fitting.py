@@ -42,11 +42,6 @@ def portraits():
 
 
 @pytest.fixture(scope="module")
-def model():
-    return load_openhead()
-
-
-@pytest.fixture(scope="module")
 def faces(apart):
     """Identities, poses, images and landmarks as a detector might find them, pixels."""
     *known, pixels = apart(portraits)
@@ -161,8 +156,6 @@ def test_edges_bring_pose_and_landmarks_nearer_to_the_truth(model, faces, fits):
     assert turned[0] < 0.85 * turned[1] and turned[0] < 3
     mean_face = error(model, [replace(fits[0][0], identity=np.zeros(1))] * N, identity)
     assert errors[0] < 0.97 * errors[1] < 0.8 * mean_face
-    assert np.mean([fit.edge_share for fit in fits[0]]) > 0.6
-    assert not any(fit.edge_share for fit in fits[1])
 
 
 def test_a_fit_says_of_itself_what_is_so(model, faces, fits):

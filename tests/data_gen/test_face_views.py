@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.models.openhead import load_openhead
 from data_gen.views import (
     DETECTOR_SD_MM,
     FIELD_OF_VIEW,
@@ -38,11 +37,6 @@ def cameras(n=1, **angles):
 @pytest.fixture
 def faces():
     return np.random.default_rng(0).normal(0, 50, (4, 20, 3))
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_openhead()
 
 
 @pytest.fixture(scope="module")

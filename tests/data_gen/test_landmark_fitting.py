@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from data_gen import landmark_fitting
 from data_gen.landmark_fitting import LandmarkFitter
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.views import Cameras, rotations
 
@@ -17,18 +16,8 @@ SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels
 
 
 @pytest.fixture(scope="module")
-def model():
-    return load_openhead()
-
-
-@pytest.fixture(scope="module")
 def fitter(model):
     return LandmarkFitter(model)
-
-
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
 
 
 def rotation_of(*angles):

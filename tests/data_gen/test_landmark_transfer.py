@@ -11,16 +11,11 @@ from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.ict import load_ict
 from data_gen.models.landmark_transfer import transfer_landmarks
 from data_gen.models.mesh import largest_component, orient_outwards, vertex_normals
-from data_gen.models.openhead import load_openhead, read_openhead
+from data_gen.models.openhead import read_openhead
 from deepmds_keras.errors import InputError
 
 # The pupils, landmarks 5 and 54, lie on the eyes, which are separate parts and never chosen.
 ON_SKIN = np.setdiff1d(np.arange(72), [4, 53])
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_openhead()
 
 
 @pytest.fixture(scope="module")

@@ -20,11 +20,6 @@ def face():
     return load_openhead().mean[(z > 60) & (np.abs(x) < 60) & (np.abs(y) < 70)]
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
-
-
 def move(points):
     return points @ MOTION.T + SHIFT
 

@@ -61,11 +61,6 @@ POSES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_openhead()
-
-
 def redness(apart, marked, pose):
     """`(size, size)` how much redder than grey the image is where vertices are painted red."""
     colours = np.where(marked[:, None], (1.0, 0, 0), (0.5, 0.5, 0.5))

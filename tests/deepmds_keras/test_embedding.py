@@ -115,6 +115,8 @@ def test_the_default_is_the_papers_by_scikit_learn(without_numba):
     assert np.array_equal(embed(matrices), embed(matrices, solver="sklearn"))
     with pytest.raises(InputError, match="one of sklearn, numba. Received 'new'"):
         embed(matrices, solver="new")
+    with pytest.raises(InputError, match="n_jobs must be a whole number other than 0"):
+        embed(matrices, n_jobs=0)
 
 
 @pytest.mark.parametrize("solver", ["sklearn", "numba"])

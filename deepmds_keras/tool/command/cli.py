@@ -146,6 +146,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--landmarks", metavar="FILE",
         help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
     add("--y-up", action="store_true", help="y points up in that file")
+    add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
+        help="size of the image if that file has fractions of it")  # fmt: skip
     add("--model", metavar="FILE",
         help="a file from LandmarkLifter.save(), for faces or other objects (default: the shipped "
         "weights)")  # fmt: skip

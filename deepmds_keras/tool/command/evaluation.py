@@ -17,15 +17,15 @@ from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
-from deepmds_keras.landmarks.y_axis import eyes_to_mouth
+from deepmds_keras.landmarks.y_axis import check_y_axis, eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.tool.detection import FOUND_BY, to_ibug
 from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
 from deepmds_keras.tool.predict.models import given_scheme, weights_path
 
 _SIZES = (51, 68)  # of shipped weights that are scored
-_CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 _YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
 _COLUMNS = ("landmarks", "method", "yaw", "n_faces", "error", "standard_error")
 _UNIT = 1e-3
@@ -37,6 +37,7 @@ def evaluate(
     *,
     landmarks: str | Path | None = None,
     y_up: bool = False,
+    image_size: tuple[float, float] | None = None,
     model: str | None = None,
     eos: str | Path | None = None,
     out: str | Path = "deepmds-evaluation",
@@ -57,6 +58,7 @@ def evaluate(
             of y and z are inferred from the faces.
         landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
         y_up: Whether y grows upwards in `landmarks`.
+        image_size: Width and height of the image if `landmarks` are fractions of them.
         model: File of `LandmarkLifter.save`; None is the shipped weights.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
         out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
@@ -73,6 +75,8 @@ def evaluate(
     for file in files if not overwrite else ():
         if file.exists():
             raise InputError(f"{file} already exists; choose another --out or pass --overwrite.")
+    if landmarks is None and (y_up or image_size):
+        raise InputError("landmarks must be given with y_up or image_size. Received none.")
     lifter = None if model is None else LandmarkLifter.load(weights_path(model))
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
     scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
@@ -82,7 +86,15 @@ def evaluate(
     if landmarks is None:
         views = shapes[..., :2]
     else:
-        views = read_landmarks(landmarks, y_up=y_up, scheme=scheme) * (1, -1)
+        of_file = None if is_face else scheme
+        views = read_landmarks(landmarks, y_up=y_up, image_size=image_size, scheme=of_file)
+        if is_face:
+            seen = scheme_of(views.shape[1])
+            check_y_axis(views, seen, str(landmarks))
+            views = convert(views, seen, scheme)
+            if found_by := FOUND_BY.get(seen):
+                views = to_ibug(views, found_by, scheme)
+        views = views * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(
                 f"{landmarks} must have {shapes.shape[1]} landmarks for {len(shapes)} faces, like "
@@ -154,7 +166,7 @@ def _rows(
     yaw = np.abs(camera_angles(np.swapaxes(rotation, 1, 2))[0])
     known = load_scheme(scheme)
     if known.is_face:
-        right, left = map(known.index, _CORNERS)
+        right, left = known.eye_corners()
         size = np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
     else:
         size = np.sqrt((centre(shapes) ** 2).mean((1, 2)))

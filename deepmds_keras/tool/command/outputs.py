@@ -99,7 +99,8 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     # What the model does not estimate stays empty.
     std = [number if faces[0].std is not None else ""] * 3
     cells = ",".join([*[number] * 3, *std, *[number] * 4])
-    rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, scheme.names, strict=True)]
+    names = map(_csv_cell, scheme.names)
+    rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, names, strict=True)]
     yield from (f"# {line}\n" for line in description(faces, model))
     yield from (f"# {columns}: {AXES[key]}\n" for key, columns in _DESCRIBED.items())
     if faces[0].frame_ref is not None:
@@ -112,6 +113,12 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
         estimated = () if face.std is None else (face.std,)
         numbers = np.hstack([face.xyz, *estimated, face.landmarks_3d, face.residuals[:, None]])
         yield "".join(name + row for row in rows) % tuple(numbers.ravel().tolist())
+
+
+def _csv_cell(text: str) -> str:
+    """A text as a cell, quoted if it has to be, in a format of `%`."""
+    quoted = '"' + text.replace('"', '""') + '"'
+    return (quoted if {*text} & {*',"\r\n#'} else text).replace("%", "%%")
 
 
 def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:

@@ -144,8 +144,11 @@ def _detect(
         raise InputError(f"{source}: each face {fault}.")
     if found_by := FOUND_BY.get(scheme):
         landmarks = to_ibug(landmarks, found_by, target)
-    rows = np.flatnonzero(~np.isnan(landmarks).any((1, 2)))
+    seen = ~np.isnan(landmarks).any(2)
+    rows = np.flatnonzero(seen.all(1))
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
+    if smooth and (rough := int(seen.any(1).sum()) - len(rows)):
+        remarks.append(f"{rough} of {n} rows lack landmarks and are not smoothed")
     return None, Detections(
         source=source,
         names=name_faces(name, n),

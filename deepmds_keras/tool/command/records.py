@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from deepmds_keras.landmarks.scheme import scheme_files
 from deepmds_keras.tool.command.sources import kind_of
 
 _RECORDS = ".deepmds-results"  # a line of JSON for each time that results were moved to the folder
@@ -30,6 +31,7 @@ def describe_run(source: Path, settings: Mapping) -> dict:
     kind = kind_of(source)
     options = {key: value for key, value in settings.items() if kind in USED_BY.get(key, (kind,))}
     given = [Path(options[key]) for key in _FILES if options.get(key)]
+    given += scheme_files(Path(options["scheme"]))[1:] if options.get("scheme") else []
     used = {"source": _stamp(source), "files": [_stamp(path) for path in given if path.is_file()]}
     return json.loads(json.dumps(used | {"options": options}))  # as it is read again
 

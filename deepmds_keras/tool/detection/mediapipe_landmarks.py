@@ -31,6 +31,8 @@ N_POINTS = 468
 LANDMARKER = Path(__file__).with_name("face_landmarker.task")
 _DETECTOR = "face_detector.tflite"  # in the bundle
 _MOST_FACES = 100
+# Pixels: OpenCV ends the process where a side of an image or of the crop around a face is too long.
+_LONGEST_SIDE = 16_384
 
 
 @cache
@@ -106,7 +108,12 @@ class MediaPipeLandmarks:
             InputError: Not such an image, or in a fork of the process.
         """
         check_fork("MediaPipe")
-        points, scores = find_faces(check_photo(image), self._find, self._find_boxes, before)
+        image = check_photo(image)
+        factor = -(-max(image.shape[:2]) // _LONGEST_SIDE)
+        before = None if before is None else before / factor
+        image = image[::factor, ::factor]
+        points, scores = find_faces(image, self._find, self._find_boxes, before)
+        points = points * np.float32(factor)
         order = np.argsort(-np.ptp(points[..., :2], axis=1).prod(1), kind="stable")
         return points[order], scores[order]
 

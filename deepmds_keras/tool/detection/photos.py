@@ -46,6 +46,7 @@ def read_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> tuple[np.
     name = source if isinstance(source, (str, os.PathLike)) else "image"
     try:
         if isinstance(source, Image.Image):
+            _check_head(source)
             return _pixels(source), 1
         content = _content(source)
         # By the content: telephones send HEIC files called `.jpg`.
@@ -73,19 +74,21 @@ def check_photo(photo: np.ndarray) -> np.ndarray:
     """Check that a photo is as `open_photo` returns it.
 
     Raises:
-        InputError: Not `(H, W, 3)` uint8, or without pixels.
+        InputError: Not `(H, W, 3)` uint8, or smaller.
     """
     photo = np.asarray(photo)
-    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
+    is_rgb = photo.ndim == 3 and photo.shape[2] == 3 and photo.dtype == np.uint8
+    if not is_rgb or min(photo.shape[:2]) < MIN_SIDE:
         raise InputError(
-            "image must be RGB, uint8 (H, W, 3), with H and W at least 1. "
+            f"image must be RGB, uint8 (H, W, 3), with H and W at least {MIN_SIDE}. "
             f"Received {photo.dtype} {photo.shape}."
         )
     return photo
 
 
 def _pixels(photo: Image.Image) -> np.ndarray:
-    photo = ImageOps.exif_transpose(photo)
+    with suppress(Exception):  # Pillow raises many kinds for a damaged tag, which is no bad photo
+        photo = ImageOps.exif_transpose(photo)
     if photo.mode.startswith(("I", "F")):  # more than 8 bits per pixel, which Pillow would clip
         photo = Image.fromarray(_in_8_bits(np.asarray(photo, float)))
     if photo.has_transparency_data:

@@ -22,7 +22,6 @@ _POSE_ERROR = 5  # root mean square error of head poses, degrees
 # the face's landmarks, and this part of the face's size. Distances are weighted by the accuracy of
 # the detector at that landmark.
 _ASTRAY, _ASTRAY_SIZE = 4, 0.05
-_CORNERS = ("right_eye_outer_corner", "left_eye_outer_corner")
 
 
 def estimate_faces(
@@ -76,7 +75,7 @@ def estimate_faces(
     shapes, std, poses = chosen.predict(upright, sd, jobs, progress)
     poses = _turned_back(poses, turns, middle)
     if interocular is not None:
-        right, left = map(scheme.index, _CORNERS)
+        right, left = scheme.eye_corners()
         scale = interocular / np.linalg.norm(shapes[:, left] - shapes[:, right], axis=1)
         shapes = shapes * scale[:, None, None]
         std = None if std is None else std * scale[:, None, None]

@@ -14,7 +14,7 @@ from deepmds_keras.landmarks import face_sizes, load_scheme
 from deepmds_keras.landmarks.arrays import LARGEST_FRACTION, as_faces, seem_fractions
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
 from deepmds_keras.tool.predict.landmark_tables import check_count, encoding_of, read_landmark_table
-from deepmds_keras.validation import find_faults
+from deepmds_keras.validation import check_number, find_faults
 
 _TOO_LARGE = 1e9  # for any image; squares of far larger numbers overflow
 _MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
@@ -96,6 +96,11 @@ def read_faces(
     Raises:
         InputError: As for `read_landmarks`, but for faces only if none can be used.
     """
+    if image_size is not None:
+        if np.shape(image_size) != (2,):
+            raise InputError(f"image_size must be a width and a height. Received {image_size!r}.")
+        for side in image_size:
+            check_number(side, "image_size")
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _READERS:

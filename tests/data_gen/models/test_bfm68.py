@@ -13,7 +13,6 @@ from writers.models import write_3ddfa
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.bfm68 import load_bfm68
-from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import find_model, load_model, model_files
 from deepmds_keras.errors import InputError
 from experiments.inputs import face_model
@@ -21,11 +20,6 @@ from experiments.released_weights.bfm_mean import FILES, extract_mean
 from experiments.run import run_of_variables
 
 CHECKOUT = SHARED / "3ddfa"
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_openhead()
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models import ict
 from data_gen.models.basel import load_bfm2009, load_bfm2017
 from data_gen.models.ict import KEPT, N_VERTICES, load_ict
-from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import MODELS, find_model, load_model, model_files, open_models
 from deepmds_keras.errors import InputError
 
@@ -22,11 +21,6 @@ K = 5  # components of the synthetic models
 SD = np.array([50.0, 20.0, 9.0, 4.0, 1.0])  # mm; not equal to their squares
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_openhead()
 
 
 @pytest.fixture(scope="module")

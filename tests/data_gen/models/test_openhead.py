@@ -9,16 +9,11 @@ from places import SHARED
 from data_gen.build_openhead.cut import LANDMARKS
 from data_gen.landmarks import load_vertices
 from data_gen.models.ict import load_ict
-from data_gen.models.openhead import load_openhead, read_openhead
+from data_gen.models.openhead import read_openhead
 from deepmds_keras.files import read_table
 from deepmds_keras.geometry.alignment import align
 
 FLIP = np.array([-1.0, 1.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_openhead()
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Mean, ridge regression and the two fits of Aldrian and Smith: exact cases, eos, bad input."""
 
+import pickle
 import subprocess
 import sys
 
@@ -15,11 +16,6 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import affine_cameras
 
 L, K = 20, 4
-
-
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
 
 
 @pytest.fixture
@@ -125,8 +121,10 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise, k):
 @pytest.mark.parametrize("method", [MeanShape(), RidgeRegression(alphas=(1e6,))])
 def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method, rng):
     views, shapes = rng.random((5, L, 2)), rng.random((5, L, 3))
-    with pytest.raises(NotFittedError, match=f"This {type(method).__name__} is not trained"):
+    with pytest.raises(NotFittedError, match=f"This {type(method).__name__} is not") as refused:
         clone(method).predict(views)
+    again = pickle.loads(pickle.dumps(refused.value))  # as from a process of its own
+    assert isinstance(again, NotFittedError) and str(again) == str(refused.value)
     with pytest.raises(InputError, match="views and shapes must have the same faces"):
         method.fit(views, shapes[:3])
     method.fit(views, shapes)

@@ -53,6 +53,33 @@ def test_a_table_with_points_of_ibug_is_a_face_and_converts(stool):
     np.testing.assert_array_equal(convert(points, "ibug68", str(path)), points[:, [36, 45, 30, 57]])
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("number,ibug\n3,37\n", "stool.csv must .*number and ibug68. Received KeyError: 'ibug68'"),
+        ("number,ibug68\n9,37\n", "_ibug68.csv must have a different number .* from 3 to 6"),
+        ("number,ibug68\n3,69\n", "_ibug68.csv must have a different ibug68 .* from 1 to 68"),
+        ("number,ibug68\n3,37\n4,37\n", r"different ibug68 .* Received \[37, 37\]"),
+    ],
+)
+def test_points_of_ibug_that_there_are_not_are_refused(stool, text, message):
+    path = stool()
+    path.with_name("stool_ibug68.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_scheme(path)
+
+
+def test_corners_of_the_eyes_are_found_by_their_points_of_ibug(stool):
+    path = stool()
+    with pytest.raises(InputError, match="iBUG's landmarks 37 and 46. Received .*stool.csv"):
+        load_scheme(path).eye_corners()
+    path.with_name("stool_ibug68.csv").write_text("number,ibug68\n4,37\n3,46\n")
+    assert load_scheme(path).eye_corners() == (1, 0)
+    names = load_scheme("bfm72").names
+    corners = [names.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
+    assert load_scheme("bfm72").eye_corners() == tuple(corners)
+
+
 def test_any_landmarks_have_a_scheme_without_names():
     scheme = load_scheme(unnamed(14))
     assert len(scheme) == 14 and scheme.names[13] == "landmark_14" and not scheme.is_face

@@ -2,8 +2,6 @@
 
 import functools
 import shutil
-import subprocess
-import sys
 
 import keras
 import numpy as np
@@ -352,22 +350,6 @@ def test_unequal_numbers_of_faces_and_untrained_lifters_are_refused(faces):
         LandmarkLifter(L).fit(faces[0], faces[1][1:])
     with pytest.raises(InputError, match="not trained: call fit, load or pretrained first"):
         LandmarkLifter(L).predict(faces[0])
-
-
-def test_a_saved_lifter_predicts_without_tensorflow(faces, tmp_path):
-    lifter = LandmarkLifter(L)
-    shapes = read_faces(*faces, None, L).shapes
-    lifter.weights_ = initial_weights(shapes, 0)
-    lifter.mean_shape_ = shapes.mean(0).T
-    lifter.default_sd_, lifter.history_ = 0.0, {}
-    lifter.save(tmp_path / "lifter.npz")
-    code = (
-        "import sys, numpy; from deepmds_keras import LandmarkLifter\n"
-        f"lifter = LandmarkLifter.load({str(tmp_path / 'lifter.npz')!r})\n"
-        f"lifter.predict(numpy.random.default_rng(0).random((3, {L}, 2)))\n"
-        "sys.exit(bool({'tensorflow', 'keras'} & {*sys.modules}))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
 SCHEMES = ("ibug51", "ibug68", "bfm72")

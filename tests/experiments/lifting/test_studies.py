@@ -126,20 +126,6 @@ def test_mini_batches_are_of_one_face_or_of_all(shuffled, monkeypatch):
         assert len({*of_batch}) > 5 if shuffled else len({*of_batch}) == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shuffled", [False, True])
-def test_a_pair_net_trains_and_leaves_its_checkpoint(shuffled, tmp_path):
-    from deepmds_keras.training import Recipe
-    from experiments.lifting.pair_nets import build_pair_net
-    from experiments.studies.pair_training import PairNet
-
-    shapes, losses = np.random.default_rng(0).random((20, 6, 3)), []
-    net = PairNet(build_pair_net(6, VARIANTS["whole_view"]), Recipe(2, 10), 0, shuffled)
-    path = tmp_path / "net.npz"
-    net.fit(shapes[..., :2], shapes[..., :2], shapes, checkpoint=path, progress=losses.append)
-    assert len(losses) == 2 and path.exists()
-
-
 def test_components_are_those_of_the_shapes():
     rng = np.random.default_rng(0)
     mean, known = rng.normal(size=(6, 3)), rng.normal(size=(2, 6, 3)) * 10

@@ -106,17 +106,10 @@ def test_other_tables_are_shown_as_they_are(text):
     assert "| processor | A; B |" in text and "| name | smoke |" in text
 
 
-def test_what_is_missing_is_listed_with_its_command(text):
-    missing = section(text, "Not run yet")
-    assert "(`flame`): `make reproduce-flame MODEL=openhead PRESET=smoke`" in missing
-    present = {"bfm", "audit", "lifting/hard"}
-    assert len(re.findall("(?m)^- ", missing)) == len(RESULTS.keys() - present)
-
-
 def test_another_folder_of_results_is_one_row(run, monkeypatch):
     write_result(run.experiment_results("new"), pd.DataFrame({"mse": [1.0]}))
     assert "\n## new\n" in report(run, load_results(run.model_results))
-    monkeypatch.setitem(RESULTS, "new", ("A new experiment", "new"))
+    monkeypatch.setitem(RESULTS, "new", "A new experiment")
     assert "\n## A new experiment\n" in report(run, load_results(run.model_results))
 
 

@@ -9,11 +9,6 @@ from scipy.stats import binom, ttest_rel
 from experiments.scoring.intervals import holm, over_seeds, sd_of_seeds, share_below
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
-
-
 def coverage(estimates, truth):
     return np.mean([e.low <= truth <= e.high for e in estimates])
 

@@ -74,6 +74,22 @@ def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
         evaluate(tmp_path / "truth.csv", landmarks=tmp_path / "seen.npy", out=tmp_path / "gap")
 
 
+def test_landmarks_are_converted_and_must_not_be_upside_down(truth, tmp_path):
+    np.save(tmp_path / "truth.npy", truth[:9, 17:])
+    for name, seen in {"51": truth[:9, 17:], "68": truth[:9]}.items():
+        np.save(tmp_path / f"{name}.npy", seen[..., :2] * (1, -1))
+    rows = [
+        evaluate(tmp_path / "truth.npy", landmarks=tmp_path / f"{name}.npy", out=tmp_path / name)
+        for name in ("51", "68")
+    ]
+    assert rows[0] == rows[1]
+    np.save(tmp_path / "up.npy", truth[:9, :, :2])
+    with pytest.raises(InputError, match="up.npy.*--y-up"):
+        evaluate(tmp_path / "truth.npy", landmarks=tmp_path / "up.npy", out=tmp_path / "up")
+    with pytest.raises(InputError, match="landmarks must be given with y_up"):
+        evaluate(tmp_path / "truth.npy", y_up=True, out=tmp_path / "up")
+
+
 @pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")
 def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
     pytest.importorskip("eos", reason="eos-py has no wheel here")

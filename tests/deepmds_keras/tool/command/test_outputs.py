@@ -14,6 +14,7 @@ from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.command.outputs import FORMATS, MESH_FORMATS, output_files, write_output
 from deepmds_keras.tool.predict.faces import Face
+from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_landmarks, surface_triangles
 
 MODEL = {"name": "deepmds-bfm72", "trained_on": "20,000 faces of the open head"}
@@ -215,3 +216,16 @@ def test_no_name_adds_rows_comments_or_elements(tmp_path, name):
     assert len(rows) == 73 and len({row[0] for row in rows[1:]}) == 1
     assert len(by_hand(tmp_path / "a.ply")[0]) == 72
     assert {line[0] for line in (tmp_path / "a.obj").read_text().splitlines()} == set("#vl")
+
+
+def test_names_of_landmarks_come_back_as_they_are(tmp_path):
+    names = ["back, top", '50% "seat"', "leg %s", "#arm", "left", "right"]
+    with open(tmp_path / "chair.csv", "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([("number", "name"), *enumerate(names, 1)])
+    face = make_face(scheme=str(tmp_path / "chair.csv"))
+    write_output(tmp_path / "a.csv", [face], MODEL)
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    table = [*csv.DictReader(line for line in lines if not line.startswith("#"))]
+    assert [row["name"] for row in table] == names
+    read = read_landmarks(tmp_path / "a.csv", scheme=face.scheme)
+    np.testing.assert_allclose(read[0], face.landmarks, rtol=1e-6)

@@ -254,6 +254,15 @@ def test_options_reach_the_results(tmp_path, predict, landmarks, way):
     assert steps[1] == pytest.approx(steps[0], abs=2)
 
 
+def test_rows_that_are_not_smoothed_are_counted(tmp_path, predict, landmarks):
+    frames = np.repeat(landmarks[None], 4, axis=0)
+    frames[1, 3], frames[2] = np.nan, np.nan
+    points = save(tmp_path / "frames.npy", frames)
+    for option, said in ((2, True), (0, False)):
+        printed = predict(points, "--smooth", option, "--format", "csv", "--overwrite")[1]
+        assert ("1 of 4 rows lack landmarks and are not smoothed" in printed) == said
+
+
 def test_a_photo_is_read_once_and_the_detector_opened_once(tmp_path, predict, faces24, monkeypatch):
     for i in range(20):
         Image.new("RGB", (900, 900)).save(tmp_path / f"{i:02d}.png")

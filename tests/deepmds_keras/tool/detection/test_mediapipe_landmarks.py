@@ -16,6 +16,7 @@ from writers.heads import CANTHI, NOSE_TIP, drawn_heads, nme
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
+from deepmds_keras.tool.detection import mediapipe_landmarks
 from deepmds_keras.tool.detection.mediapipe_landmarks import (
     LANDMARKER,
     MediaPipeLandmarks,
@@ -66,6 +67,16 @@ def test_a_blank_image_has_no_points_and_no_image_leaves_a_trace(points):
     # In a mode for video they would depend on the image before.
     assert np.array_equal(points[0], points[-2])
     assert detect([]).shape == (0, 468, 3)
+
+
+@installed
+def test_places_in_a_large_image_are_in_its_pixels(heads, monkeypatch):
+    detector = shared_detector()
+    assert not len(detector.detect_all(np.zeros((33_000, 32, 3), np.uint8)))  # OpenCV would abort
+    image, truth = heads[0][2].repeat(2, 0).repeat(2, 1), 2 * heads[1][2]
+    monkeypatch.setattr(mediapipe_landmarks, "_LONGEST_SIDE", len(image) // 2)
+    (found,) = detector.detect_all(image)
+    assert nme(pixels(found[None]), truth[None]).max() < 0.06
 
 
 @installed

@@ -139,6 +139,19 @@ def test_tiny_and_huge_photos_are_refused(tmp_path, size, message):
         open_photo(path)
 
 
+def test_what_pillow_opened_and_arrays_have_the_least_size_of_files():
+    with pytest.raises(InputError, match="image must be at least 32 pixels on each side"):
+        open_photo(Image.new("RGB", (1, 40)))
+    with pytest.raises(InputError, match=r"H and W at least 32. Received uint8 \(1, 40, 3\)"):
+        check_photo(np.zeros((1, 40, 3), np.uint8))
+
+
+@pytest.mark.parametrize("name", ["photo.png", "photo.webp", "photo.jpg"])
+def test_a_photo_with_a_damaged_tag_is_read_as_it_is_stored(tmp_path, colour, name):
+    path = saved(tmp_path, colour, name, exif=b"Exif\0\0garbage", lossless=True)
+    assert np.abs(open_photo(path).astype(int) - colour).max() < 60
+
+
 def test_what_is_no_photo_is_refused_in_one_line(tmp_path, colour):
     path = tmp_path / "photo.jpg"
     with pytest.raises(InputError, match="photo.jpg does not exist; it must be a photo"):

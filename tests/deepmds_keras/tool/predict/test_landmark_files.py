@@ -140,6 +140,12 @@ def test_fractions_of_mediapipe_become_pixels(tmp_path, n, key):
         read_landmarks(path)
 
 
+@pytest.mark.parametrize("size", [1920, (1080,), (1920, 0), (1920, -1080), (1, np.nan), "1x2"])
+def test_what_is_no_image_size_is_refused(tmp_path, size):
+    with pytest.raises(InputError, match="image_size must be"):
+        read_landmarks(written(tmp_path, "f.npy", FACES / 1000), image_size=size)
+
+
 def test_an_image_size_for_pixels_is_refused_and_small_units_about_a_middle_are_not(tmp_path):
     with pytest.raises(InputError, match=r"up to 4.*: omit --image-size"):
         read_landmarks(written(tmp_path, "f.npy", FACES), image_size=(640, 480))
