@@ -78,17 +78,12 @@ class LandmarkFitter:
         n_expression: int | None = None,
         landmark_sd: float = 1.5,
     ):
-        if scheme not in model.landmarks:
-            raise InputError(
-                f"scheme must be one of {', '.join(model.landmarks) or 'none'} for {model.name}. "
-                f"Received {scheme!r}."
-            )
+        part = model.at_landmarks(scheme)
         if n_identity < 1 or (n_expression or 0) < 0 or not landmark_sd > 0:
             raise InputError(
                 "n_identity must be at least 1, n_expression not negative and landmark_sd positive."
                 f" Received {n_identity}, {n_expression}, {landmark_sd}."
             )
-        part = model.restrict(model.landmarks[scheme])
         mean, bases = part.mean, [part.identity_basis_times_sd[:n_identity]]
         self._has_expression = part.expression_basis is not None and n_expression != 0
         self._expression_sd = model.expression_sd

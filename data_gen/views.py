@@ -187,12 +187,7 @@ def sample_photo_views(
     Raises:
         InputError: The model has no such landmarks, or no expressions whose names are known.
     """
-    if scheme not in model.landmarks:
-        raise InputError(
-            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
-            f"Received {scheme!r}."
-        )
-    part = model.restrict(model.landmarks[scheme])
+    part = model.at_landmarks(scheme)
     identity, expression = sample_expressive(model, n, rng)
     landmarks = part.shape(identity, expression)
     cameras = sample_perspective_cameras(

@@ -185,7 +185,7 @@ def method_picture() -> Figure:
 
     scheme, model = load_scheme("bfm72"), DeepMDS.pretrained("deepmds-bfm72")
     head, rng = load_openhead(), np.random.default_rng(_METHOD_SEED)
-    face = head.restrict(head.landmarks["bfm72"]).shape(*sample_expressive(head, 1, rng))
+    face = head.at_landmarks("bfm72").shape(*sample_expressive(head, 1, rng))
     view = normalise(centre(in_camera_frame(face, sample_hard_cameras(1, rng))[..., :2]))
     shape = model.predict(view, check_orientation=False)[0]
 

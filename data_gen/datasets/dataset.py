@@ -76,7 +76,7 @@ def make_dataset(
     Raises:
         InputError: The model has no landmarks of that scheme, or the protocol is unknown.
     """
-    part, cameras = _landmarks_of(model, scheme), sample_cameras(n, rng, protocol)
+    part, cameras = model.at_landmarks(scheme), sample_cameras(n, rng, protocol)
     identity = np.empty((n, model.n_identity), np.float32)
     landmarks = np.empty((n, part.n_vertices, 3), np.float32)
     views = np.empty((n, part.n_vertices, 2), np.float32)
@@ -146,7 +146,7 @@ def make_rings(
             "n_subjects and images_per_subject must be at least 1. "
             f"Received {n_subjects} and {images_per_subject}."
         )
-    part, expression = _landmarks_of(model, scheme), np.float32(sample_expressions(model, n, rng))
+    part, expression = model.at_landmarks(scheme), np.float32(sample_expressions(model, n, rng))
     cameras = sample_cameras(n, rng, protocol)
     of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
     identity = np.repeat(of_subjects, images_per_subject, axis=0)
@@ -186,15 +186,6 @@ def make_performances(
     expression = [sequence_weights(model, name, length, rng) for name, length in performed]
     subject = np.repeat(np.arange(n_performances), lengths) // len(SEQUENCES)
     return identity[subject], np.float32(np.concatenate(expression))
-
-
-def _landmarks_of(model: MorphableModel, scheme: str) -> MorphableModel:
-    if scheme not in model.landmarks:
-        raise InputError(
-            f"scheme must be one of {', '.join(model.landmarks)} for {model.name}. "
-            f"Received {scheme!r}."
-        )
-    return model.restrict(model.landmarks[scheme])
 
 
 def _description(model: MorphableModel, scheme: str, protocol: str) -> dict:

@@ -106,7 +106,7 @@ class Portraits:
     def _set_up(self, model: MorphableModel, seed: Sequence[int], scene: Scene) -> None:
         self._seed, self._scene = list(seed), scene
         known = [scheme for scheme in _SCHEMES if scheme in model.landmarks]
-        self._landmarks = {scheme: model.restrict(model.landmarks[scheme]) for scheme in known}
+        self._landmarks = {scheme: model.at_landmarks(scheme) for scheme in known}
 
     def photos(self, numbers: range) -> Iterator[Photo]:
         """Some photos, by their numbers from 0, each drawn when it is asked for."""

@@ -69,7 +69,7 @@ class ScansSubstitute:
 
     def __init__(self, model: MorphableModel, n_subjects: int, n_scans: int, seed: list[int]):
         self.n_subjects, self.n_scans, self._seed = n_subjects, n_scans, seed
-        self._landmarks = model.restrict(model.landmarks[SCHEME])
+        self._landmarks = model.at_landmarks(SCHEME)
         self._scene: Scene = make_scene(model, SCHEME, _PIXELS, margin=_MARGIN, expressive=True)
 
     def scans_of(self, subject: int) -> int:

@@ -163,6 +163,19 @@ class MorphableModel:
             **{label: pick(getattr(self, label)) for label in ("mean", *_FIELDS, *_BASES)},
         )
 
+    def at_landmarks(self, scheme: str) -> MorphableModel:
+        """The same model at the landmarks of a scheme only.
+
+        Raises:
+            InputError: The model has no such landmarks.
+        """
+        if scheme not in self.landmarks:
+            raise InputError(
+                f"scheme must be one of {', '.join(self.landmarks) or 'none'} for {self.name}. "
+                f"Received {scheme!r}."
+            )
+        return self.restrict(self.landmarks[scheme])
+
 
 def model_of(file: Path, **fields) -> MorphableModel:
     """`MorphableModel(**fields)` of a file, its triangles turned outwards.

@@ -15,7 +15,7 @@ from experiments.streams import Stream
 def main(run: Run) -> dict:
     """Write the training faces, the test faces and the landmark model of a run."""
     model = face_model(run)
-    landmarks = model.restrict(model.landmarks[run.scheme])
+    landmarks = model.at_landmarks(run.scheme)
     components = model.identity_basis_times_sd.reshape(model.n_identity, -1)
     arrays = {
         "mean": landmarks.mean,

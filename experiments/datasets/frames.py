@@ -33,7 +33,7 @@ def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
 def substitute_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
     """Landmarks `(n, 51, 3)` of as many frames of the open substitute, millimetres."""
     faces = make_performances(model, run.preset.frame_subjects, run.preset.frames, rng)
-    return model.restrict(model.landmarks[run.scheme]).shape(*faces)
+    return model.at_landmarks(run.scheme).shape(*faces)
 
 
 def main(run: Run) -> dict:

@@ -73,7 +73,7 @@ def fit_photo(
     """Columns of a photo's row in the table, for `find_faces`."""
     model = face_model(run)
     fit = _fitter(run).fit(detected, image)
-    shape = model.restrict(model.landmarks[run.scheme]).shape(fit.identity)
+    shape = model.at_landmarks(run.scheme).shape(fit.identity)
     pixels, rotation = fit.project(shape), fit.camera.rotation
     square, crop_landmarks = crop(image, pixels, IMAGE_SIZE, MARGIN)
     return truth | {

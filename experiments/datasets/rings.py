@@ -17,7 +17,7 @@ _N_IDENTITY = 100  # leading components that RingNet estimates, as many as in th
 def main(run: Run) -> dict:
     """Write the data set `rings.npz`, its images, and the model of the landmarks in them."""
     model, preset = face_model(run), run.preset
-    landmarks = model.restrict(model.landmarks[run.scheme])
+    landmarks = model.at_landmarks(run.scheme)
     write_arrays(
         run.work / "landmark_model.npz",
         {

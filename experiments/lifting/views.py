@@ -93,7 +93,7 @@ class Views:
 def landmark_model(run: Run) -> MorphableModel:
     """The run's face model restricted to the landmarks."""
     model = face_model(run)
-    return model.restrict(model.landmarks[run.scheme])
+    return model.at_landmarks(run.scheme)
 
 
 def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generator) -> Views:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy.stats import sem
 
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
 from deepmds_keras.baselines.map_fit import MapFit, principal_components
@@ -29,10 +28,10 @@ def main(run: Run, name: str, seed: str) -> None:
         train, test = views_of(run, name, int(seed), noise)
         for method in METHODS:
             shapes, more = predicted(run, method, int(seed), noise, train, test)
-            of_shapes = errors(shapes, test.shapes)
+            error = errors(shapes, test.shapes).mean()
             where = {"object": name, "noise": noise, "method": method, "seed": int(seed)}
             size = {"n_landmarks": shapes.shape[1], "n_views": len(shapes)}
-            rows.append(where | {"error": of_shapes.mean(), "sem": sem(of_shapes)} | more | size)
+            rows.append(where | {"error": error} | more | size)
     write_csv(scores_file(run, name, int(seed)), pd.DataFrame(rows))
 
 

@@ -62,7 +62,7 @@ def weights_file(run: Run, name: str) -> Path:
 def photo_faces(run: Run, scheme: str) -> Callable:
     """What a lifter is trained on: `sample_faces` of a number of faces and a generator."""
     models = (load_model(name, run.data, scheme) for name in open_models(run.data)[0])
-    parts = [model.restrict(model.landmarks[scheme]) for model in models]
+    parts = [model.at_landmarks(scheme) for model in models]
     return functools.partial(sample_faces, [_in_frame_of(parts[0], part) for part in parts], scheme)
 
 

@@ -78,7 +78,7 @@ def about_mean(model: MorphableModel, scale: float, mean: np.ndarray) -> Morphab
     The offsets of the model are rotated and scaled by the similarity that aligns its mean to the
     given one.
     """
-    part = model.restrict(model.landmarks[SCHEME])
+    part = model.at_landmarks(SCHEME)
     turn = procrustes(part.mean, mean, reflection=False)
     basis = scale * turn.scale * part.identity_basis_times_sd @ turn.rotation
     landmarks = {SCHEME: np.arange(len(mean))}

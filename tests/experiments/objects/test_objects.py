@@ -94,7 +94,7 @@ def test_errors_are_squared_distances_whatever_turn_size_place_and_side():
 def test_medians_are_over_seeds():
     rows = [
         {"object": "chairs", "noise": 0.0, "method": "ridge", "seed": seed, "error": error,
-         "sem": 0.1, "frontal_share": np.nan, "n_views": 9, "n_landmarks": 8}
+         "frontal_share": np.nan, "n_views": 9, "n_landmarks": 8}
         for seed, error in enumerate([3.0, 1.0, 2.5])
     ]  # fmt: skip
     (row,) = table.summarise(pd.DataFrame(rows)).to_dict("records")
