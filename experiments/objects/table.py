@@ -68,9 +68,8 @@ def main(run: Run) -> dict:
         )
         for noise in NOISES
     ]
-    figure = error_lines(
-        panels, "MSE of an object", _UNIT, "squared r.m.s. radii", interval="range over seeds"
-    )
+    options = {"interval": "range over seeds", "n_columns": 1}
+    figure = error_lines(panels, "MSE of an object", _UNIT, "squared r.m.s. radii", **options)
     figures = {"errors": figure}
     folder = run.shared_results / "objects"
     return write_results(run, folder, {"table": table, "metrics": scores}, cells, _NOTES, figures)
