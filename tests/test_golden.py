@@ -1,9 +1,11 @@
 """Numbers of a tiny run, kept in `golden.csv`: a move of code changes none of them.
 
 Those of trained networks depend on the processor and its threads, and are compared loosely. Of
-Deep-MDS it is the losses in training: they differ by up to 3e-5, the errors on test faces by 9 %,
-since in three epochs the running statistics of batch normalisation come close to nothing. That it
-predicts as it did is seen with the shipped weights. To record the numbers again:
+Deep-MDS it is the losses in training, not the errors on test faces, since in three epochs the
+running statistics of batch normalisation come close to nothing. Rounding alone moves them: on one
+processor, noise of 1e-7 in the views moved the autoencoder's by 3 %, and another processor by 15 %,
+those of the dissimilarity nets by 0.6 %. That it predicts as it did is seen with the shipped
+weights. To record the numbers again:
 `PYTHONPATH=. python tests/test_golden.py FOLDER`, where FOLDER holds `build` and `results` of
 `make reproduce-bfm PRESET=tiny`.
 """
@@ -31,6 +33,8 @@ METRICS = ("mse", "mse_mm2", "depth_corr", "depth_corr_across_faces", "reflectio
 CLOSE = {"ridge_roll_aligned": 1e-6, "zhao": 0.01, "landmark_lifter": 0.01}
 LOOSE = ("deep_mds_cosine", "mlp", "mobileface", "zhao_authors", "zhao_frontal", "zhao_evaluator")
 NETWORKS = CLOSE | dict.fromkeys(LOOSE, 0.2)
+# Relative tolerance of a loss, by the first word of the network's name.
+LOSSES = {"autoencoder": 0.25, "dissimilarity": 0.05, "lifting": 1e-3}
 SHIPPED = {"Deep-MDS": (DeepMDS, "deepmds-bfm72"), "lifter": (LandmarkLifter, "bfm72")}
 
 
@@ -48,7 +52,8 @@ def of_trainings(folder):
     """Losses of the networks in their last epoch, in training mode."""
     for path in sorted((runs.work(folder, "bfm") / "networks").glob("*-*.npz")):
         history = read_arrays(path)[1]["history"]
-        yield f"{path.stem} loss", history["train"][-1], 1e-3
+        tolerance = LOSSES[path.stem.partition("-")[0]]
+        yield f"{path.stem} loss", history["train"][-1], tolerance
 
 
 def of_shipped_weights(test):

@@ -94,6 +94,7 @@ def error_of(weights, faces: Faces) -> float:
     return float(np.mean((shapes - faces.shapes) ** 2))
 
 
+@keras.saving.register_keras_serializable("deepmds_keras")
 class Lifting(layers.Layer):
     """From views, visibility and the landmarks' noise to shapes and standard deviations.
 
@@ -108,15 +109,19 @@ class Lifting(layers.Layer):
 
     def __init__(self, shapes: dict[str, tuple[int, ...]], **options):
         super().__init__(**options)
+        self.shapes = {name: tuple(shape) for name, shape in shapes.items()}
         self.arrays, self.best = (
             {
                 name: self.add_weight(shape, "zeros", name=f"{prefix}{name}", trainable=not prefix)
-                for name, shape in shapes.items()
+                for name, shape in self.shapes.items()
             }
             for prefix in ("", "best_")
         )
         largest = keras.initializers.Constant(np.finfo(np.float32).max)
         self.least_error = self.add_weight((), largest, name="least_error", trainable=False)
+
+    def get_config(self) -> dict[str, Any]:
+        return {**super().get_config(), "shapes": self.shapes}
 
     def compute_output_spec(self, views, visible, sd):
         return keras.KerasTensor((None, 6, views.shape[2]), "float32")

@@ -80,7 +80,7 @@ rule stream_table:
 
 
 rule object:
-    input: lambda w: object_file(RUN.objects, w.object)
+    input: lambda w: object_file(RUN.objects or "", w.object)
     output: f"{work('bfm')}/records/object-{{object}}-{{seed}}.json"
     resources: mem_mb=2500
     shell: step("objects.train {wildcards.object} {wildcards.seed}", uses=["objects"])

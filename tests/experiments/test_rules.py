@@ -13,6 +13,7 @@ from places import MEDIAPIPE, ROOT, SHARED, committed
 
 from experiments import records
 from experiments.methods import METHODS
+from experiments.objects.shapes import OBJECTS, object_file
 from experiments.plan import Plan
 from experiments.records import MANIFEST, new_results, publish, read_manifest, steps_of
 from experiments.scoring.old_names import new_name
@@ -52,7 +53,11 @@ def tables(model):
 def test_every_committed_table_is_made_anew_where_there_are_only_results(tmp_path, model):
     shutil.copytree(committed() / "results", tmp_path / "results")
     (tmp_path / "ict_light.npz").touch()
-    given = ["MODEL=ict", "DATA=ict_light.npz"] if model == "ict" else ["MODEL=openhead"]
+    (tmp_path / "objects").mkdir()
+    for name in OBJECTS:
+        object_file(tmp_path / "objects", name).touch()
+    given = {"openhead": ["OBJECTS=objects"], "ict": ["DATA=ict_light.npz"]}[model]
+    given.append(f"MODEL={model}")
     paths, posed = tables(model)
     if model == "ict":  # those of both models, but for the audit, are made with the open head
         paths = [path for path in paths if "ict" in path]
@@ -61,7 +66,7 @@ def test_every_committed_table_is_made_anew_where_there_are_only_results(tmp_pat
     last |= {"hard_views", "component_ablation", "transfer", "audited"}
     if model == "openhead":
         last |= {"stream_table", "pretrained_weights", "real_photos", "meshes", "all_claims"}
-        last |= {"speed", "installed", "released_networks"}
+        last |= {"speed", "installed", "released_networks", "objects_table"}
     assert made >= last
     assert "bfm" in planned(tmp_path, *posed, "--config", "PROTOCOL=posed", *given)
 

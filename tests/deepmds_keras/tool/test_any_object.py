@@ -110,7 +110,7 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
     ("arguments", "message"),
     [
         (["--mesh"], "the scheme of a head must be one of .* Received 'unnamed-14'"),
-        (["--interocular", "90"], "must have a landmark right_eye_outer_corner"),
+        (["--interocular", "90"], "must have the outer corners of both eyes"),
         (["--scheme", "ibug51"], "points.npy must have 51 landmarks per face. Received 14"),
         (["--scheme", "no.csv"], "no.csv must be a table"),
     ],
