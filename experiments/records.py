@@ -101,13 +101,18 @@ def load_record(run: Run, name: str) -> dict:
 
 
 def steps_behind(record: dict) -> list[dict]:
-    """Records of all steps behind a record, and itself, in the order in which they ended."""
-    steps, left = {}, [Path(path) for path in record["needs"]]
-    while left:
-        path = left.pop()
-        if path not in steps:
-            steps[path] = read_record(path)
-            left += map(Path, steps[path]["needs"])
+    """Records of all steps behind a record, and itself, in the order in which they began."""
+    steps: dict[Path, dict] = {}
+
+    def add(paths: Iterable[str]) -> None:
+        # What a step needs is added before it, and so stays before it if both began in one second.
+        for path in map(Path, paths):
+            if path not in steps:
+                step = read_record(path)
+                add(step["needs"])
+                steps[path] = step
+
+    add(record["needs"])
     behind = [*sorted(steps.values(), key=lambda step: step["started"]), record]
     return [{k: v for k, v in step.items() if k not in _INTERNAL} for step in behind]
 

@@ -328,6 +328,16 @@ def test_a_manifest_lists_the_steps_behind_a_table_and_what_was_written(whole_bf
     assert {*manifest["files"], "manifest.json"} == written
 
 
+def test_steps_of_one_second_stand_after_what_they_need(tmp_path):
+    needs = {"faces": [], "train": ["faces"], "predict": ["train", "faces"], "times": ["predict"]}
+    for name, before in needs.items():
+        record = {"step": name, "started": "2026", "needs": [str(tmp_path / b) for b in before]}
+        records.write_record(tmp_path / name, record)
+    last = {"step": "bfm", "needs": [str(tmp_path / name) for name in ("times", "predict")]}
+    steps = [step["step"] for step in records.steps_behind(last)]
+    assert steps == [*needs, "bfm"]
+
+
 def test_the_commit_is_that_of_the_code_and_says_if_it_was_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "git", functools.partial(records.git, folder=tmp_path))
     assert records._commit() is None
