@@ -20,14 +20,15 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from data_gen.models.registry import TITLES
 from deepmds_keras import __version__
-from deepmds_keras.files import write_bytes
+from deepmds_keras.files import sha256_of, write_bytes
+from deepmds_keras.landmarks import FOLDER
 from docs.latex import Grid, in_latex
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
 from experiments.presets import FULL
-from experiments.records import read_manifest
+from experiments.records import read_manifest, steps_of
 from experiments.scoring.numbers import NOTHING, power
-from experiments.scoring.old_names import new_name, read_table
+from experiments.scoring.old_names import read_table
 from experiments.scoring.verdict import Order, orders
 
 ROOT = Path(__file__).parents[1]
@@ -60,16 +61,17 @@ class Results:
         """Whether there are results in a folder."""
         return (self._folder / folder / "table.csv").exists()
 
-    def figure(self, folder: str, name: str) -> str:
-        """Path of a figure in the results, whose file may have an older name.
+    def figure(self, folder: str, *names: str) -> str:
+        """Path of a figure in the results, by its name or an older one.
 
         Raises:
             FileNotFoundError: There is none.
         """
-        for path in (self._folder / folder / "figures").glob(f"*{Path(name).suffix}"):
-            if new_name(path.stem) == Path(name).stem:
-                return path.relative_to(self._folder).as_posix()
-        raise FileNotFoundError(f"{folder}/figures/{name}")
+        for name in names:
+            path = Path(folder, "figures", name)
+            if (self._folder / path).exists():
+                return path.as_posix()
+        raise FileNotFoundError(f"{folder}/figures/{names[0]}")
 
     def files_read(self) -> pd.DataFrame:
         """External files that manifests list: `name` and `sha256`, a row for each content."""
@@ -80,6 +82,10 @@ class Results:
             for file in step.get("inputs", {}).items()
         ]
         return pd.DataFrame(sorted({*files}), columns=["name", "sha256"])
+
+    def made_by(self, folder: str) -> list[dict]:
+        """Records of the steps behind a folder, with the processor and the inputs of each."""
+        return steps_of(read_manifest(self._folder / folder))
 
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""
@@ -270,6 +276,7 @@ def pages(results: Results) -> dict[str, str]:
         "steps": STEPS,
         "preset": FULL,
         "version": __version__,
+        "detectors_sha256": sha256_of([FOLDER / "detectors.csv"]),
     }
     article = in_latex(environment)
     texts = {}

@@ -18,7 +18,7 @@ from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.weights import PRETRAINED
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.methods import METHODS, methods_of
-from experiments.records import MANIFEST, listing, manifests, write_text
+from experiments.records import MANIFEST, PUBLISHED, listing, manifests, write_text
 from experiments.run import AUTHORS_FILES, SECOND_NET, SUFFIXES, Run, left_out, options_of
 from experiments.run import run_of_variables as run_of
 
@@ -32,7 +32,6 @@ TABLES = (
 )
 # What steps read of the package that other steps may have written.
 DETECTORS = FOLDER / "detectors.csv"
-_PUBLISHED = Path(__file__).parents[1] / "results" / "published"
 _ALWAYS = ("model", "bfm_scale", "preset", "protocol")
 
 
@@ -78,7 +77,7 @@ class Plan:
         self.ringnet = _matching(f"{glob.escape(run.ringnet)}.*") if run.ringnet else []
         self.tf_flame = _matching(f"{glob.escape(run.tf_flame)}/*.*") if run.tf_flame else []
         self.surrey = surrey_files(run.sfm) if run.sfm else []
-        self.published = sha256_of(sorted(_PUBLISHED.glob("*.csv")))
+        self.published = sha256_of(sorted(PUBLISHED.glob("*.csv")))
         self.shipped = [*sorted(PRETRAINED.glob("*.npz")), DETECTORS]
         self.begun = run.build / run.model / "begun"
         if not self.begun.exists():

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MANIFEST = "manifest.json"
 _ROOT = Path(__file__).parents[1]
+PUBLISHED = _ROOT / "results" / "published"  # what the paper prints and claims
 _PIECES = "pieces-of.json"
 _CHECKSUM = "sha256"
 # What numbers depend on, but for files of the package that steps write: steps that read these name
@@ -190,7 +191,7 @@ def write_manifest(folder: Path, record: dict) -> None:
     shared = {k: v for k, v in steps[-1].items() if all(step.get(k) == v for step in steps[:-1])}
     shared |= {"command": record["command"]}
     manifest = shared | {
-        "published_sha256": sha256_of([_ROOT / "results/published/published.csv"]),
+        "published_sha256": sha256_of([PUBLISHED / "published.csv"]),
         "steps": [{k: v for k, v in step.items() if k not in shared} for step in steps],
         "files": {name: sha256_of([path]) for name, path in _results(new).items()},
     }

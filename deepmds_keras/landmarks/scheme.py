@@ -61,13 +61,13 @@ class LandmarkScheme:
         Raises:
             InputError: It lacks one.
         """
-        if not {*_EYE_CORNERS} <= self.ibug68.keys():
+        right, left = map(self.ibug68.get, _EYE_CORNERS)
+        if right is None or left is None:
             raise InputError(
                 "The scheme must have the outer corners of both eyes, iBUG's landmarks "
                 f"{_EYE_CORNERS[0]} and {_EYE_CORNERS[1]}. Received {self.name}."
             )
-        right, left = _EYE_CORNERS
-        return self.ibug68[right], self.ibug68[left]
+        return right, left
 
     @property
     def is_face(self) -> bool:

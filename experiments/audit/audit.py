@@ -17,13 +17,13 @@ from experiments.audit.poses import TRAINED
 from experiments.audit.tables import Tables
 from experiments.figures.errors import Panel, error_lines
 from experiments.figures.style import save
-from experiments.records import new_results, write_csv, write_text
+from experiments.records import PUBLISHED, new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.intervals import ONE_TRAINING, Estimate
 from experiments.scoring.numbers import power, scientific
 from experiments.scoring.old_names import read_table
 
-CLAIMS = Path(__file__).parents[2] / "results" / "published" / "claims.csv"
+CLAIMS = PUBLISHED / "claims.csv"
 # By which a claim is judged: id → words.
 PROTOCOLS = {"authors": "by the authors' protocol", "faithful": "with faithful baselines"}
 _DRAWN = ("mean_shape", "zhao", "aldrian", "deep_mds", "landmark_lifter")

@@ -12,10 +12,6 @@ from experiments.scoring.numbers import between
 from experiments.studies.study_results import write_results
 
 _UNIT = 1e-3
-_COLUMNS = (
-    *("object", "noise", "method", "seed", "error", "frontal_share"),
-    *("n_landmarks", "n_views"),
-)
 _NOTES = (
     "Mean squared distance of a landmark in 10⁻³ of the squared r.m.s. radius, after alignment "
     "with scale and reflection: median [lowest, highest] over seeds.",
@@ -44,7 +40,7 @@ def summarise(scores: pd.DataFrame) -> pd.DataFrame:
 
 def main(run: Run) -> dict:
     files = [scores_file(run, name, seed) for name in OBJECTS for seed in run.few_seeds]
-    scores = pd.concat((pd.read_csv(file, usecols=_COLUMNS) for file in files), ignore_index=True)
+    scores = pd.concat(map(pd.read_csv, files), ignore_index=True)
     table = summarise(scores)
     texts = table.assign(
         text=[

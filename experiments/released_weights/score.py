@@ -63,7 +63,7 @@ def main(run: Run) -> dict:
     if run.model in OPEN:
         trained = pd.concat([pd.read_csv(trained_file(run, name)) for name in trainings(run)])
         tables["trained"] = trained
-        figures = {"released_weights": draw_released(released), "trained": draw_trained(trained)}
+        figures = {"released": draw_released(released), "trained": draw_trained(trained)}
         folder = run.shared_results / "released-weights"
     return write_results(run, folder, tables, cells(released), figures=figures)
 

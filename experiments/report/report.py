@@ -146,10 +146,9 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
         columns = ["over", "method_a", "method_b", "n", "median_difference", "p_value"]
         yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
     elif result.base == "audit":
-        folders = [result.folder]
-        if result.name == result.base:  # that of all models first: it has what claims.md has
-            folders.insert(0, result.folder.parents[1] / "audit")
-        paths = (folder / "claims.csv" for folder in folders)
+        # That of all models first: it has both protocols, as claims.md has, of the default run.
+        of_all_models = [result.folder.parents[1] / "audit"] if result.name == "audit" else []
+        paths = (folder / "claims.csv" for folder in (*of_all_models, result.folder))
         if path := next(filter(Path.is_file, paths), None):
             claims = read_table(path)
             if "model" in claims:

@@ -43,6 +43,7 @@ rule scales_table:
     output:
         record("bfm", "scales"),
         results("scales", "table.csv", "metrics.csv", "table.tex", "figures/errors.png"),
+    params: published=plan.published
     shell: step("studies.scales", uses=["seeds"])
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from decimal import Decimal
-from pathlib import Path
 
 import pandas as pd
 
 from deepmds_keras.errors import InputError
+from experiments.records import PUBLISHED
 
-PUBLISHED = Path(__file__).parents[2] / "results" / "published" / "published.csv"
+_FILE = PUBLISHED / "published.csv"
 
 # The paper's table of an experiment, and where else its text gives a number for it.
 SOURCES = {
@@ -95,7 +95,7 @@ def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
 @functools.cache
 def _transcription() -> pd.DataFrame:
     """The paper's numbers; `digits` are a number and its uncertainty, if any, in plain units."""
-    rows = pd.read_csv(PUBLISHED, dtype=str, keep_default_na=False)
+    rows = pd.read_csv(_FILE, dtype=str, keep_default_na=False)
     rows["digits"] = [
         [_plain(text, row.unit) for text in (row.value, row.uncertainty) if text]
         for row in rows.itertuples()

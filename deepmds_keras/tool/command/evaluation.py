@@ -91,9 +91,7 @@ def evaluate(
         if is_face:
             seen = scheme_of(views.shape[1])
             check_y_axis(views, seen, str(landmarks))
-            views = convert(views, seen, scheme)
-            if found_by := FOUND_BY.get(seen):
-                views = to_ibug(views, found_by, scheme)
+            views = to_ibug(convert(views, seen, scheme), FOUND_BY.get(seen), scheme)
         views = views * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(

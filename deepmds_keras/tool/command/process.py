@@ -142,8 +142,8 @@ def _detect(
     if np.isnan(landmarks).all():
         fault = next(iter(faults.values()), f"must have landmarks of {target}. Received none")
         raise InputError(f"{source}: each face {fault}.")
-    if found_by := FOUND_BY.get(scheme):
-        landmarks = to_ibug(landmarks, found_by, target)
+    found_by = FOUND_BY.get(scheme)
+    landmarks = to_ibug(landmarks, found_by, target)
     seen = ~np.isnan(landmarks).any(2)
     rows = np.flatnonzero(seen.all(1))
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)

@@ -20,7 +20,7 @@ USED_BY = {
     "detector": ("photo", "video"),
     "landmarker": ("photo", "video"),
 }
-_FILES = ("model", "landmarker", "scheme")  # options that may name a file
+_FILES = ("model", "landmarker")  # options that may name a file
 
 
 def describe_run(source: Path, settings: Mapping) -> dict:
@@ -31,7 +31,7 @@ def describe_run(source: Path, settings: Mapping) -> dict:
     kind = kind_of(source)
     options = {key: value for key, value in settings.items() if kind in USED_BY.get(key, (kind,))}
     given = [Path(options[key]) for key in _FILES if options.get(key)]
-    given += scheme_files(Path(options["scheme"]))[1:] if options.get("scheme") else []
+    given += scheme_files(Path(options["scheme"])) if options.get("scheme") else []
     used = {"source": _stamp(source), "files": [_stamp(path) for path in given if path.is_file()]}
     return json.loads(json.dumps(used | {"options": options}))  # as it is read again
 

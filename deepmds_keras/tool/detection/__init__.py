@@ -55,7 +55,7 @@ def describe_detector(name: str, landmarker: str | None) -> dict[str, str]:
     return {"name": name, "licence": DETECTORS[name].licence}
 
 
-def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
+def to_ibug(landmarks: np.ndarray, detector: str | None, scheme: str) -> np.ndarray:
     """Landmarks of a detector, moved to where the training shapes of the weights have them.
 
     They move by the mean offset in `landmarks/detectors.csv`, in the axes of the upright face.
@@ -63,7 +63,7 @@ def to_ibug(landmarks: np.ndarray, detector: str, scheme: str) -> np.ndarray:
     Args:
         landmarks: `(n, L, 2)` pixels, x right and y down, or NaN. Those of a face that lacks some
             do not move: its axes are not known.
-        detector: One of `DETECTORS`.
+        detector: One of `DETECTORS`; None if unknown: they do not move.
         scheme: Scheme of the landmarks; without a row in the table they do not move.
     """
     rows = measured(detector, scheme)
@@ -108,7 +108,7 @@ def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
 
 
 @cache
-def measured(detector: str, scheme: str) -> np.ndarray | None:
+def measured(detector: str | None, scheme: str) -> np.ndarray | None:
     """`(L, 3)` of the table: offsets x and y, standard deviation."""
     table = read_table(FOLDER / "detectors.csv")
     rows = {

@@ -163,8 +163,8 @@ class FaceLifter:
             notes[i] = f"seems to stand otherwise than the other faces: {fault}"
         landmarks = convert(points, scheme, target)
         _check_faces(landmarks)
-        if found_by := FOUND_BY.get(scheme):
-            landmarks = to_ibug(landmarks, found_by, target)
+        found_by = FOUND_BY.get(scheme)
+        landmarks = to_ibug(landmarks, found_by, target)
         return self._estimate(
             Detections(
                 source=None,

@@ -121,7 +121,8 @@ def test_shape_solve_agrees_with_eos(rng, regularisation, noise, k):
 @pytest.mark.parametrize("method", [MeanShape(), RidgeRegression(alphas=(1e6,))])
 def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method, rng):
     views, shapes = rng.random((5, L, 2)), rng.random((5, L, 3))
-    with pytest.raises(NotFittedError, match=f"This {type(method).__name__} is not") as refused:
+    message = f"This {type(method).__name__} is not trained"
+    with pytest.raises(NotFittedError, match=message) as refused:
         clone(method).predict(views)
     again = pickle.loads(pickle.dumps(refused.value))  # as from a process of its own
     assert isinstance(again, NotFittedError) and str(again) == str(refused.value)

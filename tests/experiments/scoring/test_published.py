@@ -8,14 +8,15 @@ import pytest
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
+from experiments.records import PUBLISHED
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import as_quoted
-from experiments.scoring.published import PUBLISHED, printed, published
+from experiments.scoring.published import printed, published
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return pd.read_csv(PUBLISHED, dtype=str, keep_default_na=False)
+    return pd.read_csv(PUBLISHED / "published.csv", dtype=str, keep_default_na=False)
 
 
 def test_every_cell_of_the_four_tables_is_there(rows):
