@@ -17,11 +17,11 @@ VENV ?= .venv
 MODEL ?= openhead
 ## DATA        its file or folder, or that of data sets
 DATA ?=
-## BFM_SCALE   of bfm68: times the standard deviation of its faces
+## BFM_SCALE   factor on the standard deviations of bfm68
 BFM_SCALE ?= 1
 ## PRESET      full, or smoke: everything at a small size, as a check
 PRESET ?= full
-## SEED        of everything random; SEEDS, how many the table of reproduce-bfm and make seeds have
+## SEED        seed of everything random; SEEDS, how many the table of reproduce-bfm and make seeds have
 SEED ?= 0
 SEEDS ?=
 ## PROTOCOL    how faces are projected: paper, released or posed
@@ -40,7 +40,7 @@ CASIA ?=
 CASIA_INDEX ?=
 CELEBA ?=
 TF_FLAME ?=
-## SFM         folder share of eos, with the Surrey Face Model, for lifting and pretrained
+## SFM         folder share of eos, with the Surrey Face Model, for lifting, pretrained and bench
 SFM ?=
 ## BFM68       of all-results: the folder that is DATA of MODEL=bfm68
 BFM68 ?=
@@ -49,7 +49,7 @@ FACES ?=
 OBJECTS ?=
 REAL ?=
 TARGET ?= reproduce-bfm
-## JOBS        processes, -1 for every core; DRY=1 says what would be done; SNAKEMAKE, its options (docs/large.md)
+## JOBS        processes, -1 for every core; DRY=1 lists what would be run; SNAKEMAKE, its options (docs/large.md)
 JOBS ?= -1
 DRY ?=
 SNAKEMAKE ?=
@@ -115,7 +115,7 @@ scales: ## the methods on the BFM's faces at several scales of its s.d.   [MODEL
 pretrained: ## train the weights that ship with the package, and measure them
 lifting: ## the lifting network against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
 released-weights: ## the released weights around the BFM's mean: results/released-weights/   [AUTHORS=dir]   (45 min)
-real-faces: ## what real photos tell about detectors: results/<model>/real/   [REAL=npz]
+real-faces: ## errors of the detectors on real photos: results/openhead/real/   [REAL=npz]
 surface: ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
 footprint: ## size, memory and time of an installation: results/footprint/   (2 min)
 check: ## compare results/<model>/bfm/table.csv with the committed one
@@ -148,7 +148,7 @@ all-results: | $(READY) ## all of results/, on three face models   (20 h)
 	run 'DATA=$(DATA)' released-weights bench footprint; \
 	run '' stream 'objects OBJECTS=$(OBJECTS)' report 'report MODEL=ict DATA=$(DATA)' docs
 
-check-results: | $(READY) ## whether the last commit would make the committed results, by small runs
+check-results: | $(READY) ## check by small runs whether the last commit makes the committed results
 	@$(PY) -m experiments.report.check_results
 
 dag: | $(READY) ## draw the steps of a target, TARGET=reproduce-bfm: build/dag.svg   (needs Graphviz)

@@ -32,7 +32,7 @@ from experiments.scoring.old_names import read_table
 from experiments.scoring.verdict import Order, orders
 
 ROOT = Path(__file__).parents[1]
-_OF_TEN_SEEDS = ("bfm68/bfm", "openhead/bfm", "ict/bfm")
+_OF_SEEDS = ("bfm68", "openhead", "ict")  # face models whose `bfm` and `seeds` have ten
 _DIGITS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -73,11 +73,12 @@ class Results:
                 return path.as_posix()
         raise FileNotFoundError(f"{folder}/figures/{names[0]}")
 
-    def files_read(self) -> pd.DataFrame:
-        """External files that manifests list: `name` and `sha256`, a row for each content."""
+    def files_read(self, *folders: str) -> pd.DataFrame:
+        """External files of the manifests in folders: `name` and `sha256`, a row per content."""
         files = [
             file
-            for path in self._folder.rglob("manifest.json")
+            for folder in folders
+            for path in (self._folder / folder).rglob("manifest.json")
             for step in read_manifest(path.parent).get("steps", ())
             for file in step.get("inputs", {}).items()
         ]
@@ -87,10 +88,14 @@ class Results:
         """Records of the steps behind a folder, with the processor and the inputs of each."""
         return steps_of(read_manifest(self._folder / folder))
 
+    def preset_of(self, folder: str) -> dict:
+        """Sizes with which a folder was made."""
+        return read_manifest(self._folder / folder)["preset"]
+
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""
         rows = self.csv(f"{folder}/table.csv").query("metric == 'mse'").set_index("method")
-        if folder in _OF_TEN_SEEDS and "median" not in rows:
+        if folder.removesuffix("/bfm") in _OF_SEEDS and "median" not in rows:
             self.of_one_seed.add(folder)
         return rows
 
@@ -107,6 +112,21 @@ class Results:
         """Median of the errors over seeds, and their range."""
         row = self.rows(folder).loc[method]
         return "{:.2f} ({:.2f} to {:.2f})".format(*row[["median", "min", "max"]] / 1e-4)
+
+    def by_seed(self, model: str) -> pd.DataFrame:
+        """Deep-MDS of every seed: a row a seed, a column a metric."""
+        rows = self.csv(f"{model}/seeds/metrics.csv").query("method == 'deep_mds'")
+        return rows.pivot_table("value", "seed", "metric")
+
+    def seeds_before_aldrian(self) -> dict[str, float]:
+        """Share of the seeds of Deep-MDS that beat the authors' fit of Aldrian & Smith."""
+        bound = {model: self.error(f"{model}/bfm", "aldrian_authors") for model in _OF_SEEDS}
+        return {model: (self.by_seed(model)["mse"] < bound[model]).mean() for model in _OF_SEEDS}
+
+    def autoencoder_corr(self, model: str) -> float:
+        """Correlation over seeds of the autoencoder's error and that of the shapes."""
+        seeds = self.by_seed(model)
+        return seeds["mse"].corr(seeds["autoencoder_mse_inference"])
 
     def audit(
         self, model: str, name: str, form: str = ".2f", *, unit: float = 1.0, interval: bool = False

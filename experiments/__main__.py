@@ -56,7 +56,7 @@ _FORBIDDEN = (errno.EACCES, errno.EROFS, errno.EIO, errno.ENOTDIR)
 def main(arguments: list[str] | None = None) -> None:
     parser = Parser("python -m experiments", description=__doc__)
     parser.add_argument("step", help="module, such as datasets.faces")
-    parser.add_argument("items", nargs="*", help="of a step that is done for several, which one")
+    parser.add_argument("items", nargs="*", help="which items, for a step that runs once per item")
     parser.add_argument("--record", type=Path, help="file to write the step's record to")
     parser.add_argument("--inputs", type=Path, nargs="*", default=[], help="files it is made from")
     add_options(parser)

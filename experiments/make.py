@@ -104,7 +104,7 @@ def draw(command: list[str], path: Path) -> None:
         InputError: Graphviz is not installed.
     """
     if shutil.which("dot") is None:
-        raise InputError("Graphviz must be installed to draw (apt install graphviz). None found.")
+        raise InputError("Graphviz not found: install it (apt install graphviz).")
     graph = re.sub(r'\\nwork: [^\\"]*', "", _planned(command))  # the folder of all steps
     path.parent.mkdir(parents=True, exist_ok=True)
     # From left to right: a method's steps stand in a row, which a page holds.
@@ -132,7 +132,7 @@ def locked(folder: Path) -> Iterator[None]:
 def _plan(command: list[str]) -> None:
     """Print the steps of a dry run of Snakemake, and nothing else of its output."""
     steps = [line for line in _planned(command).splitlines() if line.startswith("Step ")]
-    print("\n".join(steps) or "Nothing is to be done.")
+    print("\n".join(steps) or "Nothing to do.")
 
 
 def _planned(command: list[str]) -> str:
@@ -144,7 +144,7 @@ def _planned(command: list[str]) -> str:
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         reason = " ".join(done.stderr.removeprefix("Building DAG of jobs...").split())
-        raise InputError(f"Snakemake must be able to plan the steps. Received {reason}")
+        raise InputError(f"Snakemake could not plan the steps: {reason}")
     return done.stdout
 
 

@@ -89,7 +89,7 @@ def _mediapipe_note(run: Run, detected: np.ndarray) -> str:
 def _model_fit_note(run: Run, detected: np.ndarray) -> str:
     if run.track == "flame":
         return ""
-    return "no method here: what the paper takes for the truth, scored against the true one"
+    return "not a method: the paper's ground truth, scored against the true landmarks"
 
 
 # Methods of a figure differ in marker and, also for colour-blind readers, in colour. Okabe and
@@ -104,8 +104,8 @@ _ROWS = (
     ),
     Method(
         id=CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
-        description="no method: what Deep-MDS makes of another face's view (the paper's trivial "
-        "case, that the method only outputs one specific solution)",
+        description="not a method: the output of Deep-MDS for another face's view (the paper's "
+        "trivial case, that the method only outputs one specific solution)",
         colour="#BFA6A0", marker="h", drawn=False,
     ),
     Method(
@@ -174,7 +174,7 @@ _ROWS = (
     ),
     Method(
         id="zhao_true_depth", title="True depth in place of Zhao et al.",
-        description="no method: what the released evaluator gives to a net that makes no error",
+        description="not a method: what the released evaluator gives to a net that makes no error",
         colour="#1F3A93", marker="s", drawn=False,
     ),
     Method(
@@ -228,14 +228,13 @@ _ROWS = (
     ),
     Method(
         id="true_landmarks", title="True landmarks",
-        description="no method: what the faces' own landmarks score against the truth found on "
-        "scans or photos",
+        description="not a method: the true landmarks, scored against the truth found on scans or "
+        "photos",
         colour="#777777", drawn=False,
     ),
     Method(
         id="scan_landmarks", title="Truth found on scans",
-        description="no method: what the paper's pipeline takes for the truth, scored against the "
-        "true one",
+        description="not a method: the paper's ground truth, scored against the true landmarks",
         colour="#777777", marker="s", drawn=False,
     ),
     Method(
@@ -320,8 +319,8 @@ _ROWS = (
     ),
     Method(
         id="lower_bound", title="Approximate lower bound",
-        description="no method: what noise and a single view leave open to one that knows the face "
-        "model and the camera",
+        description="not a method: the error that remains for one who knows the face model and the "
+        "camera",
         colour="#777777", marker="", dashes=(0, (4, 2)), drawn=False,
     ),
 )  # fmt: skip

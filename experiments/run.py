@@ -55,10 +55,8 @@ class Run:
     model: str = _option("morphable model of the faces", "openhead", choices=MODELS)
     preset: Preset = _option("sizes of the experiment", PRESETS["full"], choices=tuple(PRESETS))
     track: str = _option("which of the paper's experiments", "bfm", choices=tuple(SCHEMES))
-    bfm_scale: float = _option(
-        "of MODEL=bfm68: times the standard deviation of 3DDFA's fits", 1.0, type=float
-    )
-    seed: int = _option("of everything random", 0, type=int)
+    bfm_scale: float = _option("factor on the standard deviations of MODEL=bfm68", 1.0, type=float)
+    seed: int = _option("seed of everything random", 0, type=int)
     protocol: str = _option("how faces are projected", "paper", choices=PROTOCOLS)
     data: str | None = _option("file or folder of a model that is not embedded")
     coma: str | None = _option("folder of the data set CoMA, instead of its substitute")
@@ -71,12 +69,10 @@ class Run:
     evaluator: str = _option("how predictions are scored", "paper", choices=EVALUATORS)
     ringnet: str | None = _option("prefix of the licensed RingNet's checkpoint, to use that one")
     mobileface: str = _option("how MobileFace is trained", "cosine", choices=MOBILEFACES)
-    real: str | None = _option("npz of real faces, as two detectors find their landmarks")
+    real: str | None = _option("npz of landmarks of real faces, by two detectors")
     objects: str | None = _option("folder of npz files of objects other than faces")
-    seeds: int | None = _option(
-        "number of seeds whose range of errors the BFM table shows", type=int
-    )
-    faces: int | None = _option("of make stream, instead of the preset's", type=int)
+    seeds: int | None = _option("number of seeds, for the BFM table and make seeds", type=int)
+    faces: int | None = _option("number of faces of make stream (default: the preset's)", type=int)
     jobs: int = _option("processes side by side, -1 for every core", -1, type=int)
     build: Path = Path("build")
     results: Path = Path("results")

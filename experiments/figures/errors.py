@@ -64,7 +64,7 @@ def error_lines(
     units: str = "squared normalised units",
     *,
     looks: Mapping[str, Look] = {},
-    interval: str = "95 % confidence interval",
+    interval: str = "95 % interval over faces",
     n_columns: int | None = None,
     log_y: bool = True,
 ) -> Figure:

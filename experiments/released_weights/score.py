@@ -178,7 +178,7 @@ def draw_released(released: pd.DataFrame) -> Figure:
         rows = pd.concat([rows, pd.DataFrame(lines)])
         title = f"S.d. of {TITLES[sd_of]}, {VIEWS[views]}"
         panels.append(Panel(rows, "scale", "Scale of the s.d.", title))
-    return error_lines(panels, looks=_LOOKS, n_columns=2, log_y=False)
+    return error_lines(panels, looks=_LOOKS, interval="95 % interval", n_columns=2, log_y=False)
 
 
 def draw_trained(trained: pd.DataFrame) -> Figure:

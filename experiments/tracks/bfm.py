@@ -21,7 +21,7 @@ from experiments.scoring.scores import metrics_by_seed
 from experiments.tracks.results import Evaluation, load_histories, median_face, predicted_shapes
 
 # Rows that the authors' script scores differently from all other methods.
-ZHAO = ("zhao", "zhao_authors", "zhao_frontal")
+ZHAO = ("zhao", "zhao_authors", "zhao_frontal", "zhao_weights")
 AS_AUTHORS = "zhao_evaluator"
 TRUE_DEPTH = "zhao_true_depth"  # a net that makes no error
 _RELEASED_NOTE = (

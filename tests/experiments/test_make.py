@@ -253,7 +253,7 @@ def test_without_mediapipe_its_row_must_be_left_out(tmp_path, monkeypatch, capsy
     assert capsys.readouterr().err.startswith("error: MEDIAPIPE must be no if MediaPipe")
     make.main(["reproduce-flame", "DRY=1", "MEDIAPIPE=no"])
     make.main(["reproduce-bfm", "DRY=1"])
-    assert capsys.readouterr() == (2 * "Nothing is to be done.\n", "")
+    assert capsys.readouterr() == (2 * "Nothing to do.\n", "")
 
 
 @pytest.mark.slow

@@ -40,8 +40,8 @@ examples:
   deepmds predict clip.mp4 --smooth 2
   deepmds predict landmarks.csv --interocular 90 --format csv,ply
 
-Sources with results of the same options are skipped, so the same command resumes an interrupted
-run. Other results in their place are an error; --overwrite replaces them.
+Unchanged sources that have results of the same options are skipped, so the same command resumes an
+interrupted run. Other results in their place are an error; --overwrite replaces them.
 Exit status: 0; 1 if a source could not be used (the others are done); 2 for wrong arguments;
 130 after Ctrl-C."""
 
@@ -95,9 +95,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="x and y in landmark files are fractions of an image of this size, as from "
         "MediaPipe")  # fmt: skip
     add("--smooth", type=_smooth, default=0.0, metavar="FRAMES|causal",
-        help="smooth each face of a video over time with a Gaussian of this standard deviation, or "
-        "from earlier frames only (causal), but not across gaps; the rows of a landmark file count "
-        f"as frames of one face, for causal at {RATE} a second")  # fmt: skip
+        help="smooth each face of a video over time, never across gaps: with a Gaussian of this "
+        "standard deviation in frames, or from earlier frames only (causal); the rows of a "
+        f"landmark file count as frames of one face ({RATE} a second for causal)")  # fmt: skip
     add("--every", type=_number(0, "1 or more", int), default=1, metavar="N",
         help="use every Nth frame of a video (default: 1)")  # fmt: skip
     add("--interocular", type=_number(0, "a number above 0"), metavar="MM",
@@ -112,7 +112,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="write a page that shows faces from a camera in 3D",
         description="Writes one HTML file of 7 MB that finds faces from a camera, photo or video "
         "with MediaPipe and shows them in 3D, in a browser, without a network. To write it, "
-        "MediaPipe's browser package is downloaded from registry.npmjs.org (10 MB), unless given.",
+        "MediaPipe's browser package is downloaded from registry.npmjs.org (10 MB), unless "
+        "--tasks-vision names it.",
     )
     add = live.add_argument
     add("path", type=Path, metavar="OUT", help="new file, such as live.html")
@@ -137,14 +138,15 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         "evaluate",
         help="score lifting on your own true 3D landmarks",
         description="Lifts the x and y of true 3D landmarks and scores the shapes against them, by "
-        "yaw, next to the mean shape and eos. Writes a table and a figure.",
+        "yaw, next to the mean shape and, with --eos, eos. Writes a table and, with the extra "
+        "evaluate, a figure.",
     )
     add = evaluate.add_argument
     add("truth", metavar="TRUTH",
         help="npy (n, L, 3), L = 51, 68 or the model's, or csv with columns x, y, z and face, one "
         "landmark per row; faces as the camera sees them")  # fmt: skip
     add("--landmarks", metavar="FILE",
-        help="2D landmarks to lift, as predict takes them (default: those of TRUTH)")  # fmt: skip
+        help="2D landmarks to lift, as predict takes them (default: x and y of TRUTH)")  # fmt: skip
     add("--y-up", action="store_true", help="y points up in that file")
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
         help="size of the image if that file has fractions of it")  # fmt: skip
@@ -173,7 +175,7 @@ def _add_train(commands: argparse._SubParsersAction) -> None:
     )
     add = train.add_argument
     add("source", metavar="SHAPES",
-        help="npy (n, L, 3): L landmarks of 50 or more shapes, +y up, any unit")  # fmt: skip
+        help="npy (n, L, 3): L landmarks of n shapes, at best 50 or more; +y up")  # fmt: skip
     add("out", metavar="OUT", help="new file, such as chair.npz, for predict --model")
     for name, help_text in _ANGLES.items():
         default = inspect.signature(sample_views).parameters[name].default

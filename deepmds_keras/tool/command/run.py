@@ -88,7 +88,7 @@ def run(
     if done := len(named) - len(todo) - len(taken):
         print(
             f"{done} of {len(named)} sources are done, in {printable(str(out))}, and are skipped; "
-            "--overwrite does them again."
+            "--overwrite redoes them."
         )
     for fault in taken[:1]:
         more = f", as for {len(taken) - 1} more sources" if len(taken) > 1 else ""
@@ -105,7 +105,7 @@ def run(
             free = files if overwrite else own
             if blocked := [path for f in files if _is_taken(path := out / f, f in free)]:
                 fault = (
-                    f"{blocked[0]} must not be there yet. Received an existing file: move it away, "
+                    f"{blocked[0]} already exists: move it away, "
                     "name another folder (--out), or replace it by --overwrite."
                 )
             elif files:

@@ -214,7 +214,7 @@ def test_lines_are_means_in_the_unit_with_their_intervals():
         np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [low, high])
         assert line.get_color() == style.colour("deep_mds")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    interval = "95 % confidence interval"
+    interval = "95 % interval over faces"
     assert labels == ["Deep-MDS", "Ridge regression", interval, "training views"]
     other = [errors.Panel(rows.assign(method="somebody"), "x")]
     with pytest.raises(InputError, match="somebody"):
