@@ -24,7 +24,7 @@ rule images:
 
 
 rule frames:
-    input: plan.model
+    input: lambda w: plan.to_collect()
     output: record("flame", "frames"), f"{work('flame')}/train.npz"
     params: coma=listing(RUN.coma)
     threads: workflow.cores
