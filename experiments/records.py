@@ -126,11 +126,12 @@ def outside_files(paths: Iterable[Path]) -> dict[str, str]:
 def listing(folder: str | Path | None) -> str:
     """sha256 of the names and sizes of all files in a folder, whose content may be too large."""
     digest = hashlib.sha256()
-    for where, folders, names in os.walk(folder) if folder else ():
+    # As readers, through links to folders; a link to nothing counts as itself.
+    for where, folders, names in os.walk(folder, followlinks=True) if folder else ():
         folders.sort()
         for name in sorted(names):
             path = os.path.join(where, name)
-            size = os.stat(path).st_size
+            size = os.stat(path, follow_symlinks=os.path.exists(path)).st_size
             digest.update(f"{os.path.relpath(path, folder)} {size}\n".encode())
     return digest.hexdigest() if folder else ""
 

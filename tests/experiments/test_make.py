@@ -28,6 +28,7 @@ from experiments.presets import PRESETS
 from experiments.records import (
     commits_of,
     environment,
+    listing,
     read_manifest,
     read_record,
     steps_of,
@@ -373,6 +374,17 @@ def test_a_changed_record_is_not_read(tmp_path):
     path.write_text(path.read_text().replace("1.0", "2.0"))
     with pytest.raises(ValueError, match=r"faces\.json must be an unchanged record"):
         read_record(path)
+
+
+def test_a_listing_goes_through_links_to_folders_and_takes_those_to_nothing(tmp_path):
+    for name in ("folder", "linked"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "folder" / "link").symlink_to(tmp_path / "linked")
+    listings = [listing(tmp_path / "folder")]
+    (tmp_path / "linked" / "file").touch()
+    listings.append(listing(tmp_path / "folder"))
+    (tmp_path / "folder" / "nothing").symlink_to("nowhere")
+    assert len({*listings, listing(tmp_path / "folder")}) == 3
 
 
 def test_the_command_line_of_a_run_is_that_run(tmp_path):
