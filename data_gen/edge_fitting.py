@@ -55,14 +55,10 @@ class EdgeFit:
     Attributes:
         identity: `(K,)` standard-normal coefficients, from -3 to 3.
         camera: Camera from the frame of the model to pixels, but y up.
-        rms: Root mean square distance of the projected from the given landmarks, pixels.
-        converged: Whether the last round changed next to nothing.
     """
 
     identity: np.ndarray
     camera: HeadPose
-    rms: float
-    converged: bool
 
     def project(self, vertices: np.ndarray) -> np.ndarray:
         """Where points of the model are seen: `(..., 3)` mm → `(..., 2)` pixels, y down."""
@@ -73,11 +69,11 @@ class EdgeFitter:
     """Fits landmarks and occluding edges in the spirit of Bas et al. 2016, arXiv:1602.01125.
 
     As theirs: a scaled orthographic camera; 40 identity coefficients within three standard
-    deviations, and no expression; a start from landmarks alone; then rounds. Each matches the
-    outline that the model now has with the nearest Canny edges. Then it finds pose and identity
-    from edges, landmarks and prior, weighted 0.45, 0.15 and 0.40, each over its count. Their pixels
-    are taken to be those of CelebA's aligned images. Edges are looked for at about that size, so
-    that larger images of a face give much the same.
+    deviations, and no expression; a start from landmarks alone; then rounds, at most 20. Each
+    matches the outline that the model now has with the nearest Canny edges. Then it finds pose and
+    identity from edges, landmarks and prior, weighted 0.45, 0.15 and 0.40, each over its count.
+    Their pixels are taken to be those of CelebA's aligned images. Edges are looked for at about
+    that size, so that larger images of a face give much the same.
 
     Unlike theirs: the outline is the face's alone, as hair covers the head's, and only where it is
     seen against something well behind it. Edges that run another way or lie far from all landmarks
@@ -165,16 +161,9 @@ class EdgeFitter:
             previous, identity = identity, (identity + step[N_POSE:]).clip(-_BOX, _BOX)
             pose = moved(pose, step)
             change = max(np.abs(identity - previous).max(), 10 * np.abs(step[:4]).max())
-            converged = bool(change < _TOLERANCE)
-            if converged:
+            if change < _TOLERANCE:
                 break
-        missed = seen_by(pose, self._mean + np.tensordot(identity, self._basis, 1)) - targets
-        return EdgeFit(
-            identity=identity,
-            camera=pose,
-            rms=float(np.sqrt((missed**2).sum(1).mean())),
-            converged=converged,
-        )
+        return EdgeFit(identity, pose)
 
 
 def _known_landmarks(model: MorphableModel) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,6 @@ class LandmarkFit:
         identity: `(K,)` standard-normal coefficients.
         expression: `(E,)` weights, or None where the fit was of neutral faces.
         camera: Camera from the frame of the model to pixels, y up.
-        rms: Root mean square distance of the projected from the given landmarks, pixels.
         n_iterations: Steps tried.
         converged: Whether the last step changed next to nothing.
     """
@@ -38,7 +37,6 @@ class LandmarkFit:
     identity: np.ndarray
     expression: np.ndarray | None
     camera: HeadPose
-    rms: float
     n_iterations: int
     converged: bool
 
@@ -148,7 +146,6 @@ class LandmarkFitter:
             identity=coefficients[: self._n_identity],
             expression=expression if self._has_expression else None,
             camera=replace(pose, translation=seen_by(pose, -self._centre)),
-            rms=float(noise * np.sqrt((residuals**2).sum(1).mean())),
             n_iterations=n_iterations,
             converged=converged,
         )

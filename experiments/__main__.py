@@ -36,6 +36,7 @@ from experiments.records import (
     publish,
     write_manifest,
     write_record,
+    writers,
 )
 from experiments.run import OPTIONS, Parser, Run, add_options, run_of
 
@@ -106,7 +107,14 @@ def _run_step(module: str, run: Run, values: dict) -> None:
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
     machine = environment()  # before the step, lest a commit made meanwhile is taken for its code
     step = _step(module, run, *values["items"])
-    outcome = step(run, *values["items"]) or {}
+    try:
+        outcome = step(run, *values["items"]) or {}
+    except InputError as error:
+        if not (found := writers(str(error), run.build / run.model)):
+            raise
+        # To delete the record does not do: Snakemake skips it where what needs it is there.
+        again = f"The same command with SNAKEMAKE='--forcerun {found[0]}' writes it again."
+        raise InputError(f"{error} {again}") from None
     records = [path for path in values["inputs"] if path.parent.name == "records"]
     outside = [p for p in values["inputs"] if not {run.build, run.results} & {*p.parents}]
     folders = [Path(folder) for folder in outcome.pop("results", ())]

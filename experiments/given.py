@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from data_gen.models.registry import model_files
 from deepmds_keras.errors import InputError
 from experiments.run import AUTHORS_FILES, Run
 
@@ -25,6 +26,11 @@ def check_given(run: Run) -> None:
             "RINGNET must be yes, no or the path of the licensed checkpoint without suffix, such "
             f"as ring_6_68641. Received {run.ringnet}."
         )
+    if run.ringnet:
+        try:
+            model_files("flame", run.data)
+        except InputError as error:
+            raise InputError(f"RINGNET has its landmarks on FLAME's mesh: {error}") from None
     if run.objects:
         from experiments.objects.shapes import OBJECTS, object_file
 
@@ -53,10 +59,10 @@ def _check_meshes_and_scans(run: Run) -> None:
     meshes, scans = run.folder_of("coma"), run.folder_of("casia")
     if meshes:
         from data_gen.datasets.coma import find_meshes
-        from data_gen.models.flame import find_embedding
+        from experiments.inputs import embedding_file
 
         find_meshes(meshes)
-        find_embedding(Path(run.data or meshes))
+        embedding_file(run)
     if scans:
         from data_gen.datasets import casia
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import functools
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from data_gen.datasets.dataset import Dataset, load_dataset
 from data_gen.datasets.image_files import ImageFiles
+from data_gen.models.flame import find_embedding
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.models.registry import load_model
+from data_gen.models.registry import load_model, model_files
 from deepmds_keras.baselines.images import IMAGE_SIZE
+from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import centre, normalise, unit
 from deepmds_keras.geometry.views import Cameras, in_camera_frame
@@ -137,6 +141,18 @@ def face_model(run: Run) -> MorphableModel:
         InputError: Its file is missing or damaged, or has no such landmarks.
     """
     return load_model(run.model, run.data, run.scheme).scaled(run.bfm_scale)
+
+
+def embedding_file(run: Run) -> Path:
+    """Landmarks on CoMA's meshes, which are FLAME's: of FLAME itself, or without it any near.
+
+    Raises:
+        InputError: There are none.
+    """
+    near = run.data or run.coma
+    with suppress(InputError):
+        return model_files("flame", near)[-1]
+    return find_embedding(near)
 
 
 def load_landmark_model(run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
         words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
         with locked(run.build / run.model):
             if dry:
-                _plan([*snakemake, "--dry-run"])
+                _plan([*snakemake, "--dry-run", "--quiet", "host"])
                 return
             for path in (run.build / run.model).rglob(".*.partial"):  # of steps that were killed
                 path.unlink(missing_ok=True)
@@ -143,7 +143,8 @@ def _planned(command: list[str]) -> str:
     """
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        reason = " ".join(done.stderr.removeprefix("Building DAG of jobs...").split())
+        # As JobLines print it or, before there are any, Snakemake: in a dry run to stdout.
+        reason = " ".join((done.stdout + done.stderr).rpartition("error: ")[2].split())
         raise InputError(f"Snakemake could not plan the steps: {reason}")
     return done.stdout
 
@@ -165,6 +166,7 @@ def _run(command: list[str], made_by: str) -> None:
         print("\nStopped; the same command goes on from here.", file=sys.stderr)
         raise
     if status:
+        print("Stopped; the same command goes on from here.", file=sys.stderr)
         raise SystemExit(2)
 
 

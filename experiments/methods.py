@@ -23,6 +23,7 @@ from experiments.run import AUTHORS_FILES, Run
 
 _ALL = ("bfm", "flame", "celeba")
 CONSTANT = "deep_mds_constant"
+_NO_RENDERS = "left out: expressions of FLAME have no names by which people could be rendered"
 # Starts from an eigenvalue problem, then sorts all pairs in each of t steps.
 _EMBEDDING = "O(n^3 + t n^2 log n)"
 
@@ -255,7 +256,7 @@ _ROWS = (
     Method(
         id="ringnet_licensed", title="RingNet, licensed", tracks=("flame",),
         description="the published network, to coefficients of FLAME",
-        inputs="images", image_size=CROP_SIZE, build=recipes.ringnet_licensed, reads_model=True,
+        inputs="images", image_size=CROP_SIZE, build=recipes.ringnet_licensed,
         switch="RINGNET", onednn=True, memory_mb=5000,
         colour="#3D2B00", marker="h", gallery=True,
     ),
@@ -367,12 +368,13 @@ def methods_of(
     Args:
         track: `"bfm"`, `"flame"` or `"celeba"`.
         authors: Folder of the authors' released weights, if it was given.
-        model: Face model; None leaves out methods for a single one.
+        model: Face model; None leaves out methods for a single one. Nobody can render people for
+            our RingNet with `"flame"`.
         ringnet: Prefix of the licensed RingNet, if it was given; it takes the place of ours.
     """
 
     def is_given(method: Method) -> bool:
-        if method.id == _other_ringnet(ringnet):
+        if method.id == _other_ringnet(ringnet) or method.id == "ringnet" and model == "flame":
             return False
         files = method.authors[track] if method.authors else ()
         return not files or (authors and all(Path(authors, file).is_file() for file in files))
@@ -466,5 +468,6 @@ def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:
             note = method.note(run, detected[method.id]) if method.note else ""
             notes[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
         elif run.track in method.tracks and method.id != _other_ringnet(run.ringnet):
-            notes[method.id] = method.absent
+            is_flames = method.id == "ringnet" and run.model == "flame"
+            notes[method.id] = _NO_RENDERS if is_flames else method.absent
     return {method_id: note for method_id, note in notes.items() if note}

@@ -16,7 +16,7 @@ from deepmds_keras.baselines.eos_fit import surrey_files
 from deepmds_keras.files import sha256_of
 from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.weights import PRETRAINED
-from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
+from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES, embedding_file
 from experiments.methods import METHODS, methods_of
 from experiments.records import MANIFEST, PUBLISHED, listing, manifests, write_text
 from experiments.run import AUTHORS_FILES, SECOND_NET, SUFFIXES, Run, left_out, options_of
@@ -61,8 +61,8 @@ class Plan:
         begun: File that is as old as the folder of arrays. Results that are older, such as
             committed ones, were not made from these arrays.
         model, open, openhead, ringnet, tf_flame, surrey, shipped: Files outside of `build`: of the
-            face model, of all open ones and of the embedded one; of the licensed RingNet; photos
-            for a figure; eos's; and the weights that come with the package.
+            face model, of all open ones and of the embedded one; of the licensed RingNet, with
+            FLAME; photos for a figure; eos's; and the weights that come with the package.
 
     Raises:
         InputError: A variable has no such value, or the face model's files are missing.
@@ -74,7 +74,10 @@ class Plan:
         self.seeds = range(run.seed, run.seed + run.n_seeds)
         self.model, self.open = model_files(run.model, run.data), open_model_files(run.data)
         self.openhead = model_files(OPEN[0])
-        self.ringnet = _matching(f"{glob.escape(run.ringnet)}.*") if run.ringnet else []
+        self.ringnet = []
+        if run.ringnet:  # which has its landmarks on FLAME's mesh
+            files = _matching(f"{glob.escape(run.ringnet)}.*")
+            self.ringnet = [*files, *model_files("flame", run.data)]
         self.tf_flame = _matching(f"{glob.escape(run.tf_flame)}/*.*") if run.tf_flame else []
         self.surrey = surrey_files(run.sfm) if run.sfm else []
         self.published = sha256_of(sorted(PUBLISHED.glob("*.csv")))
@@ -126,6 +129,11 @@ class Plan:
             f"--seed {self.run.seed if seed is None else seed} {options} --jobs {{threads}} "
             "--record {output[0]:q} --inputs {input:q}"
         )
+
+    def to_collect(self) -> list[Path]:
+        """Files that frames are collected from, but for the meshes of CoMA."""
+        landmarks = [embedding_file(self.run)] if self.run.coma else []
+        return [*dict.fromkeys([*self.model, *landmarks])]
 
     # Methods
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.baselines.images import IMAGE_SIZE
-from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import load_scheme
@@ -358,18 +357,14 @@ def ringnet(run: Run):
 
 
 def ringnet_licensed(run: Run):
-    """The published network, whose checkpoint was given."""
-    if run.data is None:
-        raise InputError(
-            "DATA= must be FLAME's folder: the licensed RingNet has its landmarks on FLAME's "
-            "mesh. Received none."
-        )
+    """The published network, whose checkpoint was given, with its landmarks on FLAME's mesh."""
     from data_gen.models.flame import load_embedding, read_flame
-    from data_gen.models.registry import find_model
+    from data_gen.models.registry import model_files
     from deepmds_keras.baselines.ringnet_released import ReleasedRingNet
 
-    embedding = load_embedding(run.data)
-    corners = read_flame(find_model("flame", run.data))["f"][embedding.triangles]
+    flame, landmarks = model_files("flame", run.data)
+    embedding = load_embedding(landmarks)
+    corners = read_flame(flame)["f"][embedding.triangles]
     return ReleasedRingNet(run.ringnet, corners, embedding.weights)
 
 

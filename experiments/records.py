@@ -45,6 +45,15 @@ _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
     "scikit-learn", "scipy", "snakemake", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
+# What steps write for others, besides their records.
+_WRITTEN = {
+    "faces": ("train.npz", "test.npz", "landmark_model.npz"),
+    "images": ("images",),
+    "frames": ("train.npz",),
+    "scans": ("test.npz", "scans.npz", "images/test"),
+    "rings": ("rings.npz", "landmark_model.npz", "images/rings"),
+    "photos": ("test.npz", "photos.npz", "images/test"),
+}
 # For other steps only, not for readers of the results.
 _INTERNAL = ("checksums", "rows")
 # Of Linux's renameat2: paths are relative to the current folder; two names change places.
@@ -101,6 +110,18 @@ def load_record(run: Run, name: str) -> dict:
     return read_record(run.record_file(name))
 
 
+def writers(message: str, folder: Path) -> list[Path]:
+    """Records in a folder of runs of the steps that wrote a file which a message names."""
+
+    def files(record: Path) -> Iterable[str]:
+        kind, _, method = record.stem.partition("-")
+        names = (f"predictions/{method}.npz",) if kind == "predict" else _WRITTEN.get(kind, ())
+        return (str(record.parents[1] / name) for name in names)
+
+    records = sorted(folder.glob("*/records/*.json"))
+    return [record for record in records if any(file in message for file in files(record))]
+
+
 def steps_behind(record: dict) -> list[dict]:
     """Records of all steps behind a record, and itself, in the order in which they began."""
     steps: dict[Path, dict] = {}
@@ -126,11 +147,12 @@ def outside_files(paths: Iterable[Path]) -> dict[str, str]:
 def listing(folder: str | Path | None) -> str:
     """sha256 of the names and sizes of all files in a folder, whose content may be too large."""
     digest = hashlib.sha256()
-    for where, folders, names in os.walk(folder) if folder else ():
+    # As readers, through links to folders; a link to nothing counts as itself.
+    for where, folders, names in os.walk(folder, followlinks=True) if folder else ():
         folders.sort()
         for name in sorted(names):
             path = os.path.join(where, name)
-            size = os.stat(path).st_size
+            size = os.stat(path, follow_symlinks=os.path.exists(path)).st_size
             digest.update(f"{os.path.relpath(path, folder)} {size}\n".encode())
     return digest.hexdigest() if folder else ""
 

@@ -66,22 +66,18 @@ class Photo:
     Attributes:
         name: As of CelebA's files, counted from 1.
         image: `(H, W, 3)` uint8.
-        identity: `(K,)` coefficients of the morphable model.
         landmarks: Scheme to `(L, 3)` landmarks of the face, millimetres, frame of the morphable
             model.
         pixels: Scheme to `(L, 2)`, where these are in the photo, hidden ones too: x right and y
             down, the left upper corner being (0, 0).
-        yaw, pitch, roll: Degrees, see `views`.
+        yaw: Degrees, see `views`.
     """
 
     name: str
     image: np.ndarray
-    identity: np.ndarray
     landmarks: dict[str, np.ndarray]
     pixels: dict[str, np.ndarray]
     yaw: float
-    pitch: float
-    roll: float
 
 
 class Portraits:
@@ -141,12 +137,9 @@ class Portraits:
         return Photo(
             name=f"{number + 1:06}.jpg",
             image=photograph(image, rng),
-            identity=identity[0],
             landmarks={scheme: points[0] for scheme, points in landmarks.items()},
             pixels={scheme: places - (left, 0) for scheme, places in pixels.items()},
             yaw=float(camera.yaw[0]),
-            pitch=float(camera.pitch[0]),
-            roll=float(camera.roll[0]),
         )
 
     def _draw_face(self, rng):

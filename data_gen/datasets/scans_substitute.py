@@ -40,7 +40,6 @@ class Scan:
         points: `(n, 3)` millimetres: +x to the right of the image, +y up, +z towards the viewer.
         truth: `(51, 3)` true landmarks in millimetres, in the frame of the face model, or None
             where nobody knows them.
-        pixels: `(51, 2)` where they truly lie in the image, x right and y down, or None.
     """
 
     name: str
@@ -48,7 +47,6 @@ class Scan:
     image: np.ndarray
     points: np.ndarray
     truth: np.ndarray | None = None
-    pixels: np.ndarray | None = None
 
 
 class ScansSubstitute:
@@ -82,10 +80,10 @@ class ScansSubstitute:
         n = self.scans_of(subject)
         names = [SCAN_EXPRESSIONS[k % len(SCAN_EXPRESSIONS)] for k in range(n)]
         dataset = self._faces(names, rng)
-        images, pixels = render(self._scene, dataset, range(n), rng)
+        images, _ = render(self._scene, dataset, range(n), rng)
         points = _scan(self._scene.model, dataset, rng)
         return [
-            Scan(f"{subject + 1:03}-{k + 1:03}", names[k], images[k], points[k], truth, pixels[k])
+            Scan(f"{subject + 1:03}-{k + 1:03}", names[k], images[k], points[k], truth)
             for k, truth in enumerate(dataset.landmarks.astype(float))
         ]
 

@@ -25,6 +25,7 @@ _PLAIN = {
     *("numpy.ndarray", "numpy.dtype", "numpy._core.multiarray._reconstruct"),
     *("numpy._core.multiarray.scalar", "numpy._core.numeric._frombuffer", "_codecs.encode"),
     *("copyreg._reconstructor", "builtins.object", "builtins.bytes"),
+    "builtins.set",  # chumpy's objects hold an empty one
 }
 _SPARSE = {f"{kind}_{form}" for kind in ("csr", "csc", "coo") for form in ("matrix", "array")}
 
@@ -33,8 +34,7 @@ def load_plain_pickle(path: str | Path) -> object:
     """Read a pickle of dicts, lists, strings, numbers and arrays, written by Python 2 or 3.
 
     A pickle is a program that may call any function. Here it may name only those that build arrays
-    and sparse matrices. Objects of chumpy, with which FLAME was fitted, become the arrays in them,
-    or a dict of their content.
+    and sparse matrices. Objects of chumpy, with which FLAME was fitted, become the arrays in them.
 
     Raises:
         InputError: The file is missing or damaged, or contains arrays of objects or anything else.
@@ -78,7 +78,7 @@ class _Chumpy:
 def _plain(value: object) -> object:
     """The same with chumpy's objects replaced by what they hold, if the rest is data."""
     if isinstance(value, _Chumpy):
-        value = vars(value).get("x", vars(value))
+        value = vars(value).get("x")
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

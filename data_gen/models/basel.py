@@ -46,6 +46,8 @@ def load_bfm2009(path: str | Path) -> MorphableModel:
         for prefix, unit in (("shape", _MM), ("tex", 1 / 255))
         for parts in [[arrays[f"{prefix}{key}"] for key in ("MU", "PC", "EV")]]
     )
+    if (first := arrays["tl"].min(initial=1)) < 1:
+        raise InputError(f"{file}: tl must count vertices from 1. Received {first:g}.")
     is_whole = len(shape[0]) == N_VERTICES_2009
     return model_of(
         file,

@@ -109,6 +109,8 @@ class MorphableModel:
 
     def scaled(self, scale: float) -> MorphableModel:
         """The same model with so many times the standard deviation of identity."""
+        if scale == 1:  # not to hold a large basis twice
+            return self
         sd = None if self.identity_sd is None else scale * self.identity_sd
         basis = scale * self.identity_basis_times_sd
         return replace(self, identity_basis_times_sd=basis, identity_sd=sd)

@@ -173,7 +173,13 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
     Raises:
         InputError: As `load_model`, of files that are missing.
     """
-    return MODELS[name].parts(find_model(name, path))
+    files = MODELS[name].parts(find_model(name, path))
+    if missing := [str(file) for file in files if not file.is_file()]:
+        raise InputError(
+            f"DATA= must hold all files of {name}, from {MODELS[name].source}. "
+            f"Received none at {', '.join(missing)}."
+        )
+    return files
 
 
 def open_model_files(path: str | Path | None) -> list[Path]:
@@ -183,8 +189,10 @@ def open_model_files(path: str | Path | None) -> list[Path]:
 
 def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
     """Of `OPEN`, the models that anybody may use, those with files here, and the others."""
-    present = []
+    present, given = [], Path(path or "")
     for name in OPEN:
+        if MODELS[name].files and given.is_file() and given.name not in MODELS[name].files:
+            continue  # a file of another model
         with suppress(InputError):
             model_files(name, path)
             present.append(name)

@@ -11,7 +11,7 @@ from data_gen.datasets.dataset import dataset_of, make_performances, save_datase
 from data_gen.models.flame import load_embedding
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views import sample_cameras
-from experiments.inputs import face_model, in_photos
+from experiments.inputs import embedding_file, face_model, in_photos
 from experiments.progress import Progress
 from experiments.records import write_text
 from experiments.run import Run
@@ -20,7 +20,7 @@ from experiments.streams import Stream
 
 def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
     """Landmarks `(n, 51, 3)` of the meshes of CoMA, millimetres, and how many were unreadable."""
-    embedding = load_embedding(run.data or folder)
+    embedding = load_embedding(embedding_file(run))
     with Progress("mesh", len(find_meshes(folder))) as bar:
         landmarks, skipped = load_coma(folder, embedding, jobs=run.jobs, progress=bar.update)
     if skipped:

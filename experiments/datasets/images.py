@@ -23,7 +23,7 @@ def make_images(run: Run, part: str, seed: tuple[int, ...]) -> dict[str, str]:
     Args:
         run: The run.
         part: Name of the data set, which lies in `<part>.npz`.
-        seed: Seed of light, skin and background.
+        seed: Seed of light and skin.
 
     Returns:
         Checksums of the files, by name.

@@ -98,5 +98,7 @@ def main(run: Run) -> dict:
         template = run.work / "casia-index.csv"
         if not index and not template.exists():
             casia.write_index(template, [scan for scans in source for scan in scans])
-            print(f"  all scans are used; to choose, edit {template} and name it by CASIA_INDEX=")
+            # `make clean` deletes what is in `build`, and no manifest records it.
+            print(f"  all scans are used; to choose, copy {template} to another folder than")
+            print(f"  {run.build}, edit the copy, and name it by CASIA_INDEX=")
     return {"source": name} | find_faces(run, "scan", pieces, sizes, scans_of_subject, register)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,6 +15,9 @@ from experiments.progress import roughly
 from experiments.progress.step_names import in_words
 from experiments.records import manifests, read_manifest, read_record, steps_of
 from experiments.scoring.old_names import new_name
+
+# Not by SIGTERM, with which `make` ends its steps.
+_KILLED = re.compile(r"--record (\S+) .* died with <Signals\.(SIG(?!TERM)\w+)")
 
 
 class JobLines(logging.Handler):
@@ -45,9 +49,11 @@ class JobLines(logging.Handler):
         elif event == "job_error" and record.rule_msg:  # of a cluster, whose logs have the reason
             job = f"{in_words(self._jobs[record.jobid][0])}, job {record.aux.get('external_jobid')}"
             print(f"error: {job}:", brief(record.rule_msg), *record.log, file=sys.stderr)
-        elif event is None and record.levelno >= logging.ERROR:
+        elif event in (None, "error") and record.levelno >= logging.ERROR:
             message = " ".join(record.getMessage().split())
-            # A failed step has already printed its own message.
+            # A failed step has already printed its own message, unless a signal ended it.
+            if killed := _KILLED.search(message):
+                print(f"error: {in_words(Path(killed[1]))}: ended by {killed[2]}.", file=sys.stderr)
             self._failed |= "CalledProcessError" in message or message.startswith("Exiting")
             if message and not self._failed:
                 print(f"error: {message}", file=sys.stderr)

@@ -5,9 +5,7 @@ from experiments.records import listing
 
 rule faces:
     input: plan.model
-    output:
-        record("bfm", "faces", "{seed}"),
-        [f"{work('bfm', '{seed}')}/{name}.npz" for name in ("train", "test", "landmark_model")]
+    output: record("bfm", "faces", "{seed}")
     shell: step("datasets.faces", seed="{wildcards.seed}", uses=["data"])
 
 
@@ -24,8 +22,8 @@ rule images:
 
 
 rule frames:
-    input: plan.model
-    output: record("flame", "frames"), f"{work('flame')}/train.npz"
+    input: lambda w: plan.to_collect()
+    output: record("flame", "frames")
     params: coma=listing(RUN.coma)
     threads: workflow.cores
     shell: step("datasets.frames", "flame", uses=["data"])
@@ -33,7 +31,7 @@ rule frames:
 
 rule scans:
     input: plan.model, *filter(None, [RUN.casia_index])
-    output: record("flame", "scans"), f"{work('flame')}/test.npz", f"{work('flame')}/scans.npz"
+    output: record("flame", "scans")
     params: casia=listing(RUN.casia)
     threads: workflow.cores
     shell: step("datasets.scans", "flame", uses=["data", "casia_index"])
@@ -48,7 +46,7 @@ rule rings:
 
 rule photos:
     input: plan.model
-    output: record("celeba", "photos"), f"{work('celeba')}/test.npz", f"{work('celeba')}/photos.npz"
+    output: record("celeba", "photos")
     params: celeba=listing(RUN.celeba)
     threads: workflow.cores
     shell: step("datasets.photos", "celeba", uses=["data"])

@@ -40,7 +40,7 @@ ruleorder: train_beside_others > train_before_another > train_of_the_tables > tr
 
 rule predict:
     input: lambda w: plan.to_predict(w.method, track_of(w), seed_of(w))
-    output: "{work}/records/predict-{method}.json", "{work}/predictions/{method}.npz"
+    output: "{work}/records/predict-{method}.json"
     params:
         track=track_of, seed=seed_of,
         recipe=lambda w: RUN.mobileface if w.method == "mobileface" else "",

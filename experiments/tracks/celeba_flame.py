@@ -45,7 +45,8 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
     Raises:
         InputError: No such folder or none of these files in it, or landmarks of another shape.
     """
-    files = sorted(folder.glob("*_lmks.npy"))
+    # macOS leaves ._NAME next to NAME.
+    files = sorted(p for p in folder.glob("*_lmks.npy") if not p.name.startswith("."))
     if not files:
         raise InputError(
             f"TF_FLAME={folder} must be a folder with photos NAME.jpeg and landmarks "
@@ -56,8 +57,13 @@ def read_folder(folder: Path) -> tuple[list[Path], np.ndarray]:
     for path, points in zip(files, landmarks, strict=True):
         if points.shape != (51, 2) or not np.isfinite(points).all():
             raise InputError(f"{path} must be finite (51, 2). Received shape {points.shape}.")
-    names = [path.name.removesuffix("_lmks.npy") for path in files]
-    return [folder / f"{name}.jpeg" for name in names], np.array(landmarks, float)
+        if not (photo := _photo(path)).is_file():
+            raise InputError(f"{path} must have its photo beside it. Received no {photo.name}.")
+    return [*map(_photo, files)], np.array(landmarks, float)
+
+
+def _photo(landmarks: Path) -> Path:
+    return landmarks.with_name(f"{landmarks.name.removesuffix('_lmks.npy')}.jpeg")
 
 
 def draw_photos(run: Run) -> tuple[list[np.ndarray], np.ndarray, list[str]]:

@@ -25,9 +25,11 @@ from data_gen.views import PROTOCOLS
 from experiments import make, records
 from experiments.__main__ import main
 from experiments.presets import PRESETS
+from experiments.progress.step_names import in_words
 from experiments.records import (
     commits_of,
     environment,
+    listing,
     read_manifest,
     read_record,
     steps_of,
@@ -126,13 +128,12 @@ def test_weights_of_the_authors_run_their_row_and_the_table(whole_bfm, tmp_path)
 
 def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
     folder = runs.work(tmp_path, "bfm", model="bfm2009")
-    arrays = ("records/faces.json", "train.npz", "test.npz", "landmark_model.npz")
-    outputs = [folder / name for name in arrays]
-    for path in (tmp_path / "a.mat", tmp_path / "b.mat", *outputs):
+    record = folder / "records/faces.json"
+    for path in (tmp_path / "a.mat", tmp_path / "b.mat", record):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")
     given = ["MODEL=bfm2009", f"DATA={tmp_path}/a.mat"]
-    done = [*runs.SNAKEMAKE, str(outputs[0].relative_to(tmp_path)), "--touch", "--forceall"]
+    done = [*runs.SNAKEMAKE, str(record.relative_to(tmp_path)), "--touch", "--forceall"]
     done += ["--quiet", "all", "--config", "PRESET=tiny", *given]
     subprocess.run(done, cwd=tmp_path, env=runs.ENVIRONMENT, check=True)
     assert "datasets.faces" not in names(runs.plan("reproduce-bfm", tmp_path, *given))
@@ -168,8 +169,28 @@ def test_the_steps_of_a_target_are_drawn(tmp_path):
     assert status == 0
     drawn = (tmp_path / "audit.svg").read_text(encoding="utf-8")
     assert drawn.startswith("<?xml") and "ablation" in drawn
-    status, _, errors = ended(runs.command("audti", tmp_path, "DAG=audti.svg"))
-    assert status == 2 and "No rule to produce audti" in errors and errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("variable", ["DAG=audti.svg", "DRY=1", ""])
+def test_a_reason_of_snakemake_is_told(tmp_path, variable):
+    status, _, errors = ended(runs.command("audti", tmp_path, *filter(None, [variable])))
+    assert status == 2 and errors.count("\n") == 1 + (variable == "")
+    assert errors.startswith("error: ") and errors.count("No rule to produce audti") == 1
+
+
+def test_a_step_that_is_killed_is_named(tmp_path):
+    rules = tmp_path / "more.smk"
+    rules.write_text(
+        f"include: {str(ROOT / 'experiments/Snakefile')!r}\n"
+        "rule hello:\n    output: record('bfm', 'hello')\n"
+        "    shell: 'kill -9 $$ # --record {output[0]:q} --inputs'\n"
+    )
+    snakemake = [sys.executable, "-m", "snakemake", "-s", str(rules), "hello", "--cores", "1"]
+    done = subprocess.run(
+        [*snakemake, "--quiet", "all", "--config", "PRESET=tiny"],
+        cwd=tmp_path, env=runs.ENVIRONMENT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (1, "error: hello: ended by SIGKILL.\n")
 
 
 @pytest.mark.slow
@@ -274,7 +295,26 @@ def test_a_damaged_file_is_named(copy, name):
     os.utime(path, (0, 0))  # not newer than what was made from it
     shutil.rmtree(runs.results(copy, "bfm"))
     status, _, errors = ended(runs.command("reproduce-bfm", copy))
-    assert status == 2 and path.name in errors and errors.count("\n") == 1
+    assert status == 2 and path.name in errors
+    assert errors.splitlines()[1:] == ["Stopped; the same command goes on from here."]
+
+
+@pytest.mark.parametrize(
+    ("name", "record", "step"),
+    [
+        ("test.npz", "faces", ["tracks.predict", "ridge"]),
+        ("predictions/ridge.npz", "predict-ridge", ["tracks.preview", "ridge"]),
+        ("images/train/0000.npy", "images", ["tracks.train", "mobileface"]),
+    ],
+)
+def test_arrays_that_were_deleted_are_made_anew_as_the_error_says(copy, name, record, step):
+    work = runs.work(copy, "bfm").relative_to(copy)
+    (copy / work / name).unlink()
+    errors = runs.run(step[0], copy, *step[1:]).stderr
+    force = f"--forcerun {work}/records/{record}.json"
+    assert f"SNAKEMAKE='{force}'" in errors and errors.count("\n") == 1
+    _, planned, _ = ended(runs.command("reproduce-bfm", copy, "DRY=1", f"SNAKEMAKE={force}"))
+    assert in_words(work / "records" / f"{record}.json") in planned
 
 
 # Several commands, and ends.
@@ -373,6 +413,17 @@ def test_a_changed_record_is_not_read(tmp_path):
     path.write_text(path.read_text().replace("1.0", "2.0"))
     with pytest.raises(ValueError, match=r"faces\.json must be an unchanged record"):
         read_record(path)
+
+
+def test_a_listing_goes_through_links_to_folders_and_takes_those_to_nothing(tmp_path):
+    for name in ("folder", "linked"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "folder" / "link").symlink_to(tmp_path / "linked")
+    listings = [listing(tmp_path / "folder")]
+    (tmp_path / "linked" / "file").touch()
+    listings.append(listing(tmp_path / "folder"))
+    (tmp_path / "folder" / "nothing").symlink_to("nowhere")
+    assert len({*listings, listing(tmp_path / "folder")}) == 3
 
 
 def test_the_command_line_of_a_run_is_that_run(tmp_path):

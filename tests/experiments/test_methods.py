@@ -11,7 +11,7 @@ from deepmds_keras import InputError, align, normalise
 from deepmds_keras.geometry.units import rms_radius
 from experiments import recipes
 from experiments.inputs import load_faces
-from experiments.methods import DEEP_MDS, METHODS, load, methods_of, predict
+from experiments.methods import DEEP_MDS, METHODS, load, methods_of, notes, predict
 from experiments.presets import TINY
 from experiments.run import AUTHORS_FILES, Run
 
@@ -87,6 +87,14 @@ def test_a_method_is_run_where_its_row_says(tmp_path):
     given = {m.id for m in methods_of("bfm", authors=tmp_path, model="bfm2009")}
     assert "mobileface_weights" in given
     assert all(method.build for method in METHODS.values() if method.tracks)
+
+
+def test_ringnet_is_left_out_of_flame_whose_expressions_have_no_names():
+    ids = {model: {m.id for m in methods_of("flame", model=model)} for model in ("ict", "flame")}
+    assert ids["ict"] - ids["flame"] == {"ringnet"}
+    assert "no names" in notes(Run(model="flame", track="flame"), {})["ringnet"]
+    licensed = methods_of("flame", model="flame", ringnet="prefix")
+    assert "ringnet_licensed" in {method.id for method in licensed}
 
 
 def test_every_look_is_its_own():

@@ -11,11 +11,15 @@ import pytest
 import runs
 from places import MEDIAPIPE, ROOT, SHARED, committed
 
+from deepmds_keras.errors import InputError
 from experiments import records
+from experiments.given import check_given
+from experiments.inputs import embedding_file
 from experiments.methods import METHODS
 from experiments.objects.shapes import OBJECTS, object_file
 from experiments.plan import Plan
 from experiments.records import MANIFEST, new_results, publish, read_manifest, steps_of
+from experiments.run import Run, run_of_variables
 from experiments.scoring.old_names import new_name
 
 _GONE = ("intel", "published")  # results of another processor, and the paper's
@@ -210,12 +214,31 @@ def test_files_of_both_models_and_of_others_are_in_the_manifest(tmp_path, target
 def test_the_licensed_ringnet_is_a_method_of_its_own(tmp_path):
     for suffix in ("index", "meta", "data-00000-of-00001"):
         (tmp_path / f"net.{suffix}").touch()
-    switches = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
-    steps = runs.plan("reproduce-flame", tmp_path, f"RINGNET={tmp_path / 'net'}", *switches)
+    given = {"RINGNET": str(tmp_path / "net"), "MEDIAPIPE": "yes" if MEDIAPIPE else "no"}
+    with pytest.raises(InputError, match="RINGNET has its landmarks on FLAME's mesh: DATA= must"):
+        check_given(run_of_variables(given, "flame"))
+    for name in ("generic_model.pkl", "flame_static_embedding.pkl"):
+        (tmp_path / name).touch()
+    words = [f"{name}={value}" for name, value in given.items()]
+    steps = runs.plan("reproduce-flame", tmp_path, f"DATA={tmp_path}", *words)
     (predict,) = (words for words in steps if words[:2] == ["tracks.predict", "ringnet_licensed"])
     assert predict[predict.index("--record") + 1].endswith("predict-ringnet_licensed.json")
-    assert str(tmp_path / "net.meta") in predict[predict.index("--inputs") :]
+    inputs = {str(tmp_path / name) for name in ("net.meta", "generic_model.pkl")}
+    assert inputs < {*predict[predict.index("--inputs") :]}
     assert not any("ringnet" in words for words in steps), "ours is not trained"
+
+
+def test_landmarks_on_the_meshes_of_coma_are_those_of_flame_itself_and_an_input(tmp_path):
+    data, name = tmp_path / "data", "flame_static_embedding.pkl"
+    for file in (data / name, data / "FLAME" / name, data / "FLAME" / "flame2023.pkl"):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    (data / "CoMA").mkdir()
+    assert embedding_file(Run(model="flame", data=str(data))) == data / "FLAME" / name
+    (data / "FLAME" / "flame2023.pkl").unlink()
+    steps = runs.plan("reproduce-flame", tmp_path, f"DATA={data}", "RINGNET=no", "MEDIAPIPE=no")
+    (frames,) = (words for words in steps if words[0] == "datasets.frames")
+    assert str(data / name) in frames[frames.index("--inputs") :]
 
 
 # A new method is a row and a builder, whatever it sees.

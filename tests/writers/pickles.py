@@ -20,7 +20,7 @@ def chumpy_pickle(value, protocol):
 
     class Ch:
         def __init__(self, **state):
-            self.__dict__.update(state)
+            self.__dict__.update(state, _dirty_vars=set())  # as chumpy's __getstate__
 
     Ch.__module__, Ch.__qualname__ = "chumpy.ch", "Ch"
     module = types.ModuleType("chumpy.ch")

@@ -131,6 +131,8 @@ def test_what_is_missing_is_named(checkout, tmp_path):
         load_bfm68(checkout)
     with pytest.raises(InputError, match="DATA= must .*cleardusk/3DDFA"):
         find_model("bfm68", tmp_path / "c++")
+    with pytest.raises(InputError, match="must hold all files of bfm68.* none at .*w_exp_base.txt"):
+        model_files("bfm68", checkout)
 
 
 @pytest.mark.skipif(not CHECKOUT.is_dir(), reason="../shared/3ddfa is absent")

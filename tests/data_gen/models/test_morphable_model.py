@@ -30,6 +30,7 @@ def test_coefficients_add_their_components_to_the_mean(model):
     np.testing.assert_array_equal(model.shape(np.zeros((3, 4))), np.stack([model.mean] * 3))
     neutral_expression = model.mean + model.expression_mean
     np.testing.assert_allclose(model.shape(np.zeros(4), np.zeros(2)), neutral_expression)
+    assert model.scaled(1) is model  # and no second basis
     face = model.shape([0, 1.0], [0, 1.0])
     added = model.identity_basis_times_sd[1] + model.expression_basis[1]
     np.testing.assert_allclose(face, neutral_expression + added)

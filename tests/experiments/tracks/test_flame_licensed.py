@@ -123,6 +123,7 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     done = run("datasets.scans", folder)
     assert done.returncode == 0, done.stderr
     index = work / "casia-index.csv"
+    assert f"copy {index.relative_to(folder)} to another folder" in done.stdout
     assert index.read_text().count(",yes,") == N_SCANS
     with np.load(work / "scans.npz", allow_pickle=False) as scans_file:
         used = scans_file["status"] == "used"

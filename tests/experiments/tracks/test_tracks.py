@@ -12,6 +12,7 @@ from PIL import Image
 from places import MEDIAPIPE, SHARED
 
 from data_gen.datasets.dataset import load_dataset, save_dataset
+from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.landmarks import load_scheme
 from experiments.methods import methods_of
@@ -330,6 +331,17 @@ def test_data_that_cannot_be_used_ends_with_one_line(tmp_path, name, options, me
     done = step(name, tmp_path, track, **options)
     assert done.returncode == 2 and message in done.stderr
     assert "Traceback" not in done.stderr and not [*tmp_path.rglob("*.npz")]
+
+
+def test_each_photo_with_landmarks_is_shown_and_must_be_there(tmp_path):
+    from experiments.tracks.celeba_flame import read_folder
+
+    (tmp_path / "._a_lmks.npy").write_bytes(b"of macOS")
+    np.save(tmp_path / "a_lmks.npy", np.ones((51, 2)))
+    with pytest.raises(InputError, match=r"a_lmks.npy must .* photo .* Received no a\.jpeg"):
+        read_folder(tmp_path)
+    (tmp_path / "a.jpeg").touch()
+    assert read_folder(tmp_path)[0] == [tmp_path / "a.jpeg"]
 
 
 # Methods that are given, or see other photos.
