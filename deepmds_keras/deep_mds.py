@@ -33,6 +33,7 @@ from deepmds_keras.validation import (
     check_faces,
     check_fitted,
     check_n_landmarks,
+    check_still_of,
     check_views_and_shapes,
     check_whole,
     of_one_or_many,
@@ -120,23 +121,23 @@ class DeepMDS(BaseEstimator):
         self._check_parameters()
         views, shapes = check_views_and_shapes(views, shapes)
         views, shapes = self._normalised(views), normalise(shapes)
-        self.history_ = {}
-
-        self.autoencoder_, self.history_["autoencoder"] = train_autoencoder(
+        history = {}
+        autoencoder, history["autoencoder"] = train_autoencoder(
             views,
             shapes[..., :2],
             self._recipe("autoencoder"),
             **self._training("autoencoder", checkpoint, progress),
         )
-        frontal = self.frontalise(views)
-        self.dissimilarity_net_, self.history_["dissimilarity_net"] = train_dissimilarity_net(
-            frontal,
+        dissimilarity_net, history["dissimilarity_net"] = train_dissimilarity_net(
+            self._frontal(autoencoder, views),
             shapes,
             self._recipe("dissimilarity_net"),
             variant=self.variant,
             **self._training("dissimilarity_net", checkpoint, progress),
         )
-        self.front_landmark_ = front_landmark(shapes)
+        # All at once: a fit that is stopped leaves the model as it was.
+        self.autoencoder_, self.dissimilarity_net_ = autoencoder, dissimilarity_net
+        self.front_landmark_, self.history_ = front_landmark(shapes), history
         return self
 
     def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
@@ -147,14 +148,16 @@ class DeepMDS(BaseEstimator):
             shapes: `(n, L, 3)` shapes of their training.
 
         Raises:
-            InputError: A network is missing, unfinished, damaged or of another run.
+            InputError: A network is missing, unfinished, damaged or of another run, or shapes as
+                for `fit`.
         """
-        self._build()
-        self.history_ = {}
-        for name, file in self._files(checkpoint).items():
+        built, history = self._build(), {}
+        for network, (name, file) in zip(built, self._files(checkpoint).items(), strict=True):
             label = {"seed": self.seed, **asdict(self._recipe(name))}
-            self.history_[name] = restore_network(getattr(self, f"{name}_"), file, label)
-        self.front_landmark_ = front_landmark(shapes)
+            history[name] = restore_network(network, file, label)
+        shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
+        self.autoencoder_, self.dissimilarity_net_ = built
+        self.front_landmark_, self.history_ = front_landmark(shapes), history
         return self
 
     def predict(
@@ -207,9 +210,7 @@ class DeepMDS(BaseEstimator):
 
     def frontalise(self, views: np.ndarray) -> np.ndarray:
         """`(n, L, 2)` x and y of the shape from the autoencoder; errors as for `predict`."""
-        views = self._normalised(views)
-        flat = views.reshape(len(views), -1).astype(np.float32)
-        return networks.forward(self._trained("autoencoder_"), flat).reshape(views.shape)
+        return self._frontal(self._trained("autoencoder_"), views)
 
     def dissimilarities(self, views: np.ndarray) -> np.ndarray:
         """3D distances of all pairs, as the net estimates them: `(n, L, L)`; errors as `predict`.
@@ -247,7 +248,7 @@ class DeepMDS(BaseEstimator):
             model.history_ = described["history"]
             if len(arrays["autoencoder/encode_1/kernel"]) != 2 * model.n_landmarks:
                 raise ValueError(f"its weights are not of {model.n_landmarks} landmarks")
-            model._build()
+            model.autoencoder_, model.dissimilarity_net_ = model._build()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path} was not written by DeepMDS.save(): {error}.") from None
         for name in _NETWORKS:
@@ -276,7 +277,7 @@ class DeepMDS(BaseEstimator):
         model.history_ = {}
         # These weights come without the shapes of their training.
         model.front_landmark_ = load_scheme(scheme_of(n_landmarks)).index("nose_tip")
-        model._build()
+        model.autoencoder_, model.dissimilarity_net_ = model._build()
         weights.read_keras2_weights(model.autoencoder_, autoencoder_h5)
         weights.read_keras2_weights(model.dissimilarity_net_, dissimilarity_h5)
         return model
@@ -289,6 +290,11 @@ class DeepMDS(BaseEstimator):
     def _normalised(self, views: np.ndarray) -> np.ndarray:
         views = check_faces(views, "views", 2, self.n_landmarks)
         return normalise(centre(views) if self.centre_views else views)
+
+    def _frontal(self, autoencoder: keras.Model, views: np.ndarray) -> np.ndarray:
+        views = self._normalised(views)
+        flat = views.reshape(len(views), -1).astype(np.float32)
+        return networks.forward(autoencoder, flat).reshape(views.shape)
 
     def _matrices(self, frontal: np.ndarray) -> np.ndarray:
         network = self._trained("dissimilarity_net_")
@@ -328,9 +334,13 @@ class DeepMDS(BaseEstimator):
     def _files(self, checkpoint: str | Path) -> dict[str, Path]:
         return weights.checkpoint_files(checkpoint, self.variant, self.schedule)
 
-    def _build(self) -> None:
-        self.autoencoder_ = networks.build_autoencoder(self.n_landmarks)
-        self.dissimilarity_net_ = networks.build_dissimilarity_net(self.variant)
+    def _build(self) -> tuple[keras.Model, keras.Model]:
+        """Autoencoder and dissimilarity net, untrained."""
+        autoencoder = networks.build_autoencoder(self.n_landmarks)
+        return autoencoder, networks.build_dissimilarity_net(self.variant)
 
     def _trained(self, name: str) -> keras.Model:
-        return check_fitted(self, name, "fit, restore, load or pretrained")
+        network = check_fitted(self, name, "fit, restore, load or pretrained")
+        if name == "autoencoder_":
+            check_still_of(network.input_shape[1] // 2, self.n_landmarks)
+        return network

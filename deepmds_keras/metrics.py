@@ -40,12 +40,14 @@ def explained_share(prediction: np.ndarray, truth: np.ndarray) -> float:
         prediction, truth: `(n, L, 3)`, n at least 2, any scale.
 
     Raises:
-        InputError: As for `mse`, or fewer than two faces.
+        InputError: As for `mse`, or fewer than two faces, or true ones that do not differ.
     """
     prediction, truth = _pair(prediction, truth, least=2)
     truth = centre_and_scale(truth)
     mean = np.broadcast_to(truth.mean(0), truth.shape)
     error, worst = (np.mean(mse(align(x, truth), truth)) for x in (prediction, mean))
+    if worst < _ROUNDING**2:
+        raise InputError("truth must have faces that differ. Received one shape for all.")
     return float(1 - error / worst)
 
 
@@ -68,7 +70,7 @@ def depth_corr_across_faces(prediction: np.ndarray, truth: np.ndarray) -> float:
     paper cites for its own criterion. L at most; a landmark whose depth does not vary contributes
     0, so that a constant answer scores 0. Once aligned to each face it is no longer constant:
     Procrustes gives it the position and size of the truth, and it scores high. Arguments and errors
-    are those of `explained_share`, but aligned.
+    are those of `explained_share`, but aligned, and faces may be equal.
     """
     prediction, truth = _pair(prediction, truth, least=2)
     return float(np.abs(_pearson(prediction[..., 2], truth[..., 2], axis=0)).sum())

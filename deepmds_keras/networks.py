@@ -99,13 +99,17 @@ def dense_block(
 ) -> keras.KerasTensor:
     """The trio of both networks: dense, LeakyReLU, batch normalisation; `seed` is of the kernel."""
     check_fork("Keras")
-    initial = keras.initializers.GlorotUniform(seed=seed)
-    x = layers.Dense(units, kernel_initializer=initial, name=name)(x)
+    x = layers.Dense(int(units), kernel_initializer=glorot(seed), name=name)(x)
     if activated:
         x = layers.LeakyReLU(negative_slope=0.3, name=f"{name}_lrelu")(x)
     if normalised:
         x = layers.BatchNormalization(name=f"{name}_bn")(x)
     return x
+
+
+def glorot(seed: int) -> keras.Initializer:
+    """Keras's default for kernels. Of integers Keras takes Python's alone, hence `int` here."""
+    return keras.initializers.GlorotUniform(seed=int(seed))
 
 
 def count_trainable(*networks: keras.Model) -> int:

@@ -25,11 +25,9 @@ def pair_features(views: np.ndarray, variant: str = "paper") -> np.ndarray:
         `(n, P, F)` or `(P, F)` float32, pairs `i < j` in `scipy.spatial.distance.pdist` order.
 
     Raises:
-        InputError: Unknown variant, or views of another shape.
+        InputError: Unknown variant, or views of another shape or kind.
     """
-    if np.ma.isMaskedArray(views):
-        views = as_numbers(views, "views")
-    views = np.asarray(views, np.float32)
+    views = as_numbers(views, "views").astype(np.float32)
     if views.ndim not in (2, 3) or views.shape[-1] != 2:
         raise InputError(f"views must have shape (n, L, 2) or (L, 2). Received {views.shape}.")
     first, second = np.triu_indices(views.shape[-2], 1)

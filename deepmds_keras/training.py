@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from deepmds_keras.proximities import proximities
 from deepmds_keras.streams import Stream
 from deepmds_keras.weights import (
     fingerprint,
-    read_checkpoint,
+    set_checkpoint,
     set_network_arrays,
     write_checkpoint,
 )
@@ -38,19 +38,19 @@ class Recipe:
         steps_per_epoch: Mini-batches in an epoch, or None for all of the data.
         schedule: `"constant"` learning rate (the paper and its code) or `"cosine"` decay to zero.
         learning_rate: Adam's initial learning rate.
-        batch_size: Faces per mini-batch of the autoencoder; the other net takes one face.
+        batch_size: Faces per mini-batch of the autoencoder, always 16; the other net takes one.
     """
 
     epochs: int
     steps_per_epoch: int | None = None
     schedule: str = "constant"
     learning_rate: float = 1e-3
-    batch_size: int = 16
+    batch_size: int = field(default=16, init=False)
 
     def optimizer(self, steps_per_epoch: int) -> keras.optimizers.Optimizer:
         """Adam with the schedule over all epochs."""
         check_choice(self.schedule, "schedule", SCHEDULES)
-        rate = self.learning_rate
+        rate = float(self.learning_rate)
         if self.schedule == "cosine":
             rate = keras.optimizers.schedules.CosineDecay(rate, self.epochs * steps_per_epoch)
         return keras.optimizers.Adam(rate)
@@ -200,8 +200,9 @@ def train_by_epoch(
     label = {"network": model.name, **label}
     history: dict[str, list[float]] = {"train": [], "inference": []}
     if checkpoint is not None and os.path.exists(checkpoint):
-        description = read_checkpoint(checkpoint, model)
-        _check_run(checkpoint, description["label"], label)
+        arrays, description = read_arrays(checkpoint)
+        _check_run(checkpoint, description.get("label", {}), label)
+        set_checkpoint(model, arrays, str(checkpoint))
         history = description["history"]
     done = len(history["train"])
     for epoch in range(label["epochs"]):

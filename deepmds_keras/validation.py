@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from deepmds_keras.errors import InputError
 
+_FLAT = 1e-5  # relative depth of a shape below which its affine camera is undetermined
+
 
 def as_numbers(points: ArrayLike, name: str) -> np.ndarray:
     """An array of floats, NaN where the input is masked; the input itself if it is one.
@@ -128,19 +130,42 @@ def check_views_and_shapes(views, shapes) -> tuple[np.ndarray, np.ndarray]:
     return views, shapes
 
 
-def check_basis(basis_times_sd, n_landmarks: int) -> np.ndarray:
+def check_face_model(mean, basis_times_sd) -> tuple[np.ndarray, np.ndarray]:
+    """Mean `(L, 3)` of a face model at its landmarks, and components `(K, L, 3)`, float64.
+
+    Raises:
+        InputError: As for `check_basis`, or a mean that is unusable or flat, of which no camera is
+            known.
+    """
+    mean = check_points(mean, "mean", 3)[0]
+    extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
+    if extents[2] < _FLAT * extents[0]:
+        raise InputError("mean must not be flat. Received landmarks in one plane.")
+    return mean, check_basis(basis_times_sd, "basis_times_sd", len(mean))
+
+
+def check_basis(basis, name: str, n_landmarks: int) -> np.ndarray:
     """Components of a face model at its landmarks, `(K, L, 3)` float64.
 
     Raises:
-        InputError: Another shape, NaN or infinity.
+        InputError: Another shape, no component, or NaN, infinity or masked numbers.
     """
-    basis = np.asarray(basis_times_sd, float)
-    if basis.ndim != 3 or basis.shape[1:] != (n_landmarks, 3) or not np.isfinite(basis).all():
+    basis = as_numbers(basis, name)
+    if basis.shape != (max(len(basis), 1), n_landmarks, 3) or not np.isfinite(basis).all():
         raise InputError(
-            f"basis_times_sd must be finite, of shape (components, {n_landmarks}, 3). "
+            f"{name} must be finite, of shape (components >= 1, {n_landmarks}, 3). "
             f"Received shape {basis.shape}."
         )
     return basis
+
+
+def check_still_of(n_landmarks: int, parameter: int) -> None:
+    """Raise InputError if the parameter is no longer the number that a model was trained with."""
+    if parameter != n_landmarks:
+        raise InputError(
+            f"n_landmarks must be {n_landmarks}, with which the model was trained; train it again "
+            f"for others. Received {parameter}."
+        )
 
 
 def check_fitted(estimator: object, attribute: str, setters: str = "fit") -> Any:

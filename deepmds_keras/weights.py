@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief, check_choice
-from deepmds_keras.files import read_arrays, write_arrays
+from deepmds_keras.files import write_arrays
 
 if TYPE_CHECKING:
     import keras
@@ -52,18 +52,16 @@ def write_checkpoint(path: str | Path, network: keras.Model, description: dict) 
     write_arrays(path, network_arrays(network) | state, description, compressed=False)
 
 
-def read_checkpoint(path: str | Path, network: keras.Model) -> dict:
-    """Load a checkpoint into a compiled network and return its description.
+def set_checkpoint(network: keras.Model, arrays: dict[str, np.ndarray], source: str) -> None:
+    """Set a compiled network and its optimiser from arrays of `write_checkpoint`.
 
     Raises:
-        InputError: The file is damaged or belongs to another network.
+        InputError: As for `set_network_arrays`, of the optimiser's state too.
     """
-    arrays, description = read_arrays(path)
-    set_network_arrays(network, arrays, str(path))
+    set_network_arrays(network, arrays, source)
     network.optimizer.build(network.trainable_variables)
     for i, variable in enumerate(network.optimizer.variables):
-        _assign(variable, arrays.get(f"optimizer/{i}"), f"{path}: state {i} of the optimiser")
-    return description
+        _assign(variable, arrays.get(f"optimizer/{i}"), f"{source}: state {i} of the optimiser")
 
 
 def checkpoint_files(folder: str | Path, variant: str, schedule: str) -> dict[str, Path]:

@@ -1,5 +1,5 @@
 """The methods that the paper compares with, and the simplest possible ones.
 
-All are scikit-learn style estimators with `predict` and `n_parameters`, and `fit` where they learn.
+All have `predict`, and those that learn `fit`; most are estimators in the style of scikit-learn.
 Only `closed_form`, `eos_fit` and `map_fit` do without TensorFlow, so import from the modules.
 """

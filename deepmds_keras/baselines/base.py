@@ -11,8 +11,8 @@ import numpy as np
 from keras import layers
 from sklearn.base import BaseEstimator
 
-from deepmds_keras.errors import InputError
-from deepmds_keras.networks import count_trainable, forward
+from deepmds_keras.errors import InputError, check_fork
+from deepmds_keras.networks import count_trainable, forward, glorot
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
 from deepmds_keras.validation import check_fitted, check_number, check_whole
 from deepmds_keras.weights import fingerprint, read_keras2_weights
@@ -110,15 +110,15 @@ def dense_network(
         standardised: Whether the numbers are first centred and divided by their s.d., in a layer
             `"standardised"` with their mean and variance as untrained weights.
     """
+    check_fork("Keras")
     view = x = keras.Input((n_inputs,), name="view")
     if standardised:
         x = layers.BatchNormalization(
             center=False, scale=False, epsilon=1e-8, trainable=False, name="standardised"
         )(view)
     for number, (layer, (units, activation)) in enumerate(sizes.items()):
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        dense = layers.Dense(units, activation, kernel_initializer=initial, name=layer)
-        x = dense(x)
+        initial = glorot(1000 * seed + number)
+        x = layers.Dense(int(units), activation, kernel_initializer=initial, name=layer)(x)
     return keras.Model(view, x, name=name)
 
 
@@ -132,5 +132,4 @@ def draw_kernels(network: keras.Model, seed: int) -> None:
     """Redraw every kernel by Keras's default, for networks that take no initialiser."""
     kernels = [weight for weight in network.trainable_weights if weight.name.endswith("kernel")]
     for number, kernel in enumerate(kernels):
-        initial = keras.initializers.GlorotUniform(seed=1000 * seed + number)
-        kernel.assign(initial(kernel.shape))
+        kernel.assign(glorot(1000 * seed + number)(kernel.shape))

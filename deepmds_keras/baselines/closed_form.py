@@ -8,20 +8,21 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.linear_model import RidgeCV
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, brief
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.validation import (
-    check_basis,
+    as_numbers,
+    check_face_model,
     check_faces,
     check_fitted,
-    check_points,
+    check_number,
     check_views_and_shapes,
+    check_whole,
     of_one_or_many,
 )
 
 CHUNK = 256  # faces solved together: bounds the memory of their equations to about 80 MB
-_FLAT = 1e-5  # relative depth of a shape below which its affine camera is undetermined
 _AUTHORS_REGULARISATION = 1e-7
 _AUTHORS_ROUNDS = 50
 
@@ -122,11 +123,7 @@ class _ModelFit(BaseEstimator):
         Raises:
             InputError: An unusable model, option or view.
         """
-        mean = check_points(self.mean, "mean", 3)[0]
-        extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
-        if extents[2] < _FLAT * extents[0]:
-            raise InputError("mean must not be flat. Received landmarks in one plane.")
-        basis = check_basis(self.basis_times_sd, len(mean))
+        mean, basis = check_face_model(self.mean, self.basis_times_sd)
         faces = check_faces(views, "views", 2, len(mean))
         chunks = np.split(faces, range(CHUNK, len(faces), CHUNK))
         coefficients = np.concatenate([self._solve(chunk, mean, basis) for chunk in chunks])
@@ -161,9 +158,9 @@ class Aldrian(_ModelFit):
     tol: float = 1e-4
 
     def _solve(self, views, mean, basis):
-        for name in ("view_noise", "max_iter"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive. Received {getattr(self, name)}.")
+        check_number(self.view_noise, "view_noise")
+        check_whole(self.max_iter, "max_iter")
+        check_number(self.tol, "tol", zero=True)
         noise = self.view_noise * np.ptp(views, axis=1).max(1)[:, None]
         products = inner_products(basis)
         coefficients = np.zeros((len(views), len(basis)))
@@ -197,7 +194,12 @@ class AldrianAuthors(_ModelFit):
     sd: np.ndarray
 
     def _solve(self, views, mean, basis):
-        raw_basis = basis / self.sd[:, None, None]
+        sd = as_numbers(self.sd, "sd")
+        if sd.shape != (len(basis),) or not (np.isfinite(sd) & (sd > 0)).all():
+            raise InputError(
+                f"sd must be {len(basis)} finite and positive numbers. Received {brief(sd)}."
+            )
+        raw_basis = basis / sd[:, None, None]
         products = inner_products(raw_basis)
         c = np.zeros((len(views), len(basis)))
         for _ in range(_AUTHORS_ROUNDS):

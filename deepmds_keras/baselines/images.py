@@ -11,8 +11,10 @@ IMAGE_SIZE = 96  # of a side of what MobileFace sees
 
 def forward_images(network, images: np.ndarray, batch_size: int = 100) -> np.ndarray:
     """`networks.forward` for `(n, size, size, 3)` uint8 images, which it takes in [-1, 1]."""
+    from deepmds_keras.networks import forward  # which imports TensorFlow
+
     batches = (images[i : i + batch_size] for i in range(0, len(images), batch_size))
-    return np.concatenate([network.predict_on_batch(scale_images(batch)) for batch in batches])
+    return np.concatenate([forward(network, scale_images(batch)) for batch in batches])
 
 
 def scale_images(images: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import orthographic_cameras
 from deepmds_keras.geometry.units import rms_radius
 from deepmds_keras.lifting.inputs import prepare_views
-from deepmds_keras.validation import check_basis, check_points, of_one_or_many
+from deepmds_keras.validation import as_numbers, check_face_model, of_one_or_many
 
 CHUNK = 128  # faces solved together: bounds the memory of their equations to about 100 MB
 # Standard deviations that are assumed at first, in parts of the radius of the view: identity is
@@ -63,10 +63,13 @@ class MapFit(BaseEstimator):
         Raises:
             InputError: An unusable model, prior or noise, or a view with fewer than six landmarks.
         """
-        mean = check_points(self.mean, "mean", 3)[0]
-        basis = check_basis(self.basis_times_sd, len(mean))
-        if not self.perspective[1] > 0:
-            raise InputError(f"perspective must have a positive s.d. Received {self.perspective}.")
+        mean, basis = check_face_model(self.mean, self.basis_times_sd)
+        prior = as_numbers(self.perspective, "perspective")
+        if prior.shape != (2,) or not np.isfinite(prior).all() or prior[1] <= 0:
+            raise InputError(
+                "perspective must be a finite mean and a positive s.d. "
+                f"Received {self.perspective}."
+            )
         seen = prepare_views(views, len(mean), landmark_sd=landmark_sd)
         centre, radius = mean.mean(0), rms_radius(mean[None])[0]
         model = _Model((mean - centre) / radius, basis / radius, *self.perspective)

@@ -11,7 +11,7 @@ from keras import layers, ops
 
 from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
 from deepmds_keras.baselines.images import IMAGE_SIZE, check_images, forward_images, image_batches
-from deepmds_keras.errors import check_choice
+from deepmds_keras.errors import check_choice, check_fork
 from deepmds_keras.training import Recipe, face_order
 
 _IMAGES_PER_CALL = 250
@@ -133,6 +133,7 @@ def build_mobileface_net(n_coefficients: int = 199, *, seed: int = 0) -> keras.M
     Returns:
         Model from `(n, 96, 96, 3)` images in [-1, 1] to `(n, n_coefficients)`.
     """
+    check_fork("Keras")
     size = (IMAGE_SIZE, IMAGE_SIZE, 3)
     body = keras.applications.MobileNet(size, alpha=0.3125, include_top=False, weights=None)
     features = layers.Flatten(name="features")(body.output)

@@ -12,10 +12,10 @@ from keras import layers, ops
 
 from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
 from deepmds_keras.baselines.images import check_images, forward_images, image_batches
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_fork
 from deepmds_keras.streams import Stream
 from deepmds_keras.training import face_order
-from deepmds_keras.validation import check_points
+from deepmds_keras.validation import check_basis, check_points
 
 _N_POSE = 6  # parameters before the coefficients: log scale, x, y, axis-angle
 _MARGIN = 0.5  # by which the squared distance of another person's code must be larger
@@ -95,8 +95,7 @@ class RingNet(NetworkMethod):
         check_shape(landmarks, "landmarks", (len(images), n_landmarks, 2))
         check_shape(subjects, "subjects", (len(images),))
         for name in ("identity_basis_times_sd", "expression_basis"):
-            basis = getattr(self, name)
-            check_shape(basis, name, (max(len(basis), 1), n_landmarks, 3))
+            check_basis(getattr(self, name), name, n_landmarks)
         if self.ring_size < 3:
             raise InputError(f"ring_size must be at least 3. Received {self.ring_size}.")
         members = [np.flatnonzero(subjects == subject) for subject in np.unique(subjects)]
@@ -189,6 +188,7 @@ def build_ringnet(
     """
     if image_size < _MIN_IMAGE_SIZE:
         raise InputError(f"image_size must be at least {_MIN_IMAGE_SIZE}. Received {image_size}.")
+    check_fork("Keras")
     body = keras.applications.ResNet50(
         input_shape=(image_size, image_size, 3), include_top=False, weights=None, pooling="avg"
     )
@@ -205,6 +205,7 @@ def build_ringnet(
     return net
 
 
+@keras.saving.register_keras_serializable("deepmds_keras")
 class Regressor(layers.Layer):
     """Three corrections, by the same dense layers, of an estimate that starts at zero.
 
@@ -223,6 +224,9 @@ class Regressor(layers.Layer):
         for number, size in enumerate(pairwise(sizes), 1):
             self.kernels.append(self.add_weight(size, name=f"{number}_kernel"))
             self.biases.append(self.add_weight(size[1:], "zeros", name=f"{number}_bias"))
+
+    def get_config(self) -> dict:
+        return {**super().get_config(), "n_parameters": self.n_parameters}
 
     def call(self, features, training: bool | None = None):
         estimate = ops.zeros((ops.shape(features)[0], self.n_parameters))

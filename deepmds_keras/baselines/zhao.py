@@ -64,7 +64,8 @@ class Zhao(NetworkMethod):
         views, size = normalise_view(points[..., :2])
         views = np.float32(views).reshape(len(points), -1)
         depths = np.float32(centred[..., 2] / size[..., 0])
-        options = {"class_name": self.optimizer, "config": {"learning_rate": self.learning_rate}}
+        rate = {"learning_rate": float(self.learning_rate)}
+        options = {"class_name": self.optimizer, "config": rate}
         network = self._compiled(keras.optimizers.get(options), "mse")
         return self._train_on_arrays(network, views, depths, **training)
 

@@ -1,4 +1,4 @@
-"""Procrustes alignment of one set of landmarks onto another, and the units they are compared in."""
+"""Procrustes alignment of one set of landmarks onto another."""
 
 from __future__ import annotations
 
@@ -45,10 +45,11 @@ def procrustes(
         InputError: Shapes that do not match, NaN or infinity.
     """
     source, target = as_numbers(source, "source"), as_numbers(target, "target")
-    if source.ndim not in (2, 3) or target.shape not in (source.shape, source.shape[-2:]):
+    shape, of_face = source.shape, source.shape[-2:]
+    if source.ndim not in (2, 3) or 0 in of_face or target.shape not in (shape, of_face):
         raise InputError(
-            "source must have shape (n, L, d) or (L, d), and target the same shape or that of one "
-            f"face. Received {source.shape} and {target.shape}."
+            "source must have shape (n, L >= 1, d) or (L, d), and target the same shape or that of "
+            f"one face. Received {shape} and {target.shape}."
         )
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise InputError("source and target must be finite. Received NaN or infinity.")

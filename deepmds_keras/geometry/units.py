@@ -21,7 +21,8 @@ def normalise(points: np.ndarray) -> np.ndarray:
         The same shape, from 0 to 1.
 
     Raises:
-        InputError: A face whose coordinates are all equal, or NaN, infinity or masked numbers.
+        InputError: A face whose coordinates are all equal or none, another number of dimensions,
+            or NaN, infinity or masked numbers.
     """
     points = as_numbers(points, "points")
     low, size = unit(points)
@@ -31,6 +32,10 @@ def normalise(points: np.ndarray) -> np.ndarray:
 def unit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest coordinate and range of each face, both `(n, 1, 1)`: what `normalise` undoes."""
     points = as_numbers(points, "points")
+    if points.ndim < 2 or 0 in points.shape[-2:]:
+        raise InputError(
+            f"points must have shape (n, L >= 1, d) or (L, d). Received {points.shape}."
+        )
     low = points.min((-2, -1), keepdims=True)
     with np.errstate(over="ignore", invalid="ignore"):  # infinity is refused
         size = points.max((-2, -1), keepdims=True) - low

@@ -104,6 +104,8 @@ def sample_views(
         check_number(value, name, zero=True)
     if field_of_view >= 180:
         raise InputError(f"field_of_view must be less than 180. Received {field_of_view}.")
+    if not isinstance(rng, np.random.Generator):
+        check_whole(rng, "rng", 0)
     rng, shown = np.random.default_rng(rng), np.repeat(shapes, n_views, axis=0)
     views = project(
         shown,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, check_choice
 from deepmds_keras.files import read_table
 from deepmds_keras.landmarks.scheme import (
     LandmarkScheme,
@@ -53,7 +53,7 @@ def load_scheme(name: str | Path) -> LandmarkScheme:
     schemes, name = load_schemes(), str(name)
     if name.lower().endswith(".csv"):
         return _own_scheme(Path(name), versions(Path(name)))
-    if match := re.fullmatch(rf"{_UNNAMED}(\d{{1,4}})", name):
+    if match := re.fullmatch(rf"{_UNNAMED}([1-9]\d{{0,3}})", name):
         return _unnamed(name, int(match[1]))
     if name not in schemes:
         raise InputError(
@@ -91,8 +91,7 @@ def convert(
         InputError: Unknown scheme or choice, landmarks of another shape, or the source lacks some
             and `missing` is `"raise"`.
     """
-    if missing not in ("raise", "nan"):
-        raise InputError(f"missing must be raise or nan. Received {missing!r}.")
+    check_choice(missing, "missing", ("raise", "nan"))
     given, wanted = load_scheme(source), load_scheme(target)
     picks, sizes = _picks(given, wanted), given.sizes
     if np.ma.isMaskedArray(landmarks) or not isinstance(landmarks, np.ndarray):

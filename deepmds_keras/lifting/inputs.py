@@ -37,8 +37,8 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
         n_landmarks: L.
         visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
         landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the points:
-            one number, one for each face `(n,)`, or one for each landmark `(n, L)`; None if
-            unknown.
+            one number, one for each face `(n,)`, or one for each landmark, `(n, L)` or, of one
+            face, `(L,)`; None if unknown. That of a missing landmark may be anything.
 
     Raises:
         InputError: Another number of landmarks, infinity, an unusable `visible` or `landmark_sd`,
@@ -46,11 +46,12 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
     """
     points = _check_points(points, n_landmarks)
     known = np.ones(points[:, 0].shape, bool)
-    if not np.isfinite(points).all():
-        _refuse(np.isinf(points).any((1, 2)), "views must be finite or NaN", lambda _: "infinity")
-        known = ~np.isnan(points).any(1)
     if visible is not None:
         known &= _check_visible(visible, known.shape)
+    if not np.isfinite(points).all():
+        infinite = (known & np.isinf(points).any(1)).any(1)
+        _refuse(infinite, "views must be finite or NaN", lambda _: "infinity")
+        known &= ~np.isnan(points).any(1)
     counts = known.sum(1)
     _refuse(
         counts < LEAST_VISIBLE,
@@ -68,16 +69,7 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
         f"views must have at least {LEAST_VISIBLE} visible landmarks that are not on one line",
         lambda face: "a straight line or a point",
     )
-    sd = None
-    if landmark_sd is not None:
-        relative = _check_sd(landmark_sd, *known.shape) / radius
-        _refuse(
-            (relative > _LARGEST_SD).any(1),
-            f"landmark_sd must be at most {_LARGEST_SD:.0e} radii of the face; leave out landmarks "
-            "whose errors are not known, by visible or as NaN",
-            lambda face: f"{relative[face].max():.1e} radii",
-        )
-        sd = np.asarray(relative, np.float32)
+    sd = None if landmark_sd is None else _relative_sd(landmark_sd, known, radius)
     views = np.asarray(views, np.float32)
     return Views(views, np.asarray(known, np.float32), sd, middle, radius)
 
@@ -128,21 +120,33 @@ def _check_visible(visible, shape):
     return visible
 
 
-def _check_sd(landmark_sd, n, n_landmarks):
+def _relative_sd(landmark_sd, known, radius):
     sd = as_numbers(landmark_sd, "landmark_sd")
+    n, n_landmarks = known.shape
     if sd.ndim == 1:
-        sd = sd[:, None]
+        sd = sd[None] if (1, len(sd)) == known.shape else sd[:, None]
     if sd.shape not in ((), (n, 1), (n, n_landmarks)):
         raise InputError(
             f"landmark_sd must be one number, ({n},) or ({n}, {n_landmarks}). "
             f"Received shape {np.shape(landmark_sd)}."
         )
-    if not (np.isfinite(sd).all() and (sd >= 0).all()):
+    sd = np.broadcast_to(sd, known.shape)
+    counted = sd[known]
+    if not (np.isfinite(counted).all() and (counted >= 0).all()):
         raise InputError(
             "landmark_sd must be finite and not negative. "
-            f"Received numbers from {sd.min()} to {sd.max()}."
+            f"Received numbers from {counted.min()} to {counted.max()}."
         )
-    return np.broadcast_to(sd, (n, n_landmarks))
+    relative = sd / radius
+    _refuse(
+        (known & (relative > _LARGEST_SD)).any(1),
+        f"landmark_sd must be at most {_LARGEST_SD:.0e} radii of the face; leave out landmarks "
+        "whose errors are not known, by visible or as NaN",
+        lambda face: f"{relative[face][known[face]].max():.1e} radii",
+    )
+    # Of a missing landmark: zero times infinity or NaN would not vanish.
+    usable = (relative >= 0) & (relative <= _LARGEST_SD)
+    return np.asarray(np.where(usable, relative, 0), np.float32)
 
 
 def _refuse(bad, needed, received):

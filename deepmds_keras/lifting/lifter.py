@@ -21,7 +21,14 @@ from deepmds_keras.lifting.equations import Camera
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE, Views, prepare_views
 from deepmds_keras.lifting.sampling import given_faces, read_faces, sampled_faces
 from deepmds_keras.lifting.unrolled_fit import UNIT, check_weights, initial_weights, lift
-from deepmds_keras.validation import check_fitted, check_n_landmarks, check_number, check_whole
+from deepmds_keras.metrics import explained_share
+from deepmds_keras.validation import (
+    check_fitted,
+    check_n_landmarks,
+    check_number,
+    check_still_of,
+    check_whole,
+)
 from deepmds_keras.weights import fingerprint
 
 # Standard deviation of landmarks that `predict` assumes by default, in r.m.s. radii of the view:
@@ -209,8 +216,9 @@ class LandmarkLifter:
             views: `(n, L, 2)` or `(L, 2)` landmarks in the image, y up, any scale and place. A
                 landmark with a coordinate that is NaN or masked is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                views: one number, one for each face `(n,)` or for each landmark `(n, L)`. None
-                assumes `default_sd_`, which suits good landmarks; use 0 for exact ones.
+                views: one number, one for each face `(n,)` or for each landmark, `(n, L)` or, of
+                one view, `(L,)`. None assumes `default_sd_`, which suits good landmarks; use 0 for
+                exact ones.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing, whatever `views`
                 has there.
             return_std: Whether to return standard deviations too.
@@ -256,20 +264,18 @@ class LandmarkLifter:
     @property
     def n_parameters(self) -> int:
         """Number of trained parameters."""
-        return sum(array.size for array in check_fitted(self, "weights_", _SETTERS).values())
+        return sum(array.size for array in self._trained().values())
 
     def score(self, views: np.ndarray, shapes: np.ndarray) -> float:
         """`metrics.explained_share` of the predicted and the true shapes.
 
         Orientation is not checked, as in `fit`.
         """
-        from deepmds_keras.metrics import explained_share  # SciPy is slow to import
-
         return explained_share(self.predict(views, check_orientation=False), shapes)
 
     def save(self, path: str | Path) -> None:
         """Write parameters and weights to one `.npz` file, whole or not at all."""
-        arrays = dict(check_fitted(self, "weights_", _SETTERS))
+        arrays = dict(self._trained())
         if self.mean_shape_ is not None:
             arrays[_MEAN_SHAPE] = self.mean_shape_
         described = {
@@ -342,8 +348,13 @@ class LandmarkLifter:
 
         return Tags(estimator_type=None, target_tags=TargetTags(required=False))
 
-    def _estimate(self, seen: Views, *, of_one: bool) -> Estimate:
+    def _trained(self) -> dict[str, np.ndarray]:
         arrays = check_fitted(self, "weights_", _SETTERS)
+        check_still_of(arrays["mean"].shape[1], self.n_landmarks)
+        return arrays
+
+    def _estimate(self, seen: Views, *, of_one: bool) -> Estimate:
+        arrays = self._trained()
         sd = np.full_like(seen.visible, self.default_sd_) if seen.sd is None else seen.sd
         inputs = (seen.views, seen.visible, sd)
         chunks = [slice(i, i + _CHUNK) for i in range(0, len(sd), _CHUNK)]

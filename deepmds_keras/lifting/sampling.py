@@ -125,7 +125,7 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
     order = turn_of.argsort(kind="stable")
     # Of fewer than ten shapes none can be spared.
     counts = np.bincount(turn_of)[: n_shapes // _HELD_OUT].cumsum()
-    n_held_out = counts[counts <= max(_MOST_HELD_OUT, counts.min(initial=0))].max(initial=0)
+    n_held_out = counts[counts <= max(_MOST_HELD_OUT, counts[:1].sum())].max(initial=0)
     training = faces[order[n_held_out:]]
     checked = faces[order[:n_held_out]] if n_held_out else faces
     check_rng = np.random.default_rng([seed, Stream.LIFTING_CHECK])
@@ -147,7 +147,20 @@ def sampled_faces(
 
     def draw(n, *stream):
         rng = np.random.default_rng([seed, *stream])
-        return disturb(read_faces(*sample(n, rng), n_landmarks), missing, noise, rng)
+        sampled = sample(n, rng)
+        items = len(sampled) if isinstance(sampled, tuple | list) else 1
+        if items != 3:
+            raise InputError(
+                "views, if a function, must return views, shapes and landmark_sd. "
+                f"Received {items} of them."
+            )
+        faces = read_faces(*sampled, n_landmarks)
+        if len(faces) != n:
+            raise InputError(
+                f"views, if a function, must return as many faces as asked for, {n}. "
+                f"Received {len(faces)}."
+            )
+        return disturb(faces, missing, noise, rng)
 
     held_out = draw(_MOST_HELD_OUT, Stream.LIFTING_CHECK)
     shapes = draw(_FACES_OF_BASIS, Stream.LIFTING_BASIS).shapes

@@ -10,6 +10,7 @@ import keras
 import numpy as np
 from keras import layers, ops
 
+from deepmds_keras.errors import check_fork
 from deepmds_keras.lifting.sampling import Faces
 from deepmds_keras.lifting.unrolled_fit import UNIT, lift
 from deepmds_keras.training import train_by_epoch
@@ -85,7 +86,7 @@ def train_lifting_net(
 def block_sizes(steps: int) -> list[int]:
     """Number of steps in each block."""
     whole, left = divmod(steps, STEPS_PER_BLOCK)
-    return [STEPS_PER_BLOCK] * whole + [left] * (left > 0)
+    return [STEPS_PER_BLOCK] * whole + ([left] if left else [])
 
 
 def error_of(weights, faces: Faces) -> float:
@@ -94,7 +95,6 @@ def error_of(weights, faces: Faces) -> float:
     return float(np.mean((shapes - faces.shapes) ** 2))
 
 
-@keras.saving.register_keras_serializable("deepmds_keras")
 class Lifting(layers.Layer):
     """From views, visibility and the landmarks' noise to shapes and standard deviations.
 
@@ -109,19 +109,15 @@ class Lifting(layers.Layer):
 
     def __init__(self, shapes: dict[str, tuple[int, ...]], **options):
         super().__init__(**options)
-        self.shapes = {name: tuple(shape) for name, shape in shapes.items()}
         self.arrays, self.best = (
             {
                 name: self.add_weight(shape, "zeros", name=f"{prefix}{name}", trainable=not prefix)
-                for name, shape in self.shapes.items()
+                for name, shape in shapes.items()
             }
             for prefix in ("", "best_")
         )
         largest = keras.initializers.Constant(np.finfo(np.float32).max)
         self.least_error = self.add_weight((), largest, name="least_error", trainable=False)
-
-    def get_config(self) -> dict[str, Any]:
-        return {**super().get_config(), "shapes": self.shapes}
 
     def compute_output_spec(self, views, visible, sd):
         return keras.KerasTensor((None, 6, views.shape[2]), "float32")
@@ -137,6 +133,7 @@ def build_lifting_net(initial: dict[str, np.ndarray]) -> keras.Model:
 
     The output is that of `lift`: shapes, then logarithms of standard deviations.
     """
+    check_fork("Keras")
     n_landmarks = initial["mean"].shape[1]
     views = keras.Input((2, n_landmarks), name="views")
     visible = keras.Input((n_landmarks,), name="visible")

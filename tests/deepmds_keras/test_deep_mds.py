@@ -1,5 +1,7 @@
 """The estimator: scikit-learn's conventions, a face that faces the front, files, and errors."""
 
+from copy import copy
+
 import h5py
 import numpy as np
 import pytest
@@ -127,6 +129,21 @@ def test_only_what_this_model_would_have_trained_is_restored(small, parameters, 
         clone(model).set_params(**parameters).restore(kept, shapes)
 
 
+def test_a_fit_or_restore_that_fails_leaves_the_model_as_it_was(small, tmp_path):
+    model, shapes, kept = small
+    views, again = shapes[..., :2], copy(model)
+    with pytest.raises(InputError, match="does not exist"):
+        again.restore(tmp_path, shapes)
+    with pytest.raises(InputError, match="shapes must have shape"):
+        again.restore(kept, views)
+    with pytest.raises(KeyError, match="dissimilarity_net"):
+        again.fit(views, shapes, checkpoint=kept, progress=lambda name, _: {"autoencoder": 0}[name])
+    assert vars(again) == vars(model)
+    shapes = shapes.copy()
+    shapes[0] = 1e3 * np.roll(shapes[0], 1, axis=0)  # large, with another landmark in front
+    assert again.restore(kept, shapes).front_landmark_ == model.front_landmark_
+
+
 @pytest.mark.parametrize(
     ("parameter", "value", "needed"),
     [
@@ -148,12 +165,20 @@ def test_parameters_are_checked_before_any_training(small, parameter, value, nee
     assert not epochs
 
 
-def test_parameters_of_numpy_as_a_grid_search_sets_them_are_saved(small, tmp_path):
+def test_parameters_of_numpy_as_a_grid_search_sets_them_are_taken_and_saved(small, tmp_path):
+    names = ("n_landmarks", "seed", "autoencoder_epochs", "dissimilarity_epochs")
+    shapes, numbers = small[1], dict(zip(names, np.array([8, 3, 1, 1]), strict=True))
+    model = DeepMDS(**numbers, dissimilarity_steps=np.int64(1)).fit(shapes[..., :2], shapes)
+    model.save(tmp_path / "model.npz")
+    assert DeepMDS.load(tmp_path / "model.npz").get_params() == model.get_params()
+
+
+def test_another_number_of_landmarks_after_training_is_refused(small, tmp_path):
     model, shapes, _ = small
-    copy = clone(model).set_params(seed=np.int64(3))
-    copy.__dict__.update({k: v for k, v in vars(model).items() if k.endswith("_")})
-    copy.save(tmp_path / "model.npz")
-    assert DeepMDS.load(tmp_path / "model.npz").seed == 3
+    changed = copy(model).set_params(n_landmarks=7)
+    for use in (lambda: changed.predict(shapes[:, 1:, :2]), lambda: changed.save(tmp_path / "m")):
+        with pytest.raises(InputError, match="n_landmarks must be 8, with which .* Received 7"):
+            use()
 
 
 def test_damaged_files_are_refused(small, tmp_path):

@@ -47,6 +47,8 @@ def test_the_truth_explains_everything_and_the_mean_nothing(faces):
     mean = np.broadcast_to(faces.mean(0), faces.shape)
     assert metrics.explained_share(3 * faces, faces) == pytest.approx(1)
     assert metrics.explained_share(mean, faces) < 0.1
+    with pytest.raises(InputError, match="truth must have faces that differ"):
+        metrics.explained_share(faces, faces[0] * np.linspace(1, 2, 7)[:, None, None])
 
 
 @pytest.mark.parametrize("metric", METRICS)

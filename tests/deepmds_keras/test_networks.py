@@ -13,6 +13,7 @@ from deepmds_keras import (
     normalise,
     pair_features,
 )
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.networks import count_trainable, forward
 from deepmds_keras.proximities import VARIANTS, proximities
 from deepmds_keras.training import (
@@ -84,6 +85,8 @@ def test_bad_input_is_named():
             build("x")
     with pytest.raises(InputError, match=r"views must have shape .* Received \(3, 7, 3\)"):
         pair_features(np.zeros((3, 7, 3)))
+    with pytest.raises(InputError, match="views must hold numbers. Received dtype complex128"):
+        pair_features(np.full((7, 2), 1j))
 
 
 @pytest.mark.skipif(not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent")
@@ -109,7 +112,7 @@ def autoencoder(faces, recipe, **options):
 
 
 def test_losses_fall_and_inference_is_that_of_the_network(faces):
-    network, history = autoencoder(faces, Recipe(4, 500, "cosine", 3e-3, batch_size=8))
+    network, history = autoencoder(faces, Recipe(4, 500, "cosine", 3e-3))
     assert history["train"][-1] < 0.1 * history["train"][0]
     views, frontal = faces[0].reshape(64, -1), faces[1][..., :2].reshape(64, -1)
     error = np.mean((network.predict(views, verbose=0) - frontal) ** 2)
@@ -129,12 +132,13 @@ def test_released_variant_sees_self_pairs_too(faces):
 
 def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, tmp_path):
     path = tmp_path / "checkpoint.npz"
-    recipe = Recipe(1, 53, batch_size=8)
+    recipe = Recipe(1, 53)
     first = autoencoder(faces, recipe, checkpoint=path)[1]
     assert autoencoder(faces, recipe, seed=2)[1] != first
     others = (
         (faces, recipe, 1, "seed"),
-        (faces, Recipe(1, 53, batch_size=16), 0, "batch_size"),
+        (faces, Recipe(1, 53, learning_rate=2e-3), 0, "learning_rate"),
+        (tuple(part[:, 1:] for part in faces), recipe, 0, "network"),
         ((faces[0][::-1], faces[1]), recipe, 0, "data"),
         ((faces[0], faces[1] * 0.99), recipe, 0, "data"),
     )
@@ -143,6 +147,10 @@ def test_checkpoints_of_another_run_and_damaged_ones_are_refused(faces, tmp_path
             InputError, match=f"is from another run; delete it.* Received .'{name}'"
         ):
             autoencoder(data, other, checkpoint=path, seed=seed)
+    arrays, described = read_arrays(path)
+    write_arrays(path, arrays, {"history": described["history"]})
+    with pytest.raises(InputError, match="is from another run"):
+        autoencoder(faces, recipe, checkpoint=path)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError, match="checkpoint.npz must be an npz written by save"):
         autoencoder(faces, recipe, checkpoint=path)

@@ -165,6 +165,13 @@ def test_alignment_agrees_with_scipy_and_one_target_serves_all_sources():
             align(wrong, target)
 
 
+@pytest.mark.parametrize("points", [np.ones(3), np.ones((0, 3)), np.ones((2, 0, 3))])
+def test_what_has_no_landmarks_is_neither_normalised_nor_aligned(points):
+    for function in (normalise, lambda points: align(points, points)):
+        with pytest.raises(InputError, match=r"must have shape \(n, L >= 1, d\) or \(L, d\)"):
+            function(points)
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [

@@ -138,8 +138,11 @@ def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"view_noise": 0.0}, "view_noise must be positive"),
-        ({"max_iter": 0}, "max_iter must be positive"),
+        ({"view_noise": 0.0}, "view_noise must be finite and positive"),
+        ({"max_iter": 0.5}, "max_iter must be a whole number of at least 1"),
+        ({"tol": np.nan}, "tol must be finite and not negative"),
+        ({"basis_times_sd": np.full((K, L, 3), "a")}, "basis_times_sd must hold numbers"),
+        ({"basis_times_sd": np.ma.masked_equal(np.eye(20, 3)[None], 1)}, "_sd must be finite, of"),
         ({"basis_times_sd": np.ones((4, 7, 3))}, r"basis_times_sd must be finite, of shape"),
         (
             {"mean": np.arange(60.0).reshape(20, 3)},
@@ -151,6 +154,12 @@ def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method
 def test_the_unusable_option_is_named(model, options, message, rng):
     with pytest.raises(InputError, match=message):
         Aldrian(*model).set_params(**options).predict(rng.random((2, L, 2)))
+
+
+@pytest.mark.parametrize("sd", [np.ones(K - 1), [1, 2, 0, 4], [1, 2, np.inf, 4], 2.0])
+def test_the_authors_fit_needs_an_sd_of_each_component(model, sd, rng):
+    with pytest.raises(InputError, match="sd must be 4 finite and positive numbers. Received"):
+        AldrianAuthors(*model, sd).predict(rng.random((2, L, 2)))
 
 
 def test_closed_form_does_without_tensorflow():

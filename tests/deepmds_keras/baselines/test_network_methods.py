@@ -1,5 +1,7 @@
 """Zhao's net, MobileFace and RingNet: sizes, losses, and trainings that go on where they were."""
 
+import pickle
+
 import keras
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from places import SHARED
 from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
-from deepmds_keras import InputError
+from deepmds_keras import InputError, errors
+from deepmds_keras.baselines.images import forward_images
 from deepmds_keras.baselines.mlp import MLP, _flat
 from deepmds_keras.baselines.mobileface import MobileFace, build_mobileface_net
 from deepmds_keras.baselines.ringnet import (
@@ -21,6 +24,8 @@ from deepmds_keras.baselines.ringnet import (
 )
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
 from deepmds_keras.geometry.alignment import align
+from deepmds_keras.lifting.trainer import build_lifting_net
+from deepmds_keras.lifting.unrolled_fit import initial_weights
 from deepmds_keras.metrics import mse
 from deepmds_keras.networks import count_trainable
 
@@ -41,7 +46,7 @@ def small_bodies(monkeypatch):
 
     def body(input_shape, **_):
         image = keras.Input(input_shape)
-        x = layers.AveragePooling2D(input_shape[0] // 4, name="pool")(image)
+        x = layers.AveragePooling2D(image.shape[1] // 4, name="pool")(image)
         x = layers.Conv2D(16, 2, activation="relu", name="conv")(x)
         x = layers.BatchNormalization(name="conv_bn")(x)
         return keras.Model(image, layers.Flatten(name="flat")(x))
@@ -107,6 +112,40 @@ def test_stopped_training_goes_on_to_the_same_weights(method, tmp_path):
     assert not np.array_equal(*kernels)
     with pytest.raises(InputError, match="net.npz is from another run"):
         other.fit(*data, checkpoint=path)
+
+
+@pytest.mark.parametrize("method", ["zhao", "mlp", "mobileface", "ringnet"])
+def test_numbers_of_numpy_are_taken(method):
+    model, data, inputs = untrained(method, epochs=1, steps_per_epoch=1)
+    numpy = {int: np.int64, float: np.float32}
+    given = {k: numpy[type(v)](v) for k, v in model.get_params().items() if type(v) in numpy}
+    assert np.isfinite(model.set_params(**given).fit(*data).predict(inputs)).all()
+
+
+# Keras itself, of its own variables.
+@pytest.mark.filterwarnings("ignore:__array__ implementation")
+def test_ringnet_is_unpickled_with_its_weights():
+    network = build_ringnet(K, E, SIZE)
+    again = pickle.loads(pickle.dumps(network))
+    for a, b in zip(network.weights, again.weights, strict=True):
+        np.testing.assert_array_equal(a.numpy(), b.numpy())
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda: build_lifting_net(initial_weights(SHAPES.swapaxes(1, 2), 0)),
+        lambda: untrained("mlp")[0]._build(),
+        build_zhao_net,
+        build_mobileface_net,
+        lambda: build_ringnet(K, E, SIZE),
+        lambda: forward_images(None, np.zeros((1, SIZE, SIZE, 3))),
+    ],
+)
+def test_in_a_fork_of_a_process_that_used_keras_they_are_refused(use, monkeypatch):
+    monkeypatch.setitem(errors._used_in, "Keras", -1)
+    with pytest.raises(InputError, match="Keras cannot be used in a fork"):
+        use()
 
 
 @pytest.mark.parametrize("method", ["mobileface", pytest.param("ringnet", marks=pytest.mark.slow)])
@@ -243,7 +282,7 @@ def test_rings_are_of_one_subject_and_a_stranger():
         ("ringnet", {}, {1: VIEWS[:5]}, r"landmarks must have shape \(24, 12, 2\)"),
         ("ringnet", {}, {2: np.arange(24) // 2}, "subjects must be two or more with 3 images"),
         ("ringnet", {"ring_size": 2}, {}, "ring_size must be at least 3"),
-        ("ringnet", {"expression_basis": EXPRESSIONS[:, 1:]}, {}, "expression_basis must have"),
+        ("ringnet", {"expression_basis": EXPRESSIONS[:, 1:]}, {}, "expression_basis must be"),
         ("ringnet", {"image_size": 31}, {}, "image_size must be at least 32"),
     ],
 )

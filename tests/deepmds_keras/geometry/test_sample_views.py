@@ -52,6 +52,7 @@ def test_fit_takes_them(shapes):
         ({"yaw": -5}, "yaw must be finite and not negative"),
         ({"field_of_view": 180}, "field_of_view must be less than 180"),
         ({"noise": np.nan}, "noise must be finite and not negative"),
+        ({"rng": -1}, "rng must be a whole number of at least 0"),
     ],
 )
 def test_unusable_options_are_named(shapes, options, message):
