@@ -189,7 +189,7 @@ openhead: | $(READY) ## rebuild the embedded head model from its source    (down
 	$(PY) -m data_gen.build_openhead
 
 # Two at a time: a step keeps about a core busy.
-test: | $(READY) ## the tests, except slow ones                (4 min)
+test: | $(READY) ## the tests, except slow ones                (6 min)
 	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 nightly: | $(READY) ## all tests, including kills, full disks, damaged files
