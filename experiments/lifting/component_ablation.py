@@ -50,6 +50,10 @@ EMBEDDINGS = {
     "none": Look("Without MDS", INK, "s", ""),
 }
 _UNIT = 1e-6
+_NOTE = (
+    "± is the standard error: over seeds of the dissimilarity net, on one autoencoder; of a single "
+    "training over the test faces."
+)
 _RECALIBRATED_ON = 200  # training faces whose pairs are one batch
 
 
@@ -144,4 +148,4 @@ def main(run: Run) -> dict:
     options = {"looks": EMBEDDINGS, "interval": "range over seeds; of one, 95 % interval"}
     figures = {"component_ablation": error_lines([panel], unit=_UNIT, **options)}
     tables = {"table": table, "seeds": errors}
-    return write_results(run, "lifting/component-ablation", tables, cells, figures=figures)
+    return write_results(run, "lifting/component-ablation", tables, cells, [_NOTE], figures)

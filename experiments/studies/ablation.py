@@ -30,6 +30,7 @@ _HEADS = {
     "mse": "MSE (1e-4)",
 }
 _SCHEDULES = {"": "Constant rate", "_cosine": "Decayed rate"}
+_NOTE = "± is the standard deviation over seeds of the dissimilarity net, on one autoencoder."
 _MODES = {"train": "training mode", "inference": "inference mode"}
 
 
@@ -40,7 +41,7 @@ def main(run: Run) -> dict:
     tables = {"metrics": metrics, "losses": losses, "table": table, "curves": curve}
     panel = Panel(curve.rename(columns={"mse": "mean"}), "value", "Training faces", log_x=True)
     figures = {"mini_batches": mini_batches(losses), "training_faces": error_lines([panel])}
-    return write_results(run, "ablation", tables, cells(table), figures=figures)
+    return write_results(run, "ablation", tables, cells(table), [_NOTE], figures)
 
 
 def collect(run: Run) -> tuple[pd.DataFrame, pd.DataFrame]:
