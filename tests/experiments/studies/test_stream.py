@@ -89,5 +89,5 @@ def test_shards_of_other_networks_are_not_used(folder, tmp_path):
     other, ours = (networks / f"dissimilarity-paper-{rate}.npz" for rate in ("cosine", "constant"))
     shutil.copy(other, ours)
     done = runs.run("studies.stream_part", tmp_path, "0-25", "--faces", "25")
-    assert done.returncode == 2 and "of another run" in done.stderr
+    assert done.returncode == 2 and "is from another run" in done.stderr
     assert shards(tmp_path) == []
