@@ -21,8 +21,9 @@ DATA ?=
 BFM_SCALE ?= 1
 ## PRESET      full, or smoke: everything at a small size, as a check
 PRESET ?= full
-## SEED        seed of everything random; SEEDS, how many the table of reproduce-bfm and make seeds have
+## SEED        seed of everything random
 SEED ?= 0
+## SEEDS       how many seeds the table of reproduce-bfm and make seeds have
 SEEDS ?=
 ## PROTOCOL    how faces are projected: paper, released or posed
 PROTOCOL ?= paper
@@ -49,9 +50,11 @@ FACES ?=
 OBJECTS ?=
 REAL ?=
 TARGET ?= reproduce-bfm
-## JOBS        processes, -1 for every core; DRY=1 lists what would be run; SNAKEMAKE, its options (docs/large.md)
+## JOBS        processes, -1 for every core
 JOBS ?= -1
+## DRY         1 lists what would be run
 DRY ?=
+## SNAKEMAKE   its options (docs/large.md)
 SNAKEMAKE ?=
 VARIABLES := MODEL DATA BFM_SCALE PRESET SEED SEEDS PROTOCOL AUTHORS EVALUATOR MOBILEFACE \
              COMA CASIA CASIA_INDEX CELEBA TF_FLAME SFM REAL RINGNET MEDIAPIPE JOBS FACES OBJECTS DRY SNAKEMAKE

@@ -368,13 +368,12 @@ def methods_of(
     Args:
         track: `"bfm"`, `"flame"` or `"celeba"`.
         authors: Folder of the authors' released weights, if it was given.
-        model: Face model; None leaves out methods for a single one. Nobody can render people for
-            our RingNet with `"flame"`.
+        model: Face model; None leaves out methods for a single one.
         ringnet: Prefix of the licensed RingNet, if it was given; it takes the place of ours.
     """
 
     def is_given(method: Method) -> bool:
-        if method.id == _other_ringnet(ringnet) or method.id == "ringnet" and model == "flame":
+        if method.id == _other_ringnet(ringnet) or _wants_renders(method, model):
             return False
         files = method.authors[track] if method.authors else ()
         return not files or (authors and all(Path(authors, file).is_file() for file in files))
@@ -386,6 +385,11 @@ def methods_of(
 def _other_ringnet(ringnet: str | None) -> str:
     """Of the two RingNets, the one that a run leaves out."""
     return "ringnet" if ringnet else "ringnet_licensed"
+
+
+def _wants_renders(method: Method, model: str | None) -> bool:
+    """Whether a method learns from renders of people that nobody can make of the face model."""
+    return method.id == "ringnet" and model == "flame"
 
 
 def train(run: Run, method_id: str):
@@ -468,6 +472,6 @@ def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:
             note = method.note(run, detected[method.id]) if method.note else ""
             notes[method.id] = "; ".join(filter(None, (note, run.preset.caution)))
         elif run.track in method.tracks and method.id != _other_ringnet(run.ringnet):
-            is_flames = method.id == "ringnet" and run.model == "flame"
-            notes[method.id] = _NO_RENDERS if is_flames else method.absent
+            absent = _NO_RENDERS if _wants_renders(method, run.model) else method.absent
+            notes[method.id] = absent
     return {method_id: note for method_id, note in notes.items() if note}

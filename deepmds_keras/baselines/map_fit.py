@@ -72,7 +72,7 @@ class MapFit(BaseEstimator):
             )
         seen = prepare_views(views, len(mean), landmark_sd=landmark_sd)
         centre, radius = mean.mean(0), rms_radius(mean[None])[0]
-        model = _Model((mean - centre) / radius, basis / radius, *self.perspective)
+        model = _Model((mean - centre) / radius, basis / radius, *prior)
         sd = np.zeros_like(seen.visible) if seen.sd is None else seen.sd
         arrays = seen.views.swapaxes(1, 2).astype(float), seen.visible[..., None], sd
         chunks = [slice(start, start + CHUNK) for start in range(0, len(sd), CHUNK)]

@@ -5,10 +5,13 @@
 
 import csv
 import os
+import resource
 import shutil
 import signal
 import subprocess
+import tempfile
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,36 +34,42 @@ FLAME = [] if MEDIAPIPE else ["MEDIAPIPE=no"]
 
 
 class Disk:
-    """A folder that can be full, as a separate file system in memory; a container may forbid it.
+    """A folder with room for so much: a file system in memory or, where a container forbids to
+    mount one, a limit on each file.
 
-    Attributes:
-        limit: Bytes that a file may have, where none may be mounted.
+    It is not among pytest's folders, which pytest could not remove if the test were killed.
     """
 
-    def __init__(self, folder):
-        self.folder, self.limit = folder, None
-        folder.mkdir()
-        mount = ["mount", "-t", "tmpfs", "-o", "size=1g", "tmpfs", str(folder)]
+    def __init__(self):
+        self.folder = Path(tempfile.mkdtemp(prefix="disk-"))
+        mount = ["mount", "-t", "tmpfs", "-o", "size=1g", "tmpfs", str(self.folder)]
         self.mounted = subprocess.run(mount, capture_output=True).returncode == 0
 
-    def leave(self, size):
-        """Leave room for so many bytes, or for anything (None)."""
+    def starve(self, process, size):
+        """Leave room for so many bytes to a process that has just started."""
         if not self.mounted:
-            self.limit = size
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
             return
         disk = os.statvfs(self.folder)
         used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize
-        total = 1 << 30 if size is None else used + max(size, disk.f_frsize)
-        subprocess.run(["mount", "-o", f"remount,size={total}", str(self.folder)], check=True)
+        self._resize(used + max(size, disk.f_frsize))
+
+    def relieve(self):
+        if self.mounted:
+            self._resize(1 << 30)
 
     def close(self):
         if self.mounted:
             subprocess.run(["umount", "--lazy", str(self.folder)], check=True)
+        shutil.rmtree(self.folder)
+
+    def _resize(self, size):
+        subprocess.run(["mount", "-o", f"remount,size={size}", str(self.folder)], check=True)
 
 
 @pytest.fixture
-def disk(tmp_path):
-    disk = Disk(tmp_path / "disk")
+def disk():
+    disk = Disk()
     yield disk
     disk.close()
 
@@ -111,14 +120,12 @@ def test_what_was_killed_or_starved_goes_on_to_the_same_tables(
             end = os.killpg if kill % 2 else os.kill
             end(process.pid, signal.SIGKILL)
         process.communicate()
-    disk.leave(int(rng.uniform(0, 2e5)))
-    limited = f"ulimit -f {disk.limit // 1024}; " if disk.limit else ""
-    assert limited == "" or disk.limit
     process = runs.command(target, disk.folder, *variables, **QUIET)
+    disk.starve(process, int(rng.uniform(0, 2e5)))
     errors = process.communicate()[1]
     if process.returncode:
         assert "error: " in errors and "Traceback" not in errors, errors
-    disk.leave(None)
+    disk.relieve()
     assert runs.command(target, disk.folder, *variables, stderr=None, **QUIET).wait() == 0
     assert tables(disk.folder) == tables(reference)
     left = [path for path in disk.folder.rglob(".*.partial") if "records" in path.parts]

@@ -178,18 +178,23 @@ def test_a_reason_of_snakemake_is_told(tmp_path, variable):
     assert errors.startswith("error: ") and errors.count("No rule to produce audti") == 1
 
 
-def test_a_step_that_is_killed_is_named(tmp_path):
-    rules = tmp_path / "more.smk"
+def with_step(folder, shell, *options):
+    """Ask Snakemake for the record of one more step, `hello`, that runs `shell`."""
+    rules = folder / "more.smk"
     rules.write_text(
         f"include: {str(ROOT / 'experiments/Snakefile')!r}\n"
-        "rule hello:\n    output: record('bfm', 'hello')\n"
-        "    shell: 'kill -9 $$ # --record {output[0]:q} --inputs'\n"
+        f"rule hello:\n    output: record('bfm', 'hello')\n    shell: {shell}\n"
     )
     snakemake = [sys.executable, "-m", "snakemake", "-s", str(rules), "hello", "--cores", "1"]
-    done = subprocess.run(
-        [*snakemake, "--quiet", "all", "--config", "PRESET=tiny"],
-        cwd=tmp_path, env=runs.ENVIRONMENT, capture_output=True, text=True,
+    return subprocess.run(
+        [*snakemake, *options, "--config", "PRESET=tiny"],
+        cwd=folder, env=runs.ENVIRONMENT, capture_output=True, text=True,
     )  # fmt: skip
+
+
+def test_a_step_that_is_killed_is_named(tmp_path):
+    shell = "'kill -9 $$ # --record {output[0]:q} --inputs'"
+    done = with_step(tmp_path, shell, "--quiet", "all")
     assert (done.returncode, done.stderr) == (1, "error: hello: ended by SIGKILL.\n")
 
 
@@ -533,14 +538,5 @@ def test_a_new_step_is_a_module_and_a_rule(tmp_path):
     assert record["step"] == "hello a b" and record["greeted"] == 2
     manifest = json.loads((runs.results(tmp_path, "hello") / "manifest.json").read_text())
     assert [*manifest["files"]] == ["text.txt"]
-    rules = tmp_path / "more.smk"
-    rules.write_text(
-        f"include: {str(ROOT / 'experiments/Snakefile')!r}\n"
-        "rule hello:\n    output: record('bfm', 'hello')\n    shell: step('hello a b')\n"
-    )
-    snakemake = [sys.executable, "-m", "snakemake", "-s", str(rules), "hello", "--cores", "1"]
-    planned = subprocess.run(
-        [*snakemake, "--dry-run", "--printshellcmds", "--config", "PRESET=tiny"],
-        cwd=tmp_path, env=runs.ENVIRONMENT, capture_output=True, text=True,
-    )  # fmt: skip
+    planned = with_step(tmp_path, "step('hello a b')", "--dry-run", "--printshellcmds")
     assert "-m experiments hello a b --track bfm --seed 0" in planned.stdout + planned.stderr
