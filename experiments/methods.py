@@ -104,7 +104,7 @@ _ROWS = (
         colour="#8FB9DD", marker="s", mapped=_ALL, complexity="O(n)",
     ),
     Method(
-        id=CONSTANT, title="Deep-MDS, one output for all", paper="mean_shape",
+        id=CONSTANT, title="Deep-MDS, one output for all", paper=CONSTANT,
         description="not a method: the output of Deep-MDS for another face's view (the paper's "
         "trivial case, that the method only outputs one specific solution)",
         colour="#BFA6A0", marker="h", drawn=False,

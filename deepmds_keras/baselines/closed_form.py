@@ -28,7 +28,7 @@ _AUTHORS_ROUNDS = 50
 
 
 class MeanShape(BaseEstimator):
-    """The paper's trivial case: the mean training shape, whatever the view.
+    """The mean training shape, whatever the view.
 
     Attributes:
         mean_: `(L, 3)`.

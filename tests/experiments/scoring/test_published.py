@@ -5,6 +5,7 @@ from decimal import Decimal
 
 import pandas as pd
 import pytest
+from places import SHARED
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
@@ -12,6 +13,8 @@ from experiments.records import PUBLISHED
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import as_quoted
 from experiments.scoring.published import printed, published
+
+PAPER = SHARED / "paper.tex"
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +35,18 @@ def test_every_cell_of_the_four_tables_is_there(rows):
         assert {*published(experiment)["metric"]} == in_paper
 
 
+@pytest.mark.skipif(not PAPER.exists(), reason="../shared/paper.tex is absent")
+def test_numbers_are_those_in_the_papers_tables(rows):
+    paper = PAPER.read_text(encoding="utf-8")
+    in_paper = [
+        (label, " ± ".join(number))
+        for body, label in re.findall(r"\\begin{tabular}(.*?)\\label{(.*?)}", paper, re.S)
+        for number in re.findall(r"([\d.]+) *\\pm *([\d.]+)", body)
+    ]
+    here = rows[rows["uncertainty"] != ""]
+    assert [*zip(here["table"], here["printed"], strict=True)] == in_paper
+
+
 @pytest.mark.parametrize(
     ("experiment", "method", "metric", "expected"),
     [
@@ -42,7 +57,7 @@ def test_every_cell_of_the_four_tables_is_there(rows):
         ("celeba", "aldrian", "depth_corr", (71.91, 0.076)),
         ("flame", "ringnet", "mse", (1.34e-3, 0.95e-3)),
         ("flame", "mediapipe", "depth_corr", (68, 0.009)),
-        ("bfm", "mean_shape", "mse", (2.9e-4, float("nan"))),  # the trivial case
+        ("bfm", "deep_mds_constant", "mse", (2.9e-4, float("nan"))),  # the trivial case
         ("parameters", "deep_mds", "n_parameters", (27505, float("nan"))),
     ],
 )
