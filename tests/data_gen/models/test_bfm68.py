@@ -10,6 +10,7 @@ import pytest
 import runs
 from places import SHARED
 from writers.models import write_3ddfa
+from writers.pickles import Calls
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.bfm68 import load_bfm68
@@ -101,18 +102,13 @@ def test_damaged_arrays_are_refused_by_name(checkout, name, array):
         load_bfm68(checkout)
 
 
-class Harmful:
-    def __reduce__(self):
-        return os.mkdir, ("executed",)
-
-
 @pytest.mark.parametrize(
     "parameters",
     [
         {"param_std": np.ones(62)},
         {"param_mean": np.ones(60), "param_std": np.ones(60)},
         ["param_std"],
-        Harmful(),
+        Calls(os.mkdir, "executed"),
     ],
 )
 def test_other_parameters_are_refused_and_nothing_is_executed(

@@ -453,7 +453,7 @@ def test_five_odd_rows_of_2000_are_estimated_with_the_others():
         lifter.predict(views * (1, -1))
 
 
-def test_what_fit_accepts_is_scored(faces):
+def test_what_fit_accepts_is_scored():
     """Views with y down are of no known orientation; `predict` refuses them."""
     lifter = LandmarkLifter.pretrained("ibug51")
     shapes = lifter.weights_["mean"].T + np.random.default_rng(0).normal(0, 0.02, (9, 51, 3))

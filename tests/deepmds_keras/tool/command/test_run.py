@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 from PIL import Image
 from places import ROOT
-from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
@@ -30,12 +29,6 @@ from deepmds_keras.tool.predict import photo_faces
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 
 ALL = "csv,json,npz,ply,obj"
-
-
-@pytest.fixture(scope="module")
-def heads(apart):
-    """Images of five open heads, and their 51 landmarks in pixels."""
-    return apart(drawn_heads)
 
 
 @pytest.fixture(scope="module")
@@ -487,14 +480,6 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     status, _, (line,) = predict(tmp_path / "photo.png", points)
     assert status == 1 and "1 photos or videos cannot be used. " in line
     assert (tmp_path / "out" / "a.csv").is_file()
-
-
-def test_the_export_offers_only_what_it_takes(tmp_path):
-    for model in ("deepmds", "deepmds-ibug51", "none"):
-        with pytest.raises(SystemExit) as ended:
-            main(["export", str(tmp_path / "m.onnx"), "--model", model])
-        assert "lifting-ibug51" in ended.value.code and "or deepmds" not in ended.value.code
-    assert not any(tmp_path.iterdir())
 
 
 def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):
