@@ -27,6 +27,7 @@ from deepmds_keras.tool.detection import (
 )
 from deepmds_keras.tool.predict import photo_faces
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
+from deepmds_keras.weights import pretrained_path
 
 ALL = "csv,json,npz,ply,obj"
 
@@ -309,6 +310,16 @@ def test_other_options_are_never_skipped(tmp_path, predict, landmarks, options):
     if options != ("--y-up",):
         assert predict(points, *options, "--overwrite")[0] == 0
         assert predict(points, *options)[0] == 0
+
+
+def test_weights_that_were_trained_again_are_other_weights(tmp_path, predict, landmarks):
+    points, weights = save(tmp_path / "a.npy", landmarks), tmp_path / "mine.npz"
+    weights.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
+    assert predict(points, "--model", weights)[0] == 0
+    assert "skipped" in predict(points, "--model", weights)[1]
+    os.utime(weights, ns=(10**18, 10**18))
+    status, _, (line,) = predict(points, "--model", weights)
+    assert (status, "made with other weights" in line) == (1, True)
 
 
 def test_a_result_is_never_taken_for_that_of_another_source(tmp_path, predict, landmarks):
