@@ -79,11 +79,6 @@ def test_options_that_make_no_sense_are_refused(checkout, variables, track, mess
         run_of_variables(given, track)
 
 
-def damaged(checkout, name, array):
-    file = checkout / name
-    np.savetxt(file, array) if file.suffix == ".txt" else np.save(file, array)
-
-
 @pytest.mark.parametrize(
     ("name", "array"),
     [
@@ -97,7 +92,7 @@ def damaged(checkout, name, array):
     ],
 )
 def test_damaged_arrays_are_refused_by_name(checkout, name, array):
-    damaged(checkout, name, array)
+    (np.savetxt if name.endswith(".txt") else np.save)(checkout / name, array)
     with pytest.raises(InputError, match="3DDFA.* must"):
         load_bfm68(checkout)
 

@@ -113,6 +113,8 @@ def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
         assert np.linalg.norm(left - right) == pytest.approx(88.5)
         ratio = 88.5 / np.linalg.norm(np.subtract(*face.xyz[corners]))
         assert np.allclose(millimetres.xyz, ratio * face.xyz)
+        assert np.allclose(millimetres.std, ratio * face.std)
+        assert np.allclose(millimetres.seen_shape, face.seen_shape)
         assert millimetres.pose.yaw == pytest.approx(face.pose.yaw)
         assert ratio * millimetres.pose.scale == pytest.approx(face.pose.scale)
 

@@ -122,6 +122,10 @@ def test_mediapipes_own_landmarks_give_what_the_photo_gives(predict, head, tmp_p
     (given,) = FaceLifter().predict_landmarks(points)
     assert np.array_equal(given.xyz, face.xyz) and np.array_equal(given.std, face.std)
     assert np.array_equal(given.landmarks, face.landmarks)
+    sd = rms_radius(face.landmarks[None])[:, None] * detector_sd("mediapipe", "ibug51")
+    lifter = LandmarkLifter.pretrained("ibug51")
+    known = lifter.predict(face.landmarks[None] * (1, -1), landmark_sd=sd, return_std=True)[1]
+    np.testing.assert_allclose(face.std, known[0], rtol=1e-4)
     gap = points[0].copy()
     gap[33] = np.nan  # of the right eye: where the face's axes are is not known
     (partly,) = FaceLifter().predict_landmarks(gap)
