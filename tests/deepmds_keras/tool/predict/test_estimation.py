@@ -114,7 +114,7 @@ def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
         ratio = 88.5 / np.linalg.norm(np.subtract(*face.xyz[corners]))
         assert np.allclose(millimetres.xyz, ratio * face.xyz)
         assert np.allclose(millimetres.std, ratio * face.std)
-        assert np.allclose(millimetres.seen_shape, face.seen_shape)
+        assert np.allclose(millimetres.seen_shape, face.seen_shape, atol=1e-3)
         assert millimetres.pose.yaw == pytest.approx(face.pose.yaw)
         assert ratio * millimetres.pose.scale == pytest.approx(face.pose.scale)
 
