@@ -101,7 +101,7 @@ def mark_as_done(target: str, folder: Path, *variables: str) -> None:
 def plan(target: str, folder: Path, *variables: str) -> list[list[str]]:
     """Words of each step that Snakemake would run for a target, in order."""
     done = _snakemake(target, folder, variables, "--dry-run", "--printshellcmds")
-    lines = [line for line in done.stderr.splitlines() + done.stdout.splitlines()]
+    lines = done.stderr.splitlines() + done.stdout.splitlines()
     steps = (line.partition(" -m experiments ")[2] for line in lines)
     return [shlex.split(words) for words in steps if words]
 

@@ -74,7 +74,7 @@ def numbers(folder):
     head = load_openhead()
     shape = head.mean[head.landmarks["bfm72"]][None]
     sizes = np.linalg.norm(embed(pairwise_distances(shape))[0], axis=1)
-    rows.append(("distance of an embedded nose tip to the centre", sizes[33], 1e-6))
+    rows.append(("distance of an embedded point of the chin to the centre", sizes[33], 1e-6))
     return pd.DataFrame(rows, columns=["quantity", "value", "tolerance"])
 
 

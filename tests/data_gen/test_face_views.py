@@ -69,10 +69,12 @@ def test_perspective_tends_to_orthographic_and_enlarges_what_is_near(faces):
     assert gaps[0] > 1
     assert gaps[3] < 1e-5
     assert np.allclose(np.divide(gaps[:2], gaps[1:3]), 2, rtol=0.05)  # first order in the angle
-    square = np.array([[[10, 10, 0], [-10, -10, 0], [10, 10, 40], [-10, -10, 40]]], float)
+    square = np.array([[[10, 10, -20], [-10, -10, -20], [10, 10, 20], [-10, -10, 20]]], float)
     view = project(square, cameras(field_of_view=30))[0]
     far, near = np.ptp(view[:2], axis=0), np.ptp(view[2:], axis=0)
-    assert (near > 1.1 * far).all()
+    # From there a sphere about all four, of radius 24.5, fills the field of view.
+    distance = np.sqrt(10**2 + 10**2 + 20**2) / np.sin(np.deg2rad(15))
+    np.testing.assert_allclose(near / far, (distance + 20) / (distance - 20))
 
 
 def test_any_points_are_seen_by_the_camera_that_the_landmarks_set_up(faces):
@@ -146,7 +148,7 @@ def plates(gap):
 
 
 def test_what_is_well_behind_a_surface_is_hidden():
-    hidden = hidden_landmarks(*plates(30), np.arange(12))
+    hidden = hidden_landmarks(*plates(2.5), np.arange(12))
     assert hidden.tolist() == [False] * 8 + [True, True, False, False]
     for gap in (-30, 1.5):
         assert not hidden_landmarks(*plates(gap), np.arange(8, 12)).any()

@@ -70,7 +70,7 @@ def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped
 
 
 def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp_path):
-    model, shapes, kept = small
+    model, shapes, _ = small
     model.save(tmp_path / "model.npz")
     loaded, copy = DeepMDS.load(tmp_path / "model.npz"), clone(model)
     assert loaded.get_params() == model.get_params() == copy.get_params()
@@ -88,7 +88,7 @@ def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp
 
 @pytest.mark.slow
 def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
-    model, shapes, kept = small
+    model, shapes, _ = small
     views, calls = shapes[..., :2], []
 
     def stop(network, losses):

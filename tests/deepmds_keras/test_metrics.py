@@ -45,8 +45,11 @@ def test_only_depth_counts_across_faces_and_a_constant_answer_scores_zero(faces)
 
 def test_the_truth_explains_everything_and_the_mean_nothing(faces):
     mean = np.broadcast_to(faces.mean(0), faces.shape)
-    assert metrics.explained_share(3 * faces, faces) == pytest.approx(1)
+    assert metrics.explained_share(3 * faces * [1, 1, -1], faces) == pytest.approx(1)
     assert metrics.explained_share(mean, faces) < 0.1
+    noisy, sizes = faces + 0.1 * np.sin(9 * faces), np.arange(1, 8)[:, None, None]
+    shares = [metrics.explained_share(noisy, truth) for truth in (faces, sizes * faces + 7)]
+    assert shares[0] == pytest.approx(shares[1]) and shares[0] < 0.99
     with pytest.raises(InputError, match="truth must have faces that differ"):
         metrics.explained_share(faces, faces[0] * np.linspace(1, 2, 7)[:, None, None])
 

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, align, embed, metrics, normalise
-from deepmds_keras.geometry.alignment import is_mirrored
+from deepmds_keras.geometry.alignment import align_to_mean, is_mirrored
 from deepmds_keras.geometry.orientation import resolve_orientation
 from deepmds_keras.geometry.units import centre, unit
 from deepmds_keras.validation import check_points
@@ -163,6 +163,15 @@ def test_alignment_agrees_with_scipy_and_one_target_serves_all_sources():
     for wrong in (source[:, 1:], source[1:], source[0]):
         with pytest.raises(InputError, match=r"Received \(.*3\) and \(5, 12, 3\)"):
             align(wrong, target)
+
+
+def test_shapes_are_turned_onto_the_mean_of_those_of_the_training():
+    shapes = centre(np.random.default_rng(0).normal(size=(9, 6, 3)))
+    others = np.concatenate([shapes[:6], 3 * shapes[6:, ::-1]])
+    for upright in (False, True):
+        turned, again = (align_to_mean(s, 6, upright=upright) for s in (shapes, others))
+        np.testing.assert_array_equal(turned[:6], again[:6])
+        assert np.array_equal(turned[..., 1], shapes[..., 1]) == upright
 
 
 @pytest.mark.parametrize("points", [np.ones(3), np.ones((0, 3)), np.ones((2, 0, 3))])

@@ -75,11 +75,6 @@ def test_every_committed_table_is_made_anew_where_there_are_only_results(tmp_pat
     assert "bfm" in planned(tmp_path, *posed, "--config", "PROTOCOL=posed", *given)
 
 
-def test_committed_manifests_are_read():
-    for path in (committed() / "results").rglob(MANIFEST):
-        assert steps_of(read_manifest(path.parent))
-
-
 def test_rows_say_how_much_memory_a_training_takes():
     """What committed runs took; a machine runs no more at once than it has memory for."""
     taken = {}

@@ -12,8 +12,6 @@ from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.views import Cameras, project
 
 CANTHI = [19, 28]  # of the 51 inner landmarks
-
-
 NOSE_TIP = 13
 
 

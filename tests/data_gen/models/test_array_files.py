@@ -47,7 +47,7 @@ def test_python_2_wrote_bytes_as_text(tmp_path):
     assert content["name"] == "r\xe9"
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="../shared is absent")
+@pytest.mark.skipif(not (SHARED / "tf_flame").is_dir(), reason="../shared/tf_flame is absent")
 def test_the_public_embedding_of_flame_is_read():
     content = load_plain_pickle(SHARED / "tf_flame" / "flame_static_embedding.pkl")
     assert content.keys() == {"lmk_face_idx", "lmk_b_coords"}

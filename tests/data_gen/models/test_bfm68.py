@@ -10,6 +10,7 @@ import pytest
 import runs
 from places import SHARED
 from writers.models import write_3ddfa
+from writers.pickles import Calls
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.bfm68 import load_bfm68
@@ -78,11 +79,6 @@ def test_options_that_make_no_sense_are_refused(checkout, variables, track, mess
         run_of_variables(given, track)
 
 
-def damaged(checkout, name, array):
-    file = checkout / name
-    np.savetxt(file, array) if file.suffix == ".txt" else np.save(file, array)
-
-
 @pytest.mark.parametrize(
     ("name", "array"),
     [
@@ -96,14 +92,9 @@ def damaged(checkout, name, array):
     ],
 )
 def test_damaged_arrays_are_refused_by_name(checkout, name, array):
-    damaged(checkout, name, array)
+    (np.savetxt if name.endswith(".txt") else np.save)(checkout / name, array)
     with pytest.raises(InputError, match="3DDFA.* must"):
         load_bfm68(checkout)
-
-
-class Harmful:
-    def __reduce__(self):
-        return os.mkdir, ("executed",)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +103,7 @@ class Harmful:
         {"param_std": np.ones(62)},
         {"param_mean": np.ones(60), "param_std": np.ones(60)},
         ["param_std"],
-        Harmful(),
+        Calls(os.mkdir, "executed"),
     ],
 )
 def test_other_parameters_are_refused_and_nothing_is_executed(

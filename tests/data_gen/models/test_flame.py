@@ -1,7 +1,6 @@
 """FLAME as users have it: known values come back, the jaw turns, and bad files are refused."""
 
 import hashlib
-import os
 import pickle
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ from places import SHARED
 from scipy.linalg import expm
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.spatial import ConvexHull
-from writers.pickles import Calls, chumpy_pickle
+from writers.pickles import chumpy_pickle
 
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.mesh_files import read_ply
@@ -180,16 +179,12 @@ def test_the_linear_jaw_misses_the_true_one_by_half_the_angle(
         ("weights", lambda a: a * 2, "weights must not be negative, and sum to 1"),
         ("f", lambda a: a + 1, "triangles must number 60 vertices from 0"),
         ("kintree_table", lambda a: a[:, [0, 2, 1, 3, 4]], "kintree_table must give"),
-        ("bs_style", lambda a: Calls(os.mkdir, "harm"), "mkdir.*nothing was run"),
     ],
 )
 def test_bad_contents_are_refused(tmp_path, arrays, embedding, key, change, message):
-    value = arrays.pop(key)
-    if change:
-        arrays[key] = change(value)
+    arrays[key] = change(arrays[key])
     with pytest.raises(InputError, match=f"generic_model.pkl: .*({message})"):
         load_flame(write(tmp_path, arrays, embedding))
-    assert not os.path.exists("harm")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from deepmds_keras.geometry.camera import (
     orthographic_cameras,
     refit,
 )
-from deepmds_keras.geometry.views import Cameras, project
+from deepmds_keras.geometry.views import Cameras, project, rotations
 
 N = 40
 
@@ -72,6 +72,13 @@ def test_the_angles_scale_and_place_of_a_view_are_found(shape):
         assert np.allclose(pose.translation, shift)
 
 
+def test_seen_from_straight_above_or_below_the_whole_turn_is_yaw():
+    turned = rotations(cameras([40.0, -70], [90.0, -90], [20.0, 10]))
+    yaw, pitch, roll = camera_angles(turned)
+    assert not roll.any()
+    np.testing.assert_allclose(rotations(cameras(yaw, pitch, roll)), turned, atol=1e-9)
+
+
 def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
     views = seen(shape, cameras([10.0, 0, -20], [0.0, 5, 5], [0.0, 0, 10]))
     mirrored = views * [-1, 1]
@@ -109,6 +116,9 @@ def test_many_poses_are_those_of_each_face_with_their_perspective(shape):
     near = replace(far, scale=np.full(N, 2.5), perspective=np.linspace(0, 1 / 300, N))
     views = near.project(np.stack([centred] * N))
     assert len(near) == N and near[0], "the pose of one face has no length, but is there"
+    fitted = head_poses(views, np.stack([centred] * N))
+    off = np.sqrt(((fitted.project(centred) - views) ** 2).sum(2).mean(1))
+    np.testing.assert_allclose(fitted.residual, off / np.ptp(views, axis=1).max(1))
     for i, pose in enumerate(near):
         assert np.allclose(pose.project(centred), views[i])
         assert np.allclose([pose.yaw, pose.pitch, pose.roll], camera_angles(far.rotation)[:, i])

@@ -3,9 +3,11 @@
 import functools
 import shutil
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import tensorflow as tf
 from places import ROOT, SHARED
 from scipy.spatial.transform import Rotation
 from sklearn.base import clone
@@ -19,11 +21,11 @@ from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.alignment import procrustes
-from deepmds_keras.geometry.units import centre, centre_and_scale
+from deepmds_keras.geometry.units import centre, centre_and_scale, rms_radius
 from deepmds_keras.lifting import equations, sampling, trainer
 from deepmds_keras.lifting.sampling import Faces, disturb, given_faces, read_faces
 from deepmds_keras.lifting.trainer import build_lifting_net
-from deepmds_keras.lifting.unrolled_fit import initial_weights, lift
+from deepmds_keras.lifting.unrolled_fit import UNIT, initial_weights, lift
 
 L = 20
 
@@ -293,6 +295,19 @@ def test_disturbed_faces_keep_six_landmarks_and_tell_of_their_noise():
     assert not (hidden.views * (1 - hidden.visible[:, None])).any()
     noisy = disturb(known, 0.0, 0.5, rng)
     assert 0.1 < noisy.sd.mean() < 0.3 and np.ptp(noisy.sd, axis=1).max() == 0
+    as_known = disturb(replace(known, sd=known.sd + 0.4), 0.0, 1e-6, rng)
+    radius = rms_radius(views.swapaxes(1, 2))[:, None]
+    np.testing.assert_allclose(as_known.sd * radius, known.sd + 0.4, rtol=1e-5)
+
+
+def test_the_likelihood_trains_standard_deviations_alone_towards_the_errors():
+    error = np.float32(1e-3 * np.random.default_rng(0).normal(size=(4, 3, L)))
+    output = tf.Variable(np.concatenate([error, np.log(np.abs(error) / UNIT)], axis=1))
+    with tf.GradientTape() as tape:
+        loss = trainer.lifting_loss(0 * error, output)
+    of_shapes, of_sd = np.split(tape.gradient(loss, output).numpy(), 2, axis=1)
+    np.testing.assert_allclose(of_shapes / error, (of_shapes / error).mean(), rtol=1e-4)
+    np.testing.assert_allclose(of_sd, 0, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -453,7 +468,7 @@ def test_five_odd_rows_of_2000_are_estimated_with_the_others():
         lifter.predict(views * (1, -1))
 
 
-def test_what_fit_accepts_is_scored(faces):
+def test_what_fit_accepts_is_scored():
     """Views with y down are of no known orientation; `predict` refuses them."""
     lifter = LandmarkLifter.pretrained("ibug51")
     shapes = lifter.weights_["mean"].T + np.random.default_rng(0).normal(0, 0.02, (9, 51, 3))

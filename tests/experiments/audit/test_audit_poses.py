@@ -18,14 +18,6 @@ SCHEME = load_scheme("bfm72")
 CORNERS = [SCHEME.names.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
 
 
-class Constant:
-    def __init__(self, shape):
-        self.shape = shape
-
-    def predict(self, views):
-        return np.broadcast_to(self.shape, (len(views), *self.shape.shape))
-
-
 class AddsDepth:
     """The view, and the depth that the faces have from the front, in their order."""
 
@@ -49,6 +41,7 @@ def evidence():
     views = project(landmarks, cameras)
     faces = Faces(normalise(views), shapes, unit(landmarks)[1].ravel(), shapes, cameras)
     models = {name: AddsDepth(shapes[AUDITED]) for name in ("zhao", "deep_mds", "deep_mds_cosine")}
+    mean = SimpleNamespace(predict=lambda views: np.stack([shapes.mean(0)] * len(views)))
     return SimpleNamespace(
         run=SimpleNamespace(authors=None, scheme="bfm72"),
         test=faces,
@@ -57,7 +50,7 @@ def evidence():
         shapes=shapes[AUDITED],
         landmarks=landmarks[AUDITED],
         rng=lambda stream: np.random.default_rng([0, stream]),
-        method=lambda method: models.get(method, Constant(shapes.mean(0))),
+        method=lambda method: models.get(method, mean),
     )
 
 

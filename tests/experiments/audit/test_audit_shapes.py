@@ -87,6 +87,13 @@ def test_bias_is_of_the_methods_that_see_the_same_views(evidence):
     assert table.loc["mean_shape", "slope"] == 0 < table.loc["deep_mds", "slope"] < 1
 
 
+def test_the_best_constant_view_is_the_mean_of_the_frontal_ones(evidence, monkeypatch):
+    monkeypatch.setattr(shapes, "load_faces", lambda *_: evidence)
+    frontal = evidence.shapes[..., :2]
+    expected = ((frontal - frontal.mean(0)) ** 2).mean()
+    assert shapes.constants(evidence)["mse"].tolist() == [pytest.approx(expected)]
+
+
 def test_distances_of_d_dimensions_have_rank_d(evidence):
     table = shapes.ranks(evidence)
     assert [*table["dimensions"]] == [1, 2, 3, 4, 5, 6, 3]

@@ -102,17 +102,14 @@ def test_angle_turns_and_scales_nothing_before_the_division():
     assert near[0] / near[3] > far[0] / far[3] > 0  # divided, what is near is larger
 
 
-def assert_solvers_agree(matrices):
-    """The solvers have the same stress-1, and up to alignment the same shapes, to rounding."""
+def test_solvers_agree_on_what_the_shipped_networks_predict(networks, faces):
+    """The same stress-1, and up to alignment the same shapes, to rounding."""
+    matrices = np.abs(networks.dissimilarities(faces.views))
     points, stress = embed(matrices, solver="numba", return_stress=True)
     expected, expected_stress = embed(matrices, solver="sklearn", return_stress=True)
     np.testing.assert_allclose(stress, expected_stress, rtol=1e-9)
     difference = np.linalg.norm(align(points, expected) - expected, axis=(1, 2))
     assert (difference < 1e-9 * np.linalg.norm(expected, axis=(1, 2))).all()
-
-
-def test_solvers_agree_on_what_the_shipped_networks_predict(networks, faces):
-    assert_solvers_agree(np.abs(networks.dissimilarities(faces.views)))
 
 
 @pytest.mark.slow

@@ -17,21 +17,23 @@ from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.detection import move, upright_axes
 from experiments.presets import TINY
+from experiments.pretrained import pretrained
 from experiments.pretrained.canonical_face import (
     CANONICAL,
     canonical_mean,
     read_canonical_face,
     write_canonical_face,
 )
-from experiments.pretrained.pretrained import errors_of
+from experiments.pretrained.pretrained import Views, _on_detections, detections, errors_of
 from experiments.pretrained.real_faces import differences, reliability
 from experiments.pretrained.residuals import mean_residuals, misfits, of_detectors
 from experiments.pretrained.train import sample_faces
+from experiments.run import Run
 
 CANONICAL_OBJ = SHARED / "mediapipe" / "canonical_face_model.obj"
 
 
-def test_an_error_is_in_radii_and_that_of_another_place_does_not_count():
+def test_an_error_is_in_radii_and_that_of_another_place_does_not_count(monkeypatch):
     rng = np.random.default_rng(0)
     view, error = rng.normal(0, 80, (3, 68, 2)), rng.normal(0, 4, (3, 68, 2))
     error[1] += 80
@@ -41,6 +43,23 @@ def test_an_error_is_in_radii_and_that_of_another_place_does_not_count():
     assert detected.tolist() == [True, False, False], "another place, and no face"
     radius = rms_radius(view[:, 17:])[:, None, None]
     np.testing.assert_allclose(errors[0], (error / radius)[0])
+    photos["yaw"] = np.array([-53, 2, 9])
+    monkeypatch.setattr(pretrained, "read_portraits", lambda run, model: photos)
+    table = detections(Run()).set_index("yaw")
+    found = table[["n_photos", "found"]].to_numpy().tolist()
+    assert (found, [*table.index]) == ([[1, 1], [2, 0]], [-60, 0])
+    assert table.loc[-60, "rms"] == pytest.approx(100 * np.sqrt((errors[0, 17:] ** 2).mean()))
+
+
+def test_no_face_is_in_the_regression_that_predicts_it():
+    rng = np.random.default_rng(0)
+    views, truth = rng.normal(size=(40, 51, 2)), rng.random((40, 51, 3))
+    shapes, others = (
+        _on_detections({"openhead": Views(views, views, moved, np.ones(40, bool))})["openhead"]
+        for moved in (truth, truth + (np.arange(40) % 2 == 0)[:, None, None])
+    )
+    np.testing.assert_array_equal(shapes[::2], others[::2])
+    assert (shapes[1::2] != others[1::2]).all()
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -67,21 +68,12 @@ def test_faces_vary_about_the_mean_as_those_of_the_model_do(head, mean):
     assert np.allclose(sizes, np.linalg.norm(unmoved.identity_basis_times_sd) * np.array([1, 2]))
 
 
-class MeanNetwork:
-    """Returns a shape that is off by the same for all views."""
-
-    def __init__(self, shape):
-        self.shape = shape
-
-    def predict(self, views, check_orientation):
-        return np.tile(self.shape, (len(views), 1, 1))
-
-
 def test_answers_are_scored_on_the_same_faces(head, mean):
     run, rng = Run("openhead", replace(TINY, test_faces=200)), np.random.default_rng(0)
     off = mean + rng.normal(0, 2, (72, 3))
     model = about_mean(head, 1.0, mean)
-    networks = {"released": MeanNetwork(off)}
+    constant = SimpleNamespace(predict=lambda views, **_: np.stack([off] * len(views)))
+    networks = {"released": constant}
     rows = pd.DataFrame(score.measure(run, networks, "paper", "openhead", 1.0, model))
     mse = rows.set_index("answer")["mse"]
     assert mse["deep_mds_constant"] == pytest.approx(mse["released"]), "it is a constant"

@@ -19,10 +19,12 @@ from experiments.scoring.metrics import METRICS, Metric
 from experiments.scoring.numbers import plus_minus
 from experiments.scoring.scores import (
     evaluate,
+    landmark_errors,
     load_predictions,
     metrics_by_seed,
     per_face,
     score,
+    subsets,
 )  # fmt: skip
 from experiments.scoring.tables import write_tables
 from experiments.scoring.typesetting import text
@@ -103,6 +105,10 @@ def test_faces_that_a_method_did_not_find_are_left_out_and_counted(run, faces, p
     assert values["deep_mds", "n_parameters"] == 27323
     assert "detection_rate" not in {*evaluate(run, faces, predictions, {})[0]["metric"]}
     assert {len(v) for of in per_face(scores).values() for v in of.values()} == {N - 5}
+    off = 200 * (scores["ridge"].aligned - faces.shapes)[np.arange(N) % 5 > 0]
+    expected = np.sqrt((off**2).sum(2).mean(0))
+    np.testing.assert_allclose(landmark_errors(scores)["ridge"], expected)
+    assert all(len({*chosen}) == SMOKE.subset_size for chosen in subsets(run, N)), "none twice"
 
 
 def test_scores_of_some_faces_are_those_of_all(faces, predictions):

@@ -84,8 +84,8 @@ def test_a_run_ends_with_its_verdict(run):
     [
         ({}, []),
         ({"deep_mds": 1.7e-4}, []),  # as one of the seeds
-        ({"landmark_lifter": 0.053e-4}, []),
-        ({"landmark_lifter": 0.07e-4}, ["landmark_lifter"]),
+        ({"landmark_lifter": 0.057e-4}, []),
+        ({"landmark_lifter": 0.058e-4}, ["landmark_lifter"]),
         ({"deep_mds": 0.5e-4, "mean_shape": 2e-4}, ["mean_shape", "deep_mds"]),
     ],
 )
@@ -172,5 +172,6 @@ def test_the_order_of_the_paper_is_looked_for_by_either_protocol(errors, expecte
     assert all(protocol in line for protocol, line in zip(protocols, lines, strict=True))
     for line, text in zip(lines, expected, strict=True):
         assert f": {text}" in line
-    assert lines[1].endswith("One training of each: indicative.")
-    assert "indicative" not in order_lines(rows.assign(median=rows["mean"]))[1]
+    assert lines[1].endswith(" One training of each: indicative.")
+    of_seeds = order_lines(rows.assign(median=errors, mean=errors[::-1]))
+    assert of_seeds == [lines[0], lines[1].removesuffix(" One training of each: indicative.")]

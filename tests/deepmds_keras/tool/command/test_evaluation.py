@@ -13,14 +13,17 @@ from deepmds_keras.__main__ import main
 from deepmds_keras.geometry.views import in_camera_frame, sample_perspective_cameras
 from deepmds_keras.tool.command.evaluation import evaluate, read_truth
 
+CAMERAS = sample_perspective_cameras(
+    60, np.random.default_rng(0), yaw=80, pitch=20, roll=20, field_of_view=(0, 1)
+)
+
 
 @pytest.fixture(scope="module")
 def truth():
     """`(60, 68, 3)` landmarks of turned faces, x right, y up, z towards the viewer."""
-    model, rng = load_openhead(), np.random.default_rng(0)
+    model, rng = load_openhead(), np.random.default_rng(1)
     model = model.restrict(model.landmarks["ibug68"])
-    cameras = sample_perspective_cameras(60, rng, yaw=80, pitch=20, roll=20, field_of_view=(0, 1))
-    return in_camera_frame(model.shape(*sample_expressive(model, 60, rng)), cameras)
+    return in_camera_frame(model.shape(*sample_expressive(model, 60, rng)), CAMERAS)
 
 
 def errors(rows, landmarks=51, yaw="all"):
@@ -36,8 +39,14 @@ def test_lifting_is_far_below_the_mean_shape_and_exact_landmarks_are_best_as_suc
     with open(tmp_path / "errors.csv", newline="") as file:
         assert [float(row["error"]) for row in csv.DictReader(file)] == [r["error"] for r in rows]
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
-    by_yaw = [r["n_faces"] for r in rows if (r["landmarks"], r["method"]) == (51, "lifting")]
-    assert by_yaw[0] == sum(by_yaw[1:]) == 60
+    by_yaw = {
+        r["yaw"]: r["n_faces"] for r in rows if (r["landmarks"], r["method"]) == (51, "lifting")
+    }
+    assert by_yaw.pop("all") == sum(by_yaw.values()) == 60
+    for turns, n in by_yaw.items():
+        low, high = map(int, turns.split(" to "))
+        there = (np.abs(CAMERAS.yaw) >= low) & (np.abs(CAMERAS.yaw) < high)
+        assert n == pytest.approx(there.sum(), abs=4)
     with pytest.raises(InputError, match="errors.csv already exists.* --overwrite"):
         evaluate(tmp_path / "truth.npy", out=tmp_path)
 
@@ -45,10 +54,11 @@ def test_lifting_is_far_below_the_mean_shape_and_exact_landmarks_are_best_as_suc
 @pytest.mark.parametrize("axes", [(1, -1, 1), (1, 1, -1), (1, -1, -1)])
 def test_which_way_axes_point_does_not_matter(truth, axes, tmp_path):
     np.save(tmp_path / "truth.npy", truth[:, 17:])
-    np.save(tmp_path / "other.npy", 7 * truth[:, 17:] * axes - 100)
+    np.save(tmp_path / "other.npy", np.tile(7 * truth[:, 17:] * axes - 100, (4, 1, 1)))
     first, second = (evaluate(tmp_path / f"{n}.npy", out=tmp_path / n) for n in ("truth", "other"))
     for one, other in zip(first, second, strict=True):
         assert one["error"] == pytest.approx(other["error"], rel=1e-3)
+        assert one["standard_error"] == pytest.approx(2 * other["standard_error"], rel=1e-3)
 
 
 def test_coordinates_may_come_first_as_in_aflw2000_of_3ddfa(truth, tmp_path):

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 from PIL import Image
 from places import ROOT
-from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
@@ -28,14 +27,9 @@ from deepmds_keras.tool.detection import (
 )
 from deepmds_keras.tool.predict import photo_faces
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
+from deepmds_keras.weights import pretrained_path
 
 ALL = "csv,json,npz,ply,obj"
-
-
-@pytest.fixture(scope="module")
-def heads(apart):
-    """Images of five open heads, and their 51 landmarks in pixels."""
-    return apart(drawn_heads)
 
 
 @pytest.fixture(scope="module")
@@ -318,6 +312,16 @@ def test_other_options_are_never_skipped(tmp_path, predict, landmarks, options):
         assert predict(points, *options)[0] == 0
 
 
+def test_weights_that_were_trained_again_are_other_weights(tmp_path, predict, landmarks):
+    points, weights = save(tmp_path / "a.npy", landmarks), tmp_path / "mine.npz"
+    weights.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
+    assert predict(points, "--model", weights)[0] == 0
+    assert "skipped" in predict(points, "--model", weights)[1]
+    os.utime(weights, ns=(10**18, 10**18))
+    status, _, (line,) = predict(points, "--model", weights)
+    assert (status, "made with other weights" in line) == (1, True)
+
+
 def test_a_result_is_never_taken_for_that_of_another_source(tmp_path, predict, landmarks):
     """Even of the same name, size and time."""
     first, second = (tmp_path / folder / "x.npy" for folder in ("d1", "d2"))
@@ -487,14 +491,6 @@ def test_without_a_detector_photos_are_refused_and_landmarks_done(
     status, _, (line,) = predict(tmp_path / "photo.png", points)
     assert status == 1 and "1 photos or videos cannot be used. " in line
     assert (tmp_path / "out" / "a.csv").is_file()
-
-
-def test_the_export_offers_only_what_it_takes(tmp_path):
-    for model in ("deepmds", "deepmds-ibug51", "none"):
-        with pytest.raises(SystemExit) as ended:
-            main(["export", str(tmp_path / "m.onnx"), "--model", model])
-        assert "lifting-ibug51" in ended.value.code and "or deepmds" not in ended.value.code
-    assert not any(tmp_path.iterdir())
 
 
 def test_options_without_effect_are_named(tmp_path, predict, heads, landmarks):

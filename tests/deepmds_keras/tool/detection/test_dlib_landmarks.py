@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from PIL import Image
-from writers.heads import drawn_heads, nme
+from writers.heads import nme
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
@@ -21,11 +21,6 @@ from deepmds_keras.tool.detection.dlib_landmarks import (
 @pytest.fixture(scope="module")
 def find():
     return shared_detector().detect_all
-
-
-@pytest.fixture(scope="module")
-def heads(apart):
-    return apart(drawn_heads)
 
 
 def test_landmarks_of_drawn_heads_are_those_of_the_model(find, heads):

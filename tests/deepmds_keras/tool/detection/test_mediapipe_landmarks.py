@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from places import MEDIAPIPE, ROOT, SHARED
-from writers.heads import CANTHI, NOSE_TIP, drawn_heads, nme
+from writers.heads import CANTHI, NOSE_TIP, nme
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
@@ -29,11 +29,6 @@ from deepmds_keras.tool.detection.photos import open_photo
 
 LEFT_BROW = slice(5, 10)
 installed = pytest.mark.skipif(not MEDIAPIPE, reason="MediaPipe is not installed")
-
-
-@pytest.fixture(scope="module")
-def heads(apart):
-    return apart(drawn_heads)
 
 
 @pytest.fixture(scope="module")

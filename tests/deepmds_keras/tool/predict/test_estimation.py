@@ -113,6 +113,8 @@ def test_one_distance_sets_the_scale_and_nothing_else(landmarks):
         assert np.linalg.norm(left - right) == pytest.approx(88.5)
         ratio = 88.5 / np.linalg.norm(np.subtract(*face.xyz[corners]))
         assert np.allclose(millimetres.xyz, ratio * face.xyz)
+        assert np.allclose(millimetres.std, ratio * face.std)
+        assert np.allclose(millimetres.seen_shape, face.seen_shape, atol=1e-3)
         assert millimetres.pose.yaw == pytest.approx(face.pose.yaw)
         assert ratio * millimetres.pose.scale == pytest.approx(face.pose.scale)
 
@@ -196,7 +198,7 @@ def test_weights_that_know_another_origin_are_noted_and_are_read_again_when_they
     assert describe_model("ibug51", str(path))["method"] == "lifting"
 
 
-def test_what_fits_no_weights_is_named(landmarks, tmp_path):
+def test_what_fits_no_weights_is_named(landmarks):
     with pytest.raises(
         InputError, match="a.npy must have 72 landmarks .* deepmds-bfm72. Received 51"
     ):

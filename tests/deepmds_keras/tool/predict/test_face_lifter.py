@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from writers.heads import drawn_heads
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
@@ -28,10 +27,9 @@ def landmarks():
 
 
 @pytest.fixture(scope="module")
-def two_faces(apart):
+def two_faces(heads):
     """A photo of two open heads."""
-    images, _ = apart(drawn_heads)
-    return np.hstack(images[[2, 4]])
+    return np.hstack(heads[0][[2, 4]])
 
 
 def shapes(faces):

@@ -9,7 +9,10 @@ import pytest
 from PIL import Image
 from places import MEDIAPIPE, ROOT
 
-from deepmds_keras import FaceLifter, convert
+from deepmds_keras import FaceLifter, LandmarkLifter, convert
+from deepmds_keras.files import read_table
+from deepmds_keras.geometry.units import rms_radius
+from deepmds_keras.landmarks import FOLDER
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.tool.detection.mediapipe_landmarks import shared_detector
 from deepmds_keras.tool.predict.photo_faces import find_upright
@@ -119,6 +122,10 @@ def test_mediapipes_own_landmarks_give_what_the_photo_gives(predict, head, tmp_p
     (given,) = FaceLifter().predict_landmarks(points)
     assert np.array_equal(given.xyz, face.xyz) and np.array_equal(given.std, face.std)
     assert np.array_equal(given.landmarks, face.landmarks)
+    sd = rms_radius(face.landmarks[None])[:, None] * detector_sd("mediapipe", "ibug51")
+    lifter = LandmarkLifter.pretrained("ibug51")
+    known = lifter.predict(face.landmarks[None] * (1, -1), landmark_sd=sd, return_std=True)[1]
+    np.testing.assert_allclose(face.std, known[0], rtol=1e-4)
     gap = points[0].copy()
     gap[33] = np.nan  # of the right eye: where the face's axes are is not known
     (partly,) = FaceLifter().predict_landmarks(gap)
@@ -152,6 +159,16 @@ def test_landmarks_of_a_detector_move_with_the_face(detector):
     np.testing.assert_allclose(again, 3 * moved @ turn, atol=1e-9)
     assert 0 < np.abs(moved).max() < 0.3 * 90
     np.testing.assert_array_equal(to_ibug(views, detector, "bfm72"), views)
+
+
+@pytest.mark.parametrize(("detector", "scheme"), [("dlib", "ibug68"), ("mediapipe", "ibug51")])
+def test_landmarks_of_an_upright_face_move_as_the_table_says(detector, scheme):
+    """To the right and down, in radii of the face without its jaw."""
+    view = 1000 * LandmarkLifter.pretrained(scheme).mean_shape_[:, :2] * (1, -1) + 300
+    table = read_table(FOLDER / "detectors.csv")
+    known = [(float(r["dx"]), float(r["dy"])) for r in table if r["detector"] == detector]
+    moved = to_ibug(view[None], detector, scheme)[0] - view
+    np.testing.assert_allclose(moved, rms_radius(view[None, -51:])[0] * np.array(known), atol=0.1)
 
 
 def test_the_jaw_as_dlib_finds_it_stays():
