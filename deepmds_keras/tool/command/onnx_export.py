@@ -118,11 +118,12 @@ def _graph(lifter: LandmarkLifter):
         kind = TYPES[tensor.example.dtype.kind]
         return helper.make_tensor_value_info(name, kind, ["n", *tensor.shape[1:]])
 
+    # Named, because ONNX Runtime 1.19 to 1.21 confuse nodes without a name, and refuse the model.
     return helper.make_graph(
         [
-            *(helper.make_node(kind, inputs, [output], **attributes)
+            *(helper.make_node(kind, inputs, [output], name=output, **attributes)
               for kind, inputs, output, attributes in graph.nodes),
-            *(helper.make_node("Identity", [tensor.name], [name])
+            *(helper.make_node("Identity", [tensor.name], [name], name=name)
               for name, tensor in outputs.items()),
         ],
         "lifter",

@@ -144,6 +144,9 @@ async function play(video, source) {
     next();
   }));
   video.addEventListener("ended", () => { if (playing === video) stop(); });
+  video.addEventListener("error", () => { // damaged, or cut off
+    if (playing === video) stop(), say("The rest of the video cannot be read.");
+  });
   next();
 }
 

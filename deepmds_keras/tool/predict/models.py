@@ -197,9 +197,10 @@ def weights_path(name: str) -> Path:
     if path.is_file():
         return path
     if path.suffix:
+        received = "a folder" if path.exists() else "a path that does not exist"
         raise InputError(
             f"{path} must be a file written by LandmarkLifter.save() or DeepMDS.save(). "
-            "Received another file."
+            f"Received {received}."
         )
     try:
         return pretrained_path(name)

@@ -95,6 +95,12 @@ def test_the_model_says_what_it_takes_and_gives(model):
     assert model.stat().st_size < 250_000
 
 
+def test_each_node_has_a_name_of_its_own_as_some_runtimes_need(model):
+    names = [node.name for node in onnx.load(model).graph.node]
+    assert "" not in names
+    assert len({*names}) == len(names)
+
+
 def test_the_command_writes_a_model_and_never_over_a_file(weights, tmp_path, capsys, monkeypatch):
     path = tmp_path / "own.onnx"
     with pytest.raises(SystemExit) as ended:

@@ -316,6 +316,10 @@ def test_a_video_is_analysed_to_its_end(opened, tmp_path):
     until(page, "playing === null && frame > 2")
     assert page.get_by_role("status").inner_text() == "Stopped."
     assert page.evaluate("record.csv().length") > 2
+    drop(page, "clip.webm", "video/webm", path.read_bytes())
+    until(page, "playing !== null")
+    page.evaluate("playing.dispatchEvent(new Event('error'))")  # as browsers do, once it is damaged
+    until(page, "playing === null && at('said').textContent.includes('cannot be read')")
     drop(page, "clip.webm", "video/webm", b"no video")
     until(page, "at('said').textContent.startsWith('clip.webm must be a photo or a video')")
     drop(page, "notes.txt", "text/plain", b"no photo")
