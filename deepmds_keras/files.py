@@ -160,6 +160,7 @@ def _named(path: str | Path, kind: str) -> Iterator[None]:
         received = f"{type(error).__name__}: {brief(error)}"
         if isinstance(error, OSError) and error.strerror:
             received = error.strerror
-        elif "allow_pickle" in str(error):  # NumPy's advice, not to be followed
+        # NumPy advises to allow it, or says that no such array can be mapped.
+        elif "allow_pickle" in str(error) or "Python objects" in str(error):
             received = "an array of objects, which can run code when read"
         raise InputError(f"{path} must be {kind}. Received {received}.") from None

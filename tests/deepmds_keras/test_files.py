@@ -109,7 +109,7 @@ def test_objects_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.array([None]), allow_pickle=True)
     np.savez(tmp_path / "a.npz", a=np.array([None]))
     for read, name in ((map_npy, "a.npy"), (read_npz, "a.npz")):
-        with pytest.raises(InputError, match=f"{name} must be .* Received"):
+        with pytest.raises(InputError, match=f"{name} must be .* an array of objects"):
             read(tmp_path / name)
 
 

@@ -144,10 +144,7 @@ class Face:
         if self.is_gap:
             return "gap"
         degrees = {name: float(getattr(self.pose, name)) for name in ("yaw", "pitch", "roll")}
-        return ", ".join(
-            f"{name} {f'{round(angle):+}' if round(angle) else 0}°"
-            for name, angle in degrees.items()
-        )
+        return ", ".join(f"{name} {in_degrees(angle)}" for name, angle in degrees.items())
 
     @property
     def is_gap(self) -> bool:
@@ -165,6 +162,11 @@ def frame_of(face: Face) -> FrameRef:
     if face.frame_ref is None:
         raise ValueError(f"{face.name} is not of a video")
     return face.frame_ref
+
+
+def in_degrees(angle: float) -> str:
+    """An angle in whole degrees: `+20°`, `-8°`, `0°`."""
+    return f"{f'{round(angle):+}' if round(angle) else 0}°"
 
 
 def name_faces(name: str, n: int) -> list[str]:

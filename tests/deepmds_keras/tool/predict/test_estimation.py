@@ -205,5 +205,5 @@ def test_what_fits_no_weights_is_named(landmarks):
         estimate_faces(detections(landmarks), model="deepmds-bfm72")
     with pytest.raises(InputError, match="DeepMDS.save.., or its name must be one of deep"):
         load_model("openhead")
-    with pytest.raises(InputError, match="chair.npz must be .* Received a path that does not exist"):
+    with pytest.raises(InputError, match="chair.npz must be .* a path that does not exist"):
         load_model(str(tmp_path / "chair.npz"))

@@ -4,6 +4,7 @@ import json
 import re
 import struct
 from fractions import Fraction
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -14,8 +15,9 @@ from deepmds_keras.__main__ import main
 from deepmds_keras.tool.detection import DETECTORS, Detector
 from deepmds_keras.tool.predict import videos
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
+from deepmds_keras.tool.predict.faces import FrameRef
 from deepmds_keras.tool.predict.video_faces import find_in_video, follow_faces
-from deepmds_keras.tool.predict.videos import Video, write_landmark_video
+from deepmds_keras.tool.predict.videos import Video, tell_tracks, write_landmark_video
 
 CODECS = {".avi": "mpeg4", ".mov": "mpeg4", ".webm": "libvpx"}  # others: libx264
 SIDE = 64
@@ -280,6 +282,15 @@ def test_a_hard_cut_between_two_people_begins_a_track_and_a_flash_or_a_pan_none(
         assert [ref.track for ref in detections.frame_refs] == tracks
         if frames[-1] is second[-1]:  # it is not smoothed over the cut
             assert np.allclose(detections.landmarks[10:, 0, 0] - FACE[0, 0], 24, atol=0.5)
+
+
+def test_angles_of_tracks_are_written_as_those_of_faces():
+    faces = [
+        SimpleNamespace(frame_ref=FrameRef(i, i / 10, 1), pose=SimpleNamespace(yaw=yaw), notes=())
+        for i, yaw in enumerate([-0.4, 12.4])
+    ]
+    (line,) = tell_tracks(faces, 3)
+    assert line.endswith("yaw 0° to +12°")
 
 
 def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, capsys):
