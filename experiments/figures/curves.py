@@ -32,7 +32,7 @@ _LAG = {
 
 def epochs_from(first: int) -> str:
     """Label of an axis of epochs that leaves out those before one."""
-    return f"Training time from epoch {first} on (epochs)"
+    return f"Training time (epochs),\nfrom epoch {first} on"
 
 
 @styled

@@ -184,7 +184,7 @@ def gallery(
     for row, (first, *others) in enumerate(panels):
         draw_photo(first, images[row])
         at_side = {"transform": first.transAxes, "rotation": 90, "va": "center"}
-        _write(first, (-0.1, 0.5), row_titles[row], **at_side)
+        _write(first, (-_HEAD / 4 / inches, 0.5), row_titles[row], **at_side)
         yellow = {"colour": DETECTED_COLOUR, "dot_area": 1}
         draw_wireframe(first, landmarks[row], scheme.polylines, **yellow)
         for axes, (method, predicted) in zip(others, shapes.items(), strict=True):

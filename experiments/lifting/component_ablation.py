@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import keras
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.embedding import embed, metric_embed
@@ -40,8 +41,8 @@ from experiments.studies.study_results import grid, mean_error, write_results
 _DRAWN = {
     "mean_shape": "mean shape", "constant": "constant rate", "cosine": "A: cosine schedule",
     "true_frontal": "A on true frontal views", "wide": "B: A with 64 units",
-    "shuffled": "C: B with shuffled batches", "landmarks_known": "D: C that knows landmarks",
-    "whole_view": "D with the whole view", "landmark_lifter": "LandmarkLifter",
+    "shuffled": "C: B with shuffled batches", "landmarks_known": "D: C + landmark identity",
+    "whole_view": "D + full 2D input", "landmark_lifter": "LandmarkLifter",
     "lower_bound": "lower bound",  # true distances have no error, which no logarithm shows
 }  # fmt: skip
 EMBEDDINGS = {
@@ -140,12 +141,16 @@ def main(run: Run) -> dict:
     cells = grid(table, "step", "embedding", _UNIT).reindex(index=[*STEPS])[[*EMBEDDINGS]]
     cells.columns = [look.title for look in EMBEDDINGS.values()]
     cells = cells.rename(index=STEPS).rename_axis(f"MSE ({power(_UNIT)})")
+    tables, figures = {"table": table, "seeds": errors}, {"component_ablation": draw(table)}
+    return write_results(run, "lifting/component-ablation", tables, cells, [_NOTE], figures)
+
+
+def draw(table: pd.DataFrame) -> Figure:
+    """Errors of most steps, with both kinds of MDS, of `table.csv`."""
     rows = table.rename(columns={"embedding": "method", "mse": "mean"})
     rows = rows.set_index("step").loc[[*_DRAWN]].reset_index()
-    lines = textwrap.TextWrapper(11, break_long_words=False)
+    # The longest word is a little wider than its column, so that those beside it must be narrow.
+    lines = textwrap.TextWrapper(10, break_long_words=False)
     rows["step"] = [lines.fill(_DRAWN[step]) for step in rows["step"]]
-    panel = Panel(rows, "step")
     options = {"looks": EMBEDDINGS, "interval": "range over seeds; of one, 95 % interval"}
-    figures = {"component_ablation": error_lines([panel], unit=_UNIT, **options)}
-    tables = {"table": table, "seeds": errors}
-    return write_results(run, "lifting/component-ablation", tables, cells, [_NOTE], figures)
+    return error_lines([Panel(rows, "step")], unit=_UNIT, **options)

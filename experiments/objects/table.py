@@ -60,7 +60,7 @@ def main(run: Run) -> dict:
                 columns={"median": "mean", "lowest": "low", "highest": "high"}
             ),
             "object",
-            f"noise {noise:.0%}",
+            title=f"Noise of {100 * noise:g} % of the r.m.s. radius",
         )
         for noise in NOISES
     ]

@@ -43,8 +43,8 @@ _LOOKS = {
     "deep_mds_constant": Look(_CONSTANT, colour("zhao"), "^"),
     "random_face": Look("a random face, for all views", "#117733", "v"),
     "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
-    "printed": Look("printed: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
-    "printed_trivial": Look("printed: trivial case, 2.9", INK, "", (0, (1, 1))),
+    "printed": Look("published: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
+    "printed_trivial": Look("published: trivial case, 2.9", INK, "", (0, (1, 1))),
 }
 _CONSTANTS = 25  # outputs, and faces, over which the error of one answer to all views is averaged
 _UNIT = 1e-4
@@ -191,4 +191,5 @@ def draw_trained(trained: pd.DataFrame) -> Figure:
     rows.columns = ["method", "scale", "mean", "low", "high"]
     rows = rows.assign(scale=rows["scale"].map("{:g}".format))  # too few to be joined by lines
     panel = Panel(rows, "scale", "Scale of the s.d. (no unit)")
-    return error_lines([panel], "MSE", 1, "in that of the mean shape", interval="range over seeds")
+    options = {"interval": "range over seeds"}
+    return error_lines([panel], "MSE relative to the mean shape's", 1, "no unit", **options)

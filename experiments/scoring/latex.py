@@ -32,10 +32,9 @@ def tabular(cells: pd.DataFrame, columns: str, notes: Sequence[str] = ()) -> str
     ).rstrip()
     if cells.columns.nlevels > 1:  # Styler has no rules below the heads of groups
         body = body.replace("\\\\\n", f"\\\\\n{_rules(cells.columns)}\n", 1)
-    below = rf"\multicolumn{{{cells.shape[1]}}}{{@{{}}p{{0.98\linewidth}}@{{}}}}{{%s}} \\"
-    rows = "".join(f"{below % tex(note)}\n" for note in notes)
-    body = body.replace(r"\end{tabular}", rf"{rows}\end{{tabular}}")
-    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body}}}\n"
+    # As rows of the table they would stretch its last column to the width of the page.
+    below = "".join(f"\n\\par\\noindent\\parbox{{\\linewidth}}{{{tex(note)}}}" for note in notes)
+    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}%\n{body}{below}}}\n"
 
 
 def plain_tabular(table: pd.DataFrame) -> str:

@@ -29,7 +29,7 @@ _HEADS = {
     "loss_inference": "Inference-mode loss (1e-4)",
     "mse": "MSE (1e-4)",
 }
-_SCHEDULES = {"": "Constant rate", "_cosine": "Decayed rate"}
+_SCHEDULES = {"": "Constant learning rate", "_cosine": "Cosine schedule"}
 _NOTE = "± is the standard deviation over seeds of the dissimilarity net, on one autoencoder."
 _MODES = {"train": "training mode", "inference": "inference mode"}
 

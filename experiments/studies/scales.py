@@ -72,6 +72,6 @@ def draw(table: pd.DataFrame) -> Figure:
     printed = dict.fromkeys(("mean", "low", "high"), mse) | {"method": _PRINTED}
     line = pd.DataFrame({"scale": table["scale"].agg(["min", "max"])}).assign(**printed)
     label = "Scale of the s.d. of 3DDFA's fits"
-    looks = {_PRINTED: Look(f"printed: Deep-MDS, {mse / _UNIT:.1f}", INK, "", (0, (4, 2)))}
+    looks = {_PRINTED: Look(f"published: Deep-MDS, {mse / _UNIT:.1f}", INK, "", (0, (4, 2)))}
     panel = Panel(pd.concat([rows, line]), "scale", label)
     return error_lines([panel], looks=looks, interval="range over seeds")

@@ -16,12 +16,14 @@ from experiments.figures.ground_truth import fits, ground_truth
 from experiments.figures.qualitative import gallery, qualitative, renders
 from experiments.figures.summary import errors_by_seed, summary
 from experiments.figures.wireframe import draw_wireframe, front_view, side_view
+from experiments.lifting import component_ablation
 from experiments.methods import METHODS
 from experiments.presets import PRESETS
 from experiments.scoring.scores import Scores
 
 HEAD, BFM72, IBUG51 = load_openhead(), load_scheme("bfm72"), load_scheme("ibug51")
 DRAWN = [method.id for method in METHODS.values() if method.drawn]
+PICTURED = [m for m in DRAWN if METHODS[m].pictured and "flame" in METHODS[m].tracks]
 RECORD = {"train": [2e-1, 1e-1, 2e-4, 1e-4], "inference": [9e-1, 8e-1, 9e-4, 4e-4]}
 
 
@@ -87,6 +89,15 @@ def seed_metrics(rng):
     return pd.DataFrame(runs | {"value": rng.uniform(1e-4, 1e-3, 4)})
 
 
+def draw_ablation(rng):
+    rows = [
+        {"step": step, "embedding": name, "mse": 1e-5, "low": 9e-6, "high": 2e-5}
+        for step in component_ablation.STEPS
+        for name in component_ablation.EMBEDDINGS
+    ]
+    return component_ablation.draw(pd.DataFrame(rows))
+
+
 def headline_table():
     columns = ["method", "metric", "mean", "std", "paper_mean", "median", "lowest", "highest"]
     nan = np.nan
@@ -118,13 +129,24 @@ PLOTS = {
     ),
     "error_per_pose": lambda rng: errors.error_per_pose(face_errors(rng)),
     "errors": lambda rng: errors.error_distribution({"deep_mds": rng.uniform(1e-5, 1e-3, 50)}),
-    "qualitative": lambda rng: draw_qualitative(rng, DRAWN[:11], 4),
+    "qualitative": lambda rng: draw_qualitative(rng, PICTURED, 4),
     "scans": draw_ground_truth,
     "fits": draw_fits,
     "errors_by_seed": lambda rng: errors_by_seed(seed_metrics(rng)),
     "summary": lambda rng: summary(headline_table(), 72),
     "gallery": draw_gallery,
+    "component_ablation": draw_ablation,
 }
+
+
+def texts_of(axes):
+    """Title and texts of axes, and what stands below them."""
+    seen = [axes.title, *axes.texts]
+    if axes.axison:
+        low, high = axes.get_xlim()
+        ticks = [text for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high]
+        seen += [axes.xaxis.label, *ticks]
+    return [text for text in seen if text.get_text()]
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
@@ -145,6 +167,12 @@ def test_figures_fit_a_page_and_neither_stamp_nor_legend_covers_anything(draw, t
     for legend in figure.legends:
         box = legend.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+    boxes = {t: t.get_window_extent() for axes in figure.axes for t in texts_of(axes)}
+    for text, box in boxes.items():
+        assert box.x0 > -0.5 and box.x1 < figure.bbox.x1 + 0.5, text.get_text()
+    for (first, a), (second, b) in itertools.combinations(boxes.items(), 2):
+        shared = np.minimum(a.max, b.max) - np.maximum(a.min, b.min)
+        assert (shared < 0.5).any(), (first.get_text(), second.get_text())
 
 
 # Machado, Oliveira and Fernandes (2009), severity 1, in linear RGB.
