@@ -198,7 +198,7 @@ def test_weights_that_know_another_origin_are_noted_and_are_read_again_when_they
     assert describe_model("ibug51", str(path))["method"] == "lifting"
 
 
-def test_what_fits_no_weights_is_named(landmarks):
+def test_what_fits_no_weights_is_named(landmarks, tmp_path):
     with pytest.raises(
         InputError, match="a.npy must have 72 landmarks .* deepmds-bfm72. Received 51"
     ):
