@@ -91,7 +91,6 @@ class EdgeMatcher:
     """Finds the nearest of an image's edges that runs in much the same direction.
 
     Args:
-        edges: Edges of the image.
         reach: Distance beyond which nothing matches, in units of the edges' points, `turn`
             included.
         turn: Distance that half a right angle between directions counts as, over the square root
@@ -149,7 +148,6 @@ class Surface:
     """A morphable model that is seen again and again, in other shapes and from elsewhere.
 
     Args:
-        model: Morphable model.
         within: `(V,)` bool, the vertices whose edges are wanted; the others only hide them.
         n_identity: Number of leading identity components in the shapes.
     """

@@ -53,8 +53,6 @@ class LandmarkFitter:
     thread (`threadpoolctl`); on a busy machine its threads wait for each other many times as long.
 
     Args:
-        model: Morphable model with landmarks of the scheme.
-        scheme: Landmark scheme of the points.
         n_identity: How many of the first identity components to fit, if the model has as many.
         n_expression: How many of the first expression components to fit, if the model has as
             many; None is all, 0 fits neutral faces.
@@ -204,7 +202,6 @@ def normal_equations(
     Args:
         derivatives: `(6 + K, ...)` of the residuals, as from `jacobian`.
         residuals: `(...)` in units of their standard deviations.
-        coefficients: `(K,)`.
     """
     rows = derivatives.reshape(len(derivatives), -1)
     curvature = rows @ rows.T

@@ -40,7 +40,6 @@ def composite(
         picture: `(size, size, 3)` float.
         layer: `(size, size, 3)`, or one colour.
         depth: `(size, size)` pixels from the edge of the layer, positive within.
-        opacity: Opacity of the layer.
     """
     cover = opacity * np.clip(depth + 0.5, 0, 1)[..., None]
     picture += cover * (layer - picture)
@@ -52,9 +51,7 @@ def hair_depth(
     """Depth of long hair behind a head, `(size, size)` as for `composite`.
 
     Args:
-        size: Size of the picture.
         low, high: `(2,)` pixels, corners of the head's box from the crown to the chin, y down.
-        rng: Source of length and volume.
     """
     x, y = (axis * size for axis in _grid(size))
     (middle, ears), (half, half_height) = (low + high) / 2, (high - low) / 2
@@ -74,10 +71,8 @@ def clothes_depth(
     """Depths of clothes before neck and shoulders, and of the collar behind, as for `composite`.
 
     Args:
-        size: Size of the picture.
         collar: `(2,)` pixels, the lowest point of the neckline, y down.
         neck: Half its width in pixels.
-        rng: Source of neckline and shoulders.
     """
     x, y = (axis * size for axis in _grid(size))
     aside = np.abs(x - collar[0]) / neck
@@ -221,7 +216,6 @@ def photograph(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
     Args:
         image: `(H, W, 3)` sRGB in [0, 1]; the result is uint8.
-        rng: Random generator.
     """
     light = np.float32(image) ** 2.2
     light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))
@@ -244,7 +238,6 @@ def crop(
     Args:
         image: `(H, W, 3)` uint8.
         landmarks: `(L, 2)` pixels, x right and y down from the left upper corner.
-        size: Pixels of a side of what is returned.
         margin: Side of the square, in sizes of the landmarks' box.
 
     Returns:

@@ -60,7 +60,6 @@ def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frame
 
     Args:
         views: `(n, L, 2)` landmarks, millimetres.
-        size: Side in pixels.
         margin: Side of the square, relative to the landmarks' box.
     """
     low, high = views.min(1), views.max(1)
@@ -73,7 +72,6 @@ def stretched_frames(views: np.ndarray, size: int) -> Frames:
 
     Args:
         views: All visible points, millimetres.
-        size: Side in pixels.
     """
     low, high = views.min(1), views.max(1)
     return Frames(low, high - low, size)
@@ -83,7 +81,6 @@ class Renderer:
     """Draws lit faces of one morphable model.
 
     Args:
-        model: Morphable model, for its triangles.
         size: Width and height of the images in pixels.
 
     Raises:
@@ -111,8 +108,6 @@ class Renderer:
             vertices: `(n, V, 3)` projected, see `views.pose_and_project`.
             posed: `(n, V, 3)` the same in the frame of the camera, for the light.
             albedo: `(n, V, 3)` sRGB in [0, 1].
-            frames: Section of the view in each image.
-            lights: Lights on each face.
             backgrounds: `(n, size, size, 3)` uint8, behind the faces; white by default.
 
         Returns:
@@ -258,7 +253,6 @@ def seen_vertices(
     """Sorted numbers of the vertices of all triangles visible on random faces, and of neighbours.
 
     Args:
-        model: Morphable model.
         scheme: Landmark scheme by which images are framed.
         whole: Whether images show the whole model instead of a square around the landmarks.
         margin: Margin of that square, as for `square_frames`.

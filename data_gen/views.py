@@ -102,7 +102,6 @@ def hidden_by_head(
 
     Args:
         identity: `(n, K)` standard-normal coefficients.
-        cameras: One for each face.
     """
     landmarks = model.landmarks[scheme]
     hidden = np.empty((len(identity), len(landmarks)), bool)
@@ -177,7 +176,6 @@ def sample_photo_views(
     """Random expressive faces in any pose, one view of each, with a detector's errors.
 
     Args:
-        model: Morphable model with named expressions and landmarks of the scheme.
         detector_sd: Standard deviation in mm, per face `(n, 1, 1)` or one number.
 
     Returns:

@@ -27,7 +27,6 @@ def compiled_mds(
         dissimilarities: `(L, L)`, symmetric with zero diagonal and no negative entries. Zeros off
             the diagonal are missing values.
         start: `(L, k)` points to start from.
-        max_iter: Maximum number of iterations.
         eps: Decrease of stress, relative to the sum of squared distances, at which to stop.
 
     Returns:

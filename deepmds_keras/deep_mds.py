@@ -144,7 +144,6 @@ class DeepMDS(BaseEstimator):
         """Load the networks that a finished `fit` wrote to a folder, and train nothing.
 
         Args:
-            checkpoint: The folder.
             shapes: `(n, L, 3)` shapes of their training.
 
         Raises:

@@ -55,7 +55,6 @@ class Plan:
         config: Variables of `make`.
 
     Attributes:
-        run: The run.
         seeds: Seeds of studies, and of the BFM table with `SEEDS=`.
         published: Hash of what the paper prints and claims, with which results are compared.
         begun: File that is as old as the folder of arrays. Results that are older, such as

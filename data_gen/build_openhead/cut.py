@@ -133,7 +133,6 @@ def pupil_fan(ring: np.ndarray, centre: int, positions: np.ndarray) -> np.ndarra
 
     Args:
         ring: `(8,)` vertex numbers, in order around the pupil.
-        centre: Vertex number of the pupil.
         positions: `(8, 3)` where the ring is.
     """
     x, y = (positions - positions.mean(0))[:, :2].T

@@ -53,7 +53,6 @@ class MakeHumanAssets:
         mirror: `(V,)` int, the vertex on the other side.
 
     Args:
-        wheel: Path of the zip.
         base_sha256: What base.obj must hash to; None takes any.
 
     Raises:

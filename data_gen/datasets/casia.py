@@ -59,8 +59,6 @@ class CasiaScan:
 
     Attributes:
         name: Subject, of three digits, and number of the scan, such as `"001-004"`.
-        image: The photograph.
-        points: The cloud of points.
         condition: What it shows, according to the index; may be empty.
     """
 
@@ -78,7 +76,6 @@ def find_scans(root: str | Path, report: Callable[[str], object] = print) -> lis
     path is used.
 
     Args:
-        root: Folder that holds the data set.
         report: Called with a sentence about skipped files, if there are any.
 
     Raises:
@@ -118,7 +115,6 @@ def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
     Args:
         path: The table. A scan that it does not list is not used; numbers may have lost leading
             zeros in a spreadsheet.
-        scans: All scans of the data set.
 
     Returns:
         The chosen scans, by name.

@@ -58,9 +58,6 @@ def load_coma(
     its triangles are in another order.
 
     Args:
-        root: As for `find_meshes`.
-        embedding: Positions of FLAME's landmarks.
-        jobs: Number of processes.
         progress: Called with the number of meshes just read.
 
     Returns:

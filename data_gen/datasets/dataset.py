@@ -37,7 +37,6 @@ class Dataset:
             from elsewhere.
         landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
         views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
-        cameras: Pose and projection of each face.
         description: Its origin: model, hash of that, scheme, protocol, seed.
     """
 
@@ -66,10 +65,6 @@ def make_dataset(
     Only the landmarks of each face are computed, in chunks.
 
     Args:
-        model: Morphable model with landmarks of the scheme.
-        n: Number of faces.
-        rng: Random generator.
-        scheme: Landmark scheme.
         protocol: As for `sample_cameras`.
         progress: Called with the number of faces just sampled.
 
@@ -102,8 +97,6 @@ def dataset_of(
 
     Args:
         landmarks: `(n, L, 3)` millimetres.
-        cameras: One for each face.
-        description: As `Dataset.description`.
         identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, if they have any.
     """
     views = np.float32(project(landmarks.astype(float), cameras))
@@ -128,10 +121,7 @@ def make_rings(
     show the same person: they share the identity, but neither expression nor pose.
 
     Args:
-        model: Morphable model with landmarks of the scheme and named expressions.
-        n_subjects: Number of different identities.
-        images_per_subject: Number of faces of each.
-        rng, scheme, protocol: As for `make_dataset`.
+        protocol: As for `sample_cameras`.
 
     Returns:
         Faces; face i shows subject i // images_per_subject.
@@ -161,10 +151,8 @@ def make_performances(
     """Frames of performances: every subject performs every sequence once.
 
     Args:
-        model: Morphable model with named expressions.
         n_subjects: Number of subjects, each of standard-normal identity coefficients.
         n_frames: Total number of frames, distributed evenly over the performances.
-        rng: Random generator.
 
     Returns:
         `(n, K)` identity coefficients and `(n, E)` expression weights, both float32, of the frames

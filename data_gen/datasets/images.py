@@ -96,10 +96,7 @@ def render(
     """Images of some faces of a data set, in random colours and light.
 
     Args:
-        scene: Scene to render them with.
         dataset: Faces of the same morphable model.
-        faces: Their numbers.
-        rng: Random generator for colours and light.
 
     Returns:
         `(n, size, size, 3)` uint8, and the landmarks in them: `(n, L, 2)` float32 pixels, x right

@@ -57,9 +57,7 @@ class ScansSubstitute:
 
     Args:
         model: Morphable model with landmarks `"ibug51"` and named expressions.
-        n_subjects: Number of people.
         n_scans: Total number of scans, spread evenly.
-        seed: Seed of everything random.
 
     Raises:
         InputError: As `images.make_scene`, or the model's expressions have other names.

@@ -24,10 +24,7 @@ class FaceModel:
     """One value of `MODEL=`.
 
     Attributes:
-        title: Name in texts.
-        load: Function that reads its file.
         files: Names of its file, in order of preference; none if it comes with this package.
-        source: Where to get it.
         place: Function of that file that returns what `load` takes, such as the folder above.
         parts: Function of this place that returns all files that `load` reads.
         scheme: Its landmarks, if it has no others and is for the BFM track alone.
@@ -114,10 +111,8 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
     nose is where FLAME has it: the paper's unit of length depends on the origin.
 
     Args:
-        name: One of `MODELS`.
         path: File or folder of the model (`DATA=` on the command line). `"openhead"` comes with
             this package and needs none.
-        scheme: Landmark scheme.
 
     Raises:
         InputError: Unknown name; the model's files are missing (the message says which, and where

@@ -33,10 +33,6 @@ class MLP(NetworkMethod):
     Args:
         n_landmarks: L.
         units: Units of each hidden layer.
-        learning_rate: Adam's initial learning rate.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72
@@ -50,10 +46,6 @@ class MLP(NetworkMethod):
 
     def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> MLP:
         """Train on `(n, L, 2)` views, any scale and place, and `(n, L, 3)` shapes in one frame.
-
-        Args:
-            views, shapes: The faces.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: NaN, infinity, degenerate or another number of landmarks, or a checkpoint

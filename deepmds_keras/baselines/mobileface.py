@@ -38,10 +38,6 @@ class MobileFace(NetworkMethod):
             offsets at one s.d., square millimetres.
         standardise: `"face"` or `"batch"`: what training standardises over.
         schedule: `"constant"` learning rate, like the authors', or `"cosine"` decay to zero.
-        learning_rate: Adam's initial learning rate.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
 
     Attributes:
         history_: Losses in mm²; `inference` is over a fixed choice of five hundred faces.
@@ -66,7 +62,6 @@ class MobileFace(NetworkMethod):
             images: `(n, 96, 96, 3)` uint8, an array or something indexed like one; read one
                 mini-batch at a time.
             coefficients: `(n, K)` standard-normal identity coefficients.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, or a checkpoint of another run.

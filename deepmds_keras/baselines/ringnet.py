@@ -48,7 +48,6 @@ class RingNet(NetworkMethod):
         image_size: Width and height of the images, at least 32 pixels.
         ring_size, rings_per_batch: Images in a ring, at least 3, and rings in a mini-batch.
         learning_rate: Adam's learning rate after the warm-up.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
         seed: Seed of the initial weights, of dropout and of the order of the images.
         landmark_weight: Weight of the landmarks' mean absolute error; the image's side is 2.
         ring_weight: Weight of the ring loss.
@@ -83,7 +82,6 @@ class RingNet(NetworkMethod):
                 read one mini-batch at a time.
             landmarks: `(n, L, 2)` pixels, x right and y down from the upper left corner.
             subjects: `(n,)` int, the person in each image.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, fewer than two subjects or too few images of one for a

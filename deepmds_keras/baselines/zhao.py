@@ -30,10 +30,6 @@ class Zhao(NetworkMethod):
     Args:
         n_landmarks: L.
         optimizer: `"adam"` or `"rmsprop"`.
-        learning_rate: Learning rate of the optimiser.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72
@@ -51,7 +47,6 @@ class Zhao(NetworkMethod):
         Args:
             points: `(n, L, 3)`: x and y as in the view and, in the same frame and unit, depth
                 towards the viewer.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: NaN, infinity, degenerate or another number of landmarks, another optimiser,

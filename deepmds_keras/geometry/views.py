@@ -125,7 +125,6 @@ def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:
 
     Args:
         points: `(n, L, 3)` millimetres, like the result.
-        cameras: One for each face.
     """
     return points @ np.swapaxes(rotations(cameras), 1, 2)
 
@@ -148,7 +147,6 @@ def pose_and_project(
     Args:
         points: `(n, V, 3)` millimetres, in the frame of the face.
         landmarks: `(n, L, 3)` likewise, which define each camera, see `project`.
-        cameras: One for each face.
 
     Returns:
         `(n, V, 3)` as from `in_camera_frame`; and `(n, V, 3)` x and y as from `project`, with a

@@ -43,7 +43,6 @@ def check_y_axis(
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
-        scheme: Name of their scheme.
         name: Name of the file or argument, for the message.
         needed: What the message says of a wrong y.
 
@@ -97,7 +96,6 @@ def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
 
     Args:
         landmarks: `(n, L, 2)` as for `check_y_axis`.
-        scheme: Name of their scheme.
 
     Returns:
         `(n,)` int, -2 to 2: 0 for a face that leans by less than 45 degrees.

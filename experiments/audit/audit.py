@@ -71,7 +71,6 @@ def numbers_table(run: Run, folder: Path) -> pd.DataFrame:
     """The content of `numbers.csv`: what is known of a face model, from its tables of results.
 
     Args:
-        run: The run.
         folder: Folder of the audit's own tables.
     """
     return pd.DataFrame(

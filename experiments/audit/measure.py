@@ -39,7 +39,6 @@ class Evidence:
     """Test faces of the BFM track, some of them chosen, and what trained methods make of them.
 
     Attributes:
-        run: The run, whose methods are trained.
         methods: Ids of those that have predicted the test faces.
         test: All test faces, `n` of them.
         views, landmarks: Of the audited faces, in millimetres: `(m, L, 2)` and `(m, L, 3)`.

@@ -131,9 +131,7 @@ def false_positives(
 
     Args:
         difference: `(n,)` error of one method less that of the other, for each face.
-        samplings: Numbers of samplings.
         size: Faces in each, at most n.
-        simulations: Number of simulations.
 
     Returns:
         Number of samplings → share; that of the test over all faces is under `"faces"`.

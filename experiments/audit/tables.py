@@ -17,7 +17,6 @@ class Tables:
     """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN.
 
     Attributes:
-        run: The run.
         audit: Folder of the audit's own tables, if these are not in the results yet.
     """
 

@@ -43,7 +43,6 @@ def find_faces(
     test face.
 
     Args:
-        run: The run.
         kind: `"scan"` or `"photo"`.
         pieces: Folder with a file for each finished piece, which is not done again.
         sizes: Number of photos of each piece.

@@ -43,8 +43,6 @@ class Panel:
             `low` and `high` of an interval, or neither.
         x: Column of `rows` for the x axis; strings are categories, not joined by lines.
         label: Label of the x axis, with its unit; none if its categories explain themselves.
-        title: Title above the axes.
-        log_x: Whether the x axis is logarithmic.
         shaded: Range of x in the training views, which is shaded.
     """
 
@@ -71,12 +69,9 @@ def error_lines(
     """Means against x, one line per method, with intervals.
 
     Args:
-        panels: Panels to draw.
-        quantity: Quantity on the y axis.
         unit: Power of ten in which the y axis counts, of `units`.
         units: Unit of `mean` in the rows of the panels.
         looks: Looks of ids in `method` that are not methods of the tables.
-        interval: What the intervals are.
         n_columns: Columns of the grid of panels; None puts all in one row.
         log_y: Whether the y axis is logarithmic; otherwise it begins at 0.
     """
@@ -240,7 +235,6 @@ def error_per_landmark(
 
     Args:
         errors: Method id to `(L,)` root-mean-square distances to the truth in millimetres.
-        scheme: Landmark scheme, for its polylines and groups.
         mean_shape: `(L, 3)` in any unit, where the landmarks are drawn.
         maps: Method ids to draw as faces.
     """

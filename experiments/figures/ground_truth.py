@@ -57,7 +57,6 @@ def ground_truth(
         shown: `(k,)` faces to draw, one per column.
         images: `(k, S, S, 3)` uint8 photos around their landmarks.
         detected: `(k, L, 2)` pixels in these.
-        scheme: Landmark scheme, for its polylines.
     """
     # Fixed positions: a constrained layout differs in the last digit from run to run.
     marks = {name: mark for name, mark in _MARKS.items() if name in {"detected", *scans}}
@@ -136,7 +135,6 @@ def fits(
         images: Photos, `(H, W, 3)` uint8, a column each.
         detected: `(n, D, 2)` landmarks of the detector, pixels.
         fitted: `(n, L, 2)` landmarks of the fitted model, pixels.
-        scheme: Landmark scheme, for its polylines.
         distances: Id of the fit or of another method → the root mean square distance of each test
             face's landmarks from the truth, millimetres; empty if that is unknown.
     """

@@ -63,7 +63,6 @@ def qualitative(
         scores: Method id to its scores on these faces.
         faces: Numbers of the R faces to draw, one per row.
         row_titles: `R` names of these.
-        scheme: Landmark scheme, for its polylines.
         photos: `(R, S, S, 3)` uint8 in which the views were detected, drawn in their place, and
             landmarks `(R, L, 2)` in their pixels, y down.
         unit: Power of ten in which errors are counted.
@@ -168,7 +167,6 @@ def gallery(
         shapes: Method id to `(n, L, 3)`, all in one frame and of about one size; NaN where a method
             did not find the face.
         row_titles: `n` names of the photos.
-        scheme: Landmark scheme, for its polylines.
     """
     known = np.concatenate([predicted.reshape(-1, 3) for predicted in shapes.values()])
     low, high = np.nanmin(known, axis=0), np.nanmax(known, axis=0)
@@ -210,7 +208,6 @@ def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -
     Args:
         images: `(n, size, size, 3)` uint8.
         landmarks: `(n, L, 2)` pixels, x right and y down from the left upper corner.
-        scheme: Landmark scheme, for its polylines.
     """
     n_rows = -(-len(images) // _SHEET_COLUMNS)
     height = n_rows * _PAGE / _SHEET_COLUMNS + _SHEET_FOOT

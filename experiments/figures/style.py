@@ -40,7 +40,6 @@ def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
     """Look of a method id, the same in every figure.
 
     Args:
-        method: Its id.
         looks: Looks of ids that are not methods of the tables, such as parts of one.
 
     Raises:
@@ -72,7 +71,6 @@ def method_legend(
     """Add a legend of methods below the panels of a figure with a constrained layout.
 
     Args:
-        figure: The figure.
         methods: Ids in the order of the legend.
         more: Handles of further entries.
         looks: As for `look`.
@@ -103,9 +101,7 @@ def save(figure: Figure, folder: str | Path, name: str, caution: str = "") -> No
     Each file appears whole or not at all. The metadata hold no date.
 
     Args:
-        figure: As returned by the functions of this package.
         folder: Created if it is missing.
-        name: File name without its ending.
         caution: Written beside the figure, `run.preset.caution`: too small a run means nothing.
     """
     size = {}

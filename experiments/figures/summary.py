@@ -30,7 +30,6 @@ def summary(table: pd.DataFrame, n_landmarks: int, unit: float = _MSE_UNIT) -> F
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`; NaN
             where there is no number. Perhaps also `n_seeds`, `median`, `lowest` and `highest` over
             seeds.
-        n_landmarks: Of a face.
         unit: Power of ten in which the errors are counted.
     """
     methods = table["method"].unique()

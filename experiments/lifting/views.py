@@ -69,7 +69,6 @@ class Views:
         shapes: `(n, L, 3)` true landmarks.
         views: `(n, L, 2)` landmarks in the image, NaN where one is missing.
         sd_mm: `(n,)` standard deviation of the landmarks' noise in the image.
-        cameras: Pose and projection of each face.
     """
 
     identity: np.ndarray

@@ -65,7 +65,6 @@ def canonical_mean(mean: np.ndarray, scheme: str) -> np.ndarray:
 
     Args:
         mean: `(L, 3)` millimetres.
-        scheme: Its landmark scheme.
     """
     canonical = convert(read_canonical_face(), _SCHEME, scheme, missing="nan")
     known = np.isfinite(canonical).all(1)

@@ -91,7 +91,6 @@ def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | N
     Args:
         photos: Photos of a model, as from `read_portraits`.
         kind: `"exact"` or a detector.
-        scheme: Scheme of the landmarks.
     """
     source = "bfm72" if scheme == "bfm72" else "ibug68"
     truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))

@@ -143,7 +143,6 @@ def reliability(
     Offsets and the size of the s.d. come from one half of the faces, the test from the other.
 
     Args:
-        methods: What predicts.
         faces: Landmarks `(n, 51, 2)` in images by detector.
         off: `(n, 51, 2)` residuals of dlib's landmarks, as from `residuals`.
         seed: Of the bootstrap.

@@ -131,8 +131,6 @@ def evaluate(
     """Score every method, on all test faces and on the run's random subsets.
 
     Args:
-        run: The run.
-        test: Test faces.
         shapes: Method → `(n, L, 3)` predictions; NaN for a face that it did not find.
         descriptions: Method → the description stored with its predictions.
 

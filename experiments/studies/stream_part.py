@@ -33,8 +33,6 @@ class Shard:
     """Some of the faces.
 
     Attributes:
-        number: Number of the shard.
-        size: Number of faces.
         file: Their errors: `method/metric` to `(size,)`.
     """
 

@@ -46,7 +46,6 @@ class Evaluation:
     """Methods compared with one truth.
 
     Attributes:
-        run: The run.
         name: Name of the folder of results.
         test: Test faces, with that truth.
         shapes, descriptions: Predictions by method, as for `scores.evaluate`.
@@ -201,8 +200,6 @@ def evaluate_both(
     """Score predictions against landmarks located in scans or photos, and true ones if known.
 
     Args:
-        run: The run.
-        methods: Ids of the methods.
         table: Table of the test faces, as from `detected_faces.find_faces`.
         row: Id of the located landmarks, in the table against the true ones.
         references: Shapes `(n, L, 3)` of further rows, by id.

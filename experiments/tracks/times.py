@@ -24,7 +24,6 @@ def prediction_times(
 
     Args:
         models: As from `methods.load`.
-        inputs: Inputs of each model.
         passes: Timed predictions of each model, after the first.
 
     Returns:
