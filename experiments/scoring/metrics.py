@@ -164,9 +164,6 @@ def metrics_of(experiment: str) -> list[Metric]:
 
     Args:
         experiment: `"bfm"`, `"celeba"` or `"flame"`.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     order = [*dict.fromkeys(published(experiment)["metric"])]
     metrics = [metric for metric in METRICS.values() if metric.is_of(experiment)]

@@ -25,9 +25,6 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     Args:
         table: As from `tables.summarise`.
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     shown = cells(table, experiment, "terminal").rename_axis(None)
     in_paper = [(head, "paper") in shown for head, _ in shown]
@@ -44,9 +41,6 @@ def latex(table: pd.DataFrame, experiment: str) -> str:
 
     Args:
         table, experiment: As for `text`.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     shown = cells(table, experiment, "latex").reset_index(col_level=1)
     columns = "l" + "r" * (shown.shape[1] - 1)
@@ -86,9 +80,6 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
     Args:
         table, experiment: As for `text`.
         output: `"terminal"` or `"latex"`, which has fewer columns.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     methods, columns, n = table["method"].unique(), {}, n_landmarks(table, experiment)
     for metric in _metrics_shown(table, experiment, output):
