@@ -90,8 +90,7 @@ def draw_strands(size: int, rng: np.random.Generator) -> np.ndarray:
 def _studio(size: int, rng: np.random.Generator) -> np.ndarray:
     """A screen, lit from a side or from the middle."""
     if rng.random() < 0.5:
-        place = _along(size, rng)
-        place = (place - place.min()) / np.ptp(place)
+        place = _stretched(_along(size, rng))
     else:
         x, y = _grid(size)
         centre = rng.uniform(0, 1, 2)
