@@ -165,6 +165,13 @@ def sample_expressive(
     return identity, expression * np.minimum(1, 3 * rng.random((n, 1)))
 
 
+def sample_photo_cameras(n: int, rng: np.random.Generator) -> Cameras:
+    """Uniform poses to either side, in perspective: heads as in photos."""
+    return sample_perspective_cameras(
+        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
+    )
+
+
 def sample_photo_views(
     model: MorphableModel,
     scheme: str,
@@ -188,8 +195,6 @@ def sample_photo_views(
     part = model.at_landmarks(scheme)
     identity, expression = sample_expressive(model, n, rng)
     landmarks = part.shape(identity, expression)
-    cameras = sample_perspective_cameras(
-        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
-    )
+    cameras = sample_photo_cameras(n, rng)
     views = project(landmarks, cameras)
     return views + rng.normal(0, detector_sd, views.shape), landmarks, cameras

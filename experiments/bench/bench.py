@@ -16,7 +16,6 @@ from timeit import repeat
 import keras
 import numpy as np
 import pandas as pd
-import tensorflow as tf
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
@@ -38,6 +37,7 @@ from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
 from experiments.streams import Stream
 from experiments.tasks import single_threaded
+from experiments.tracks.train import limit_threads
 
 SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
 _LOOKS = {
@@ -49,8 +49,7 @@ _LOOKS = {
 
 
 def main(run: Run) -> dict:
-    tf.config.threading.set_intra_op_parallelism_threads(1)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
+    limit_threads(1)
     with single_threaded():
         todo = [*tasks(run)]
         measured = counted("measurement", todo, len(todo))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,13 +18,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from pandas.api.types import is_numeric_dtype
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import INK, Look, drawn, look, method_legend, styled
 from experiments.figures.wireframe import draw_error_map
 from experiments.methods import title
 from experiments.scoring.numbers import minus, power
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
 
 _SHADE = "#FFF3D0"
 _BAND = 0.18  # opacity

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
 from experiments.figures.wireframe import (
     bare,
@@ -22,9 +22,6 @@ from experiments.figures.wireframe import (
     side_view,
 )
 from experiments.methods import title
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
 
 _FIT_COLOUR = "#0072B2"
 # Landmarks of a scan → legend entry and look; those drawn beneath are larger and hollow.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
 from experiments.figures.wireframe import (
     bare,
@@ -21,10 +21,7 @@ from experiments.figures.wireframe import (
 )
 from experiments.methods import title
 from experiments.scoring.numbers import power
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
-    from experiments.scoring.scores import Scores
+from experiments.scoring.scores import Scores
 
 _PAGE = 7.2  # inches
 _INCHES_PER_UNIT = 1.25  # at most: a face is about 0.65 units wide

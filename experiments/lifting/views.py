@@ -91,8 +91,7 @@ class Views:
 @functools.cache
 def landmark_model(run: Run) -> MorphableModel:
     """The run's face model restricted to the landmarks."""
-    model = face_model(run)
-    return model.at_landmarks(run.scheme)
+    return face_model(run).at_landmarks(run.scheme)
 
 
 def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generator) -> Views:

@@ -43,27 +43,13 @@ def main(run: Run) -> dict:
     scores = pd.concat(map(pd.read_csv, files), ignore_index=True)
     table = summarise(scores)
     texts = table.assign(
-        text=[
-            between(*ends, _UNIT)
-            for ends in zip(table["median"], table["lowest"], table["highest"], strict=True)
-        ],
-        of=[
-            f"{name}, {noise:.0%}"
-            for name, noise in zip(table["object"], table["noise"], strict=True)
-        ],
+        text=[between(*ends, _UNIT) for ends in table[["median", "lowest", "highest"]].to_numpy()],
+        of=table["object"] + table["noise"].map(", {:.0%}".format),
     )
     cells = texts.pivot_table("text", "of", "method", "first", sort=False)[[*METHODS]]
     cells = cells.rename(columns=title).rename_axis(index="Object, noise", columns=None)
-    panels = [
-        Panel(
-            table[table["noise"] == noise].rename(
-                columns={"median": "mean", "lowest": "low", "highest": "high"}
-            ),
-            "object",
-            f"noise {noise:.0%}",
-        )
-        for noise in NOISES
-    ]
+    rows = table.rename(columns={"median": "mean", "lowest": "low", "highest": "high"})
+    panels = [Panel(rows[rows["noise"] == n], "object", f"noise {n:.0%}") for n in NOISES]
     options = {"interval": "range over seeds", "n_columns": 1}
     figure = error_lines(panels, "MSE of an object", _UNIT, "squared r.m.s. radii", **options)
     figures = {"errors": figure}

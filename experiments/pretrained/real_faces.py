@@ -22,7 +22,7 @@ from deepmds_keras.tool.detection import detector_sd, measured, move
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
-from experiments.pretrained.pretrained import SCHEMES, errors_of
+from experiments.pretrained.pretrained import SCHEMES, errors_of, trained_beside
 from experiments.pretrained.residuals import (
     along_face,
     mean_residuals,
@@ -31,8 +31,6 @@ from experiments.pretrained.residuals import (
     residuals,
     sd_in_pixels,
 )
-from experiments.pretrained.train import LIFTERS, photo_faces
-from experiments.recipes import mlp
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.scoring.numbers import between
@@ -66,7 +64,8 @@ def main(run: Run) -> dict:
         raise InputError(f"{run.real} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
-    methods = _methods(run)
+    shipped = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
+    methods = trained_beside(run, _SCHEME, *shipped)
     # First of all, since everything below reads the s.d. in it.
     if run.preset.name == "full" and not open_models(run.data)[1]:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces, methods.lifter))
@@ -84,14 +83,6 @@ def main(run: Run) -> dict:
     }
     cells = pd.DataFrame(texts, index=table["method"].map(title))
     return write_results(run, "real", tables, cells, _NOTES)
-
-
-def _methods(run: Run) -> Trained:
-    """The shipped weights, and other methods trained on the lifter's training faces."""
-    rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
-    views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
-    networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
-    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:

@@ -72,7 +72,7 @@ def compare_solvers(model, views: np.ndarray, shapes: np.ndarray) -> None:
 def main(run: Run, method_id: str) -> dict:
     """Write the method's shapes, and the number of its parameters."""
     method = method_of(method_id)
-    limit_threads(method)
+    limit_threads(method.threads)
     inputs = inputs_for(run, method)  # a damaged file is to be reported before long work
     model = load(run, method_id)
     if method.deep_mds:

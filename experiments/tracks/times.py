@@ -12,6 +12,7 @@ from experiments.progress import counted
 from experiments.run import Run
 from experiments.tasks import single_threaded
 from experiments.tracks.predict import inputs_for
+from experiments.tracks.train import limit_threads
 
 
 def prediction_times(
@@ -51,10 +52,7 @@ def prediction_times(
 
 
 def main(run: Run, *methods: str) -> dict:
-    import tensorflow as tf
-
-    tf.config.threading.set_intra_op_parallelism_threads(1)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
+    limit_threads(1)
     models = [load(run, method) for method in methods]
     inputs = [inputs_for(run, METHODS[m])[: run.preset.timed_faces] for m in methods]
     times = prediction_times(models, inputs, run.preset.timed_passes)
