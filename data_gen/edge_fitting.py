@@ -1,7 +1,5 @@
 """Fits a morphable model and a camera to landmarks and to the edges along a face's outline."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

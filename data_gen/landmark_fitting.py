@@ -1,7 +1,5 @@
 """Fits a morphable model and a scaled orthographic camera to the 2D landmarks of one face."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

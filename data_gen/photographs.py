@@ -5,8 +5,6 @@ leaves in scenes have edges as sharp as those of the head, so that a search for 
 face can go wrong.
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

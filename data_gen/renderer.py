@@ -1,7 +1,5 @@
 """Renders faces with VTK off-screen; also frames, and the visible part of a model."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import sys

@@ -1,7 +1,5 @@
 """Views of faces: random poses and cameras, and hidden landmarks; angles as in `Cameras`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_gen.models.expressions import (

@@ -1,7 +1,5 @@
 """Non-metric MDS of one dissimilarity matrix, compiled: the steps of scikit-learn, not its cost."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from scipy.spatial.distance import squareform

@@ -1,7 +1,5 @@
 """The exceptions that the project raises for bad files, bad arguments and missing packages."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

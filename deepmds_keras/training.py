@@ -1,7 +1,5 @@
 """Training of the two networks, epoch by epoch, so that a stopped run goes on where it was."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field

@@ -3,8 +3,6 @@
 Run from the repository: `python -m docs.make_motion`, or `make pictures`.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from pathlib import Path

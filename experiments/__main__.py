@@ -3,8 +3,6 @@
 A step is a module of this package with `main(run, *items)`, such as `datasets.faces`.
 """
 
-from __future__ import annotations
-
 import datetime
 import errno
 import json

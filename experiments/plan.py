@@ -1,7 +1,5 @@
 """What the rules of the Snakefile ask for: files, methods and commands of the steps of one run."""
 
-from __future__ import annotations
-
 import datetime
 import glob
 import os

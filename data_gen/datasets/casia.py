@@ -4,8 +4,6 @@
 knowledge about its files comes from public programs that read them.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Iterable, Sequence

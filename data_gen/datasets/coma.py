@@ -5,8 +5,6 @@ doi:10.1007/978-3-030-01219-9_43; for research, by registration, coma.is.tue.mpg
 FLAME's topology and are in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

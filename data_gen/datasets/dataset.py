@@ -5,8 +5,6 @@ open substitute for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43),
 subjects, 12 sequences and 20,466 frames and is available on request only.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

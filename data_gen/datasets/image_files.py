@@ -1,7 +1,5 @@
 """Image files: photos of data sets from elsewhere, and the rendered images of a data set."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path

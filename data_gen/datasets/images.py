@@ -1,7 +1,5 @@
 """Images of the faces of a data set, each in the view of its landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

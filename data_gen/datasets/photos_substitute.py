@@ -4,8 +4,6 @@
 for research only and has no 3D truth; `Portraits` are of expressive faces turned any way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """An open substitute for the CASIA-3D scans: faces of a model, photographed and scanned."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the landmarks of each scheme are on the face models: tables of vertices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path

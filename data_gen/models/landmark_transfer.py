@@ -5,8 +5,6 @@ refined so that the source surface falls on the target surface (TPS-ICP), and ea
 the nearest target vertex.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.optimize import linear_sum_assignment

@@ -1,7 +1,5 @@
 """Reads the embedded open head model, built from CC0 MakeHuman assets by `build_openhead`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every face model by its name on the command line, and where its files are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace

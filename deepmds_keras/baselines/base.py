@@ -1,7 +1,5 @@
 """What compared methods with one network share: training, restoring, initial weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Self

@@ -4,8 +4,6 @@ Huber et al. 2016, doi:10.5220/0005669500580067. The model is for non-commercial
 https://github.com/patrikhuber/eos/tree/master/share, and is not part of this package.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

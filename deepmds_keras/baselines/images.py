@@ -1,7 +1,5 @@
 """Images of faces as networks take them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.errors import InputError

@@ -1,7 +1,5 @@
 """RingNet as its authors trained it: runs the TensorFlow 1 graph that they license."""
 
-from __future__ import annotations
-
 import glob
 import math
 from collections.abc import Iterator

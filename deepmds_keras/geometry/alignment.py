@@ -1,7 +1,5 @@
 """Procrustes alignment of one set of landmarks onto another."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A landmark scheme, and the tables that it is read from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Direction of y in landmarks: distinguishes flipped axes from a face that leans or turns."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

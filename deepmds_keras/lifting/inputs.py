@@ -1,7 +1,5 @@
 """Prepares views of faces for the lifting network."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

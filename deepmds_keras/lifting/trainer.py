@@ -1,7 +1,5 @@
 """Training of the lifting network in blocks, so that an interrupted run can resume."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

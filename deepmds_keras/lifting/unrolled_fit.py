@@ -1,7 +1,5 @@
 """The lifting network: its weights and its output."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

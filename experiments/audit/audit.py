@@ -1,7 +1,5 @@
 """Step: collect what the audit measured, decide every claim, and compare the face models."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, fields
 from pathlib import Path
 

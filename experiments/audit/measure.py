@@ -3,8 +3,6 @@
 The module is light to import, since the Snakefile reads the names of the topics.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Topics on views: poses and projections, landmark noise, perspective."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import repeat
 

@@ -1,7 +1,5 @@
 """Topics on shapes: bias, constant answers, depth without error, ranks of distances, samplings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon

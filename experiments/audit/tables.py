@@ -1,7 +1,5 @@
 """Numbers from the tables of results on one face model, by which claims are decided."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

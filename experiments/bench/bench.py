@@ -5,8 +5,6 @@ embeddings are scikit-learn's (`sklearn`) or compiled by numba (`numba`). `landm
 other method of this package, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import product

@@ -3,8 +3,6 @@
 The work is done in pieces, in parallel, and resumes after a stop.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Step of the FLAME track: frames of expressions, the training set, and their views."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Step of MobileFace: an image of every face, in the view of its landmarks."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors against pose, noise, condition or region: one line per method, with intervals."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The ground truth taken from scans or photos, and its distance from the true landmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of faces: contact sheets, and the results of methods on views and photos."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """One look for all figures, with a fixed colour and marker per method, and the writer."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The headline figure, every method next to the paper's number, and the errors of several seeds."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

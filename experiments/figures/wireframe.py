@@ -1,7 +1,5 @@
 """Draws a face as landmarks joined by polylines, seen from the front or the side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ for the position and size of the face in the image, their posterior is Gaussian:
 translation and scale. Draws from it are indistinguishable by the view.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 

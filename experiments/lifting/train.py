@@ -1,7 +1,5 @@
 """Step: trains one network of `hard` or `transfer`, by its name; resumes from its checkpoint."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

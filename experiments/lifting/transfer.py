@@ -4,8 +4,6 @@ The faces have expressions, poses as in photos and, in training, landmark noise 
 Training uses the run's face model; the tests use the open ones, and the run's.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

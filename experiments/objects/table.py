@@ -1,7 +1,5 @@
 """Step: the table and the figure of all objects."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from experiments.figures.errors import Panel, error_lines

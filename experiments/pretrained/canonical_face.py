@@ -5,8 +5,6 @@ of the distance between the outer corners of the eyes in front of the mean landm
 head 0.14, on ICT-FaceKit 0.22, each aligned to the open head by a similarity.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

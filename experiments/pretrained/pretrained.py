@@ -1,7 +1,5 @@
 """Step: measures the weights for photos on rendered ones, with known truth, and ships them."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ which prediction corrects a detector, `deepmds_keras/landmarks/detectors.csv`. A
 if its shapes from both are similar, and unlike those of other people.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

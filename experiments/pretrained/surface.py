@@ -1,7 +1,5 @@
 """Step: writes the head of `deepmds predict --mesh`, and measures the errors of its meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writes the report of a face model, `results/<model>/report/report.md`, from its results alone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 r"""Tables as LaTeX to `\input`: pandas' Styler writes them, for the package booktabs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

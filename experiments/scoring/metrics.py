@@ -1,7 +1,5 @@
 """The metrics of the tables: a new row here is a new column there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The numbers that the paper prints, from `results/published/published.csv`."""
 
-from __future__ import annotations
-
 import functools
 import math
 from decimal import Decimal

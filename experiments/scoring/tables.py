@@ -1,7 +1,5 @@
 """From `metrics.csv` to the files of an experiment: `table.csv`, `table.tex`, `wilcoxon.csv`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Typesets a table: its cells as texts, for LaTeX and for the terminal."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping
 

@@ -3,8 +3,6 @@
 It scores the predictions of these methods in a BFM run of that seed.
 """
 
-from __future__ import annotations
-
 import keras
 import numpy as np
 

@@ -3,8 +3,6 @@
 Faces, views, initial weights and mini-batches all come from the seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pandas as pd

@@ -5,8 +5,6 @@ and one with more faces keeps the existing shards. The module is light to import
 read the names of the parts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How studies write and print their results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

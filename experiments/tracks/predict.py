@@ -1,7 +1,5 @@
 """Step: predictions of one method for the test faces."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import numpy as np

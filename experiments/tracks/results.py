@@ -1,7 +1,5 @@
 """Scores of a track's methods against one truth, and the files that every track writes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Step: times of all methods, in turns, so that other load affects all alike; on one thread."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

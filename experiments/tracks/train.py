@@ -1,7 +1,5 @@
 """Step: train one method, resuming from its checkpoint."""
 
-from __future__ import annotations
-
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.method import Method
 from experiments.methods import method_of, train

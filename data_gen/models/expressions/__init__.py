@@ -5,8 +5,6 @@ in the CSV tables of this folder, and move between those. Weights are 0 for neut
 full expression. Sequences: CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
