@@ -1,8 +1,7 @@
 """A multilayer perceptron from a view to the shape, which a structured network must beat."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -44,7 +43,7 @@ class MLP(NetworkMethod):
     batch_size: int = 128
     seed: int = 0
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> MLP:
+    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> Self:
         """Train on `(n, L, 2)` views, any scale and place, and `(n, L, 3)` shapes in one frame.
 
         Raises:

@@ -1,9 +1,8 @@
 """Coefficients of a face model from an image, as the paper's authors built MobileFace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -55,7 +54,7 @@ class MobileFace(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(self, images, coefficients: np.ndarray, **training) -> MobileFace:
+    def fit(self, images, coefficients: np.ndarray, **training) -> Self:
         """Train on images of faces with known coefficients.
 
         Args:

@@ -1,9 +1,8 @@
 """RingNet: a face model's coefficients from an image, learnt from landmarks in images alone."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
+from typing import Self
 
 import keras
 import numpy as np
@@ -74,7 +73,7 @@ class RingNet(NetworkMethod):
     identity_weight: float = 1e-2
     expression_weight: float = 1e-1
 
-    def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> RingNet:
+    def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> Self:
         """Train on images with their landmarks, several of each subject.
 
         Args:

@@ -1,8 +1,7 @@
 """Landmark depth by a dense network, after Zhao et al. 2017 as the paper's authors trained it."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -41,7 +40,7 @@ class Zhao(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(self, points: np.ndarray, **training) -> Zhao:
+    def fit(self, points: np.ndarray, **training) -> Self:
         """Train on faces in the camera's frame.
 
         Args:

@@ -3,12 +3,10 @@
 Predicting needs NumPy alone; `fit` imports Keras, and scikit-learn is imported only by its users.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -128,7 +126,7 @@ class LandmarkLifter:
         landmark_sd: float | np.ndarray | None = None,
         progress: Callable[[dict], object] | None = None,
         checkpoint: str | Path | None = None,
-    ) -> LandmarkLifter:
+    ) -> Self:
         """Train on given faces, or on faces that a function samples.
 
         Args:
@@ -286,7 +284,7 @@ class LandmarkLifter:
         write_arrays(path, arrays, described)
 
     @classmethod
-    def load(cls, path: str | Path) -> LandmarkLifter:
+    def load(cls, path: str | Path) -> Self:
         """Read what `save` wrote.
 
         Raises:
@@ -310,7 +308,7 @@ class LandmarkLifter:
         return lifter
 
     @classmethod
-    def pretrained(cls, scheme: str) -> LandmarkLifter:
+    def pretrained(cls, scheme: str) -> Self:
         """The weights that ship with the package for landmarks of a scheme.
 
         Args:
@@ -327,7 +325,7 @@ class LandmarkLifter:
         """Parameters of the constructor by name, as scikit-learn's estimators return them."""
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
-    def set_params(self, **parameters: Any) -> LandmarkLifter:
+    def set_params(self, **parameters: Any) -> Self:
         """Set parameters of the constructor.
 
         Raises:
