@@ -36,10 +36,8 @@ class ImageEdges:
 def find_edges(image: np.ndarray) -> ImageEdges:
     """Edges by Canny's method (1986, doi:10.1109/TPAMI.1986.4767851), to a fraction of a pixel.
 
-    The one of scikit-image does not tell in which direction an edge runs.
-
-    Args:
-        image: `(H, W, 3)` RGB, 0 to 255. One without any contrast has no edges.
+    The one of scikit-image does not tell in which direction an edge runs. The image is `(H, W, 3)`
+    RGB, 0 to 255; one without any contrast has no edges.
     """
     grey = np.asarray(image, float) @ _LUMA
     dy, dx = (
@@ -102,11 +100,7 @@ class EdgeMatcher:
         self._tree = KDTree(self._with_direction(edges.points, edges.normals))
 
     def match(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Edges for the points of a line.
-
-        Args:
-            points: `(n, 2)`.
-            normals: `(n, 2)` unit vectors across the line.
+        """Edges for the points `(n, 2)` of a line, across which unit vectors are `(n, 2)`.
 
         Returns:
             `(m,)` int, those of the points for which there is an edge, and `(m, 2)` where it is.

@@ -165,11 +165,8 @@ def seen_by(camera: HeadPose, points: np.ndarray) -> np.ndarray:
 def jacobian(camera: HeadPose, points: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """Derivatives of what an orthographic camera sees, `(6 + K, n, 2)`.
 
-    They are by the `N_POSE` numbers of `moved`, then by the coefficients.
-
-    Args:
-        points: `(n, 3)` millimetres.
-        basis: `(K, n, 3)` how they move with each coefficient.
+    They are by the `N_POSE` numbers of `moved`, then by the coefficients, with each of which the
+    points `(n, 3)`, millimetres, move by `basis` `(K, n, 3)`.
     """
     by_pose = np.zeros((N_POSE, len(points), 2))
     x, y, z = camera.scale * camera.rotation @ points.T
@@ -192,9 +189,7 @@ def normal_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Curvature and gradient of half the cost, whose prior is of standard-normal coefficients.
 
-    Args:
-        derivatives: `(6 + K, ...)` of the residuals, as from `jacobian`.
-        residuals: `(...)` in units of their standard deviations.
+    Derivatives are `(6 + K, ...)` as from `jacobian`, residuals `(...)` in units of their s.d.
     """
     rows = derivatives.reshape(len(derivatives), -1)
     curvature = rows @ rows.T

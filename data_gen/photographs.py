@@ -48,8 +48,7 @@ def hair_depth(
 ) -> np.ndarray:
     """Depth of long hair behind a head, `(size, size)` as for `composite`.
 
-    Args:
-        low, high: `(2,)` pixels, corners of the head's box from the crown to the chin, y down.
+    `low` and `high` `(2,)` are corners of the head's box from crown to chin, pixels, y down.
     """
     x, y = (axis * size for axis in _grid(size))
     (middle, ears), (half, half_height) = (low + high) / 2, (high - low) / 2
@@ -211,8 +210,7 @@ def _ramp(colours: np.ndarray, place: np.ndarray) -> np.ndarray:
 def photograph(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Image as taken by a camera: exposure, colour cast, a little blur, noise, and JPEG.
 
-    Args:
-        image: `(H, W, 3)` sRGB in [0, 1]; the result is uint8.
+    `(H, W, 3)` sRGB in [0, 1] becomes uint8.
     """
     light = np.float32(image) ** 2.2
     light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))

@@ -54,11 +54,9 @@ class Frames:
 
 
 def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frames:
-    """Squares around the landmarks, as a face detector would cut them out.
+    """Squares around landmarks `(n, L, 2)`, millimetres, as a face detector would cut them out.
 
-    Args:
-        views: `(n, L, 2)` landmarks, millimetres.
-        margin: Side of the square, relative to the landmarks' box.
+    `margin` is the side, relative to the landmarks' box.
     """
     low, high = views.min(1), views.max(1)
     side = margin * (high - low).max(1, keepdims=True)
@@ -66,11 +64,7 @@ def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frame
 
 
 def stretched_frames(views: np.ndarray, size: int) -> Frames:
-    """The bounding boxes of `(n, V, 2)` points, stretched to squares, like the authors' images.
-
-    Args:
-        views: All visible points, millimetres.
-    """
+    """Bounding boxes of `(n, V, 2)` points, mm, stretched to squares, like the authors' images."""
     low, high = views.min(1), views.max(1)
     return Frames(low, high - low, size)
 
@@ -208,8 +202,7 @@ class Rasteriser:
     def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Number of the visible triangle in each pixel, `(pixels, pixels)`; T or more for none.
 
-        Args:
-            places, depth: As for `draw`.
+        Arguments are those of `draw`.
         """
         # Numbers are encoded as colours; that of the background is larger than any of a mesh.
         numbers = np.arange(len(self._colours), dtype="<u4")[:, None]

@@ -96,11 +96,7 @@ def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
 def hidden_by_head(
     model: MorphableModel, scheme: str, identity: np.ndarray, cameras: Cameras
 ) -> np.ndarray:
-    """Mask of the landmarks of a scheme that neutral heads hide from their cameras, `(n, L)` bool.
-
-    Args:
-        identity: `(n, K)` standard-normal coefficients.
-    """
+    """Mask `(n, L)` of the landmarks that neutral heads `(n, K)` hide from their cameras, bool."""
     landmarks = model.landmarks[scheme]
     hidden = np.empty((len(identity), len(landmarks)), bool)
     for start in range(0, len(identity), _CHUNK):

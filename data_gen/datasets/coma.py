@@ -25,10 +25,7 @@ _MAX_DISTANCE = 35.0
 
 
 def find_meshes(root: str | Path) -> list[Path]:
-    """All meshes of the data set, sorted by subject, sequence and frame.
-
-    Args:
-        root: The folder of the subjects.
+    """All meshes in the folder of the subjects, sorted by subject, sequence and frame.
 
     Raises:
         InputError: No mesh where one is expected.

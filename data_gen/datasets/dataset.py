@@ -117,9 +117,6 @@ def make_rings(
     Sanyal et al. 2019 (RingNet, arXiv:1905.06817) learn from rings of photos, all but one of which
     show the same person: they share the identity, but neither expression nor pose.
 
-    Args:
-        protocol: As for `sample_cameras`.
-
     Returns:
         Faces; face i shows subject i // images_per_subject.
 

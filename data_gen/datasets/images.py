@@ -91,10 +91,7 @@ def posed_faces(
 def render(
     scene: Scene, dataset: Dataset, faces: range, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images of some faces of a data set, in random colours and light.
-
-    Args:
-        dataset: Faces of the same morphable model.
+    """Images of some faces of a data set of the scene's model, in random colours and light.
 
     Returns:
         `(n, size, size, 3)` uint8, and the landmarks in them: `(n, L, 2)` float32 pixels, x right

@@ -87,11 +87,7 @@ class MobileFace(NetworkMethod):
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: frontal.
 
-        Args:
-            images: `(n, 96, 96, 3)` uint8.
-
-        Returns:
-            `(n, L, 3)` millimetres.
+        Images `(n, 96, 96, 3)` uint8 give `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Not trained, or images of another kind or size.

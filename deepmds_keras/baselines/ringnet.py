@@ -127,11 +127,7 @@ class RingNet(NetworkMethod):
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model, without the pose.
 
-        Args:
-            images: `(n, image_size, image_size, 3)` uint8.
-
-        Returns:
-            `(n, L, 3)` millimetres.
+        Images `(n, image_size, image_size, 3)` uint8 give `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Not trained, or images of another kind or size.

@@ -64,14 +64,10 @@ class Zhao(NetworkMethod):
         return self._train_on_arrays(network, views, depths, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """Shapes in the camera's frame.
+        """Shapes in the camera's frame, of views of any scale and place.
 
-        Args:
-            views: `(n, L, 2)` or `(L, 2)`, any scale and place.
-
-        Returns:
-            `(n, L, 3)` or `(L, 3)`: normalised x and y, and depth towards the viewer in the same
-            unit.
+        `(n, L, 2)` gives `(n, L, 3)`, and one view `(L, 2)` gives `(L, 3)`: normalised x and y, and
+        depth towards the viewer in the same unit.
 
         Raises:
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.

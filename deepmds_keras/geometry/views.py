@@ -121,11 +121,7 @@ def rotations(cameras: Cameras) -> np.ndarray:
 
 
 def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:
-    """Points of the faces as posed: +x to the right of the image, +z towards the viewer.
-
-    Args:
-        points: `(n, L, 3)` millimetres, like the result.
-    """
+    """Points `(n, L, 3)` of the faces as posed: +x to the right of the image, +z to the viewer."""
     return points @ np.swapaxes(rotations(cameras), 1, 2)
 
 
@@ -162,11 +158,9 @@ def pose_and_project(
 
 
 def perspectives(fields_of_view: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Inverse distance, times its r.m.s. radius, at which a face fills each field of view, `(n,)`.
+    """Inverse distances at which a face `(L, 3)` fills fields of view, `(n,)` degrees → `(n,)`.
 
-    Args:
-        fields_of_view: `(n,)` degrees.
-        mean: `(L, 3)` landmarks of the face.
+    They are times the r.m.s. radius of the face.
     """
     return rms_radius(mean[None]) * _filling(mean[None], fields_of_view)[1]
 

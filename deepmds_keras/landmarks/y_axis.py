@@ -71,10 +71,7 @@ def check_y_axis(
 
 
 def check_views(views: np.ndarray) -> None:
-    """`check_y_axis` for views whose y grows upwards; views of an unknown scheme pass.
-
-    Args:
-        views: `(n, L, 2)`, NaN where a landmark is missing.
+    """`check_y_axis` for views `(n, L, 2)` whose y grows upwards; those of an unknown scheme pass.
 
     Raises:
         InputError: y grows downwards, or most faces are mirrored or upside down.

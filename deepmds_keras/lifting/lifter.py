@@ -250,11 +250,7 @@ class LandmarkLifter:
     ) -> Estimate:
         """Shapes, standard deviations and cameras in one pass; orientation is not checked.
 
-        Args:
-            views, landmark_sd, visible: As for `predict`.
-
-        Raises:
-            InputError: As for `predict`.
+        Arguments and errors are those of `predict`.
         """
         seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         return self._estimate(seen, of_one=np.ndim(views) == 2)
@@ -309,10 +305,7 @@ class LandmarkLifter:
 
     @classmethod
     def pretrained(cls, scheme: str) -> Self:
-        """The weights that ship with the package for landmarks of a scheme.
-
-        Args:
-            scheme: `"ibug51"`, `"ibug68"` or `"bfm72"`.
+        """The weights that ship for landmarks of a scheme: `"ibug51"`, `"ibug68"` or `"bfm72"`.
 
         Raises:
             InputError: No weights for that scheme.

@@ -68,8 +68,7 @@ def figures(curves: pd.DataFrame) -> dict[str, Figure]:
 def numbers_table(run: Run, folder: Path) -> pd.DataFrame:
     """The content of `numbers.csv`: what is known of a face model, from its tables of results.
 
-    Args:
-        folder: Folder of the audit's own tables.
+    Those of the audit itself are in `folder`.
     """
     return pd.DataFrame(
         {"claim": claim, "number": name, "model": run.model, **asdict(estimate)}

@@ -37,10 +37,7 @@ def bias(evidence: Evidence) -> pd.DataFrame:
 
 
 def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Position of predictions between mean shape and ground truth, to which both are aligned.
-
-    Args:
-        predicted, mean, truth: `(n, L, 3)`.
+    """Position of predictions `(n, L, 3)` between mean shape and truth, to which both are aligned.
 
     Returns:
         `slope`: of the regression through the origin of predicted on true offsets from the mean,

@@ -172,10 +172,9 @@ def training(
 
 
 def with_ratios(rows: list[tuple]) -> pd.DataFrame:
-    """Times, and the speed-up of each way over the other ways of the same part.
+    """Rows of `comparison, part, way, n_faces, seconds`, each with the time of a face.
 
-    Args:
-        rows: `comparison, part, way, n_faces, seconds`.
+    Ratios are the speed-up of each way over the other ways of the same part.
     """
     table = pd.DataFrame(rows, columns=["comparison", "part", "way", "n_faces", "seconds"])
     table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]

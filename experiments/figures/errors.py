@@ -200,11 +200,7 @@ def error_per_pose(errors: pd.DataFrame, unit: float = 1e-4) -> Figure:
 
 @styled
 def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
-    """Cumulative distribution of the errors of faces.
-
-    Args:
-        errors: Method id to `(n,)` mean squared errors of the same faces.
-    """
+    """Cumulative distribution of the mean squared errors `(n,)` of the same faces, by method id."""
     figure = Figure(figsize=(3.5, 2.6), layout="constrained")
     axes = figure.subplots()
     shares = np.linspace(0, 1, 501)

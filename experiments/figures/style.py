@@ -35,10 +35,7 @@ class Look(NamedTuple):
 
 
 def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
-    """Look of a method id, the same in every figure.
-
-    Args:
-        looks: Looks of ids that are not methods of the tables, such as parts of one.
+    """Look of a method id, the same in every figure; `looks` has ids that are not of the tables.
 
     Raises:
         InputError: The id is in neither.

@@ -57,12 +57,9 @@ def write_canonical_face(obj: str | Path, path: str | Path = CANONICAL) -> None:
 
 
 def canonical_mean(mean: np.ndarray, scheme: str) -> np.ndarray:
-    """The canonical face at all landmarks of a scheme, in the frame and size of another mean face.
+    """The canonical face in the frame and size of another mean face `(L, 3)` of a scheme, mm.
 
     Landmarks that it lacks are those of the other face, displaced as their neighbours are.
-
-    Args:
-        mean: `(L, 3)` millimetres.
     """
     canonical = convert(read_canonical_face(), _SCHEME, scheme, missing="nan")
     known = np.isfinite(canonical).all(1)

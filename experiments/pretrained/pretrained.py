@@ -91,11 +91,9 @@ class Views(NamedTuple):
 
 
 def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | None:
-    """Landmarks of a scheme, `"exact"` or by a detector as prediction takes them; None if unknown.
+    """Landmarks of a scheme in `read_portraits`, as prediction takes them; None if unknown.
 
-    Args:
-        photos: Photos of a model, as from `read_portraits`.
-        kind: `"exact"` or a detector.
+    The kind is `"exact"` or a detector.
     """
     source = "bfm72" if scheme == "bfm72" else "ibug68"
     truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))

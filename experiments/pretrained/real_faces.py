@@ -194,9 +194,7 @@ def _mean_of_known(distances: list[np.ndarray]) -> np.ndarray:
 def _within_and_between(pairs: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean distances of a person from itself and from others, `(B,)`, if each is drawn so often.
 
-    Args:
-        pairs: `(n, n)` distances, NaN for people who were never tested together.
-        drawn: `(B, n)` times that each person is drawn.
+    Pairs are `(n, n)`, NaN for people who were never tested together; `drawn` is `(B, n)`.
     """
     n = len(pairs)
     known = np.isfinite(pairs) & ~np.eye(n, dtype=bool)

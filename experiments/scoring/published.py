@@ -20,10 +20,7 @@ SOURCES = {
 
 
 def published(experiment: str) -> pd.DataFrame:
-    """The paper's numbers for an experiment, in plain units.
-
-    Args:
-        experiment: `"bfm"`, `"celeba"`, `"flame"` or `"parameters"`.
+    """The paper's numbers for an experiment of `SOURCES`, in plain units.
 
     Returns:
         A row for each method and metric: `method`, `metric`, `paper_mean`, `paper_std` (NaN where
@@ -59,15 +56,10 @@ def unit_of(experiment: str, metric: str) -> float:
 
 
 def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
-    """A number of the paper and its uncertainty, if any, with the printed digits.
+    """A number of the paper and its uncertainty, if not NaN, with the printed digits; plain units.
 
-    Tables hold the paper's numbers as floats, which do not distinguish 0.3 from 0.30.
-
-    Args:
-        mean, std: Numbers in plain units, as from `published`; NaN for none.
-
-    Returns:
-        Numbers in plain units; without trailing zeros if the paper prints no such number.
+    Tables hold the paper's numbers as floats, which do not distinguish 0.3 from 0.30. A number that
+    the paper does not print has no trailing zeros.
     """
     numbers = tuple(value for value in (mean, std) if not math.isnan(value))
     printed = {tuple(map(float, digits)): digits for digits in _transcription()["digits"]}

@@ -218,12 +218,7 @@ def evaluate_both(
 
 
 def write_results(evaluations: Sequence[Evaluation], draw: Callable[..., None]) -> dict:
-    """Write the tables of evaluations, and figures; return entries for the record.
-
-    Args:
-        evaluations: As from `evaluate_both`.
-        draw: Function of these evaluations that writes the figures.
-    """
+    """Write tables of evaluations, and by `draw(*evaluations)` figures; return what to record."""
     for evaluation in evaluations:
         evaluation.write()
     draw(*evaluations)
