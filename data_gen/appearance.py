@@ -1,7 +1,5 @@
 """Colours of faces, from the model or painted on its mean, and the light on them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

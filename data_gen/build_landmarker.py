@@ -6,8 +6,6 @@ from the other. Nothing of the old wheel is imported or run; the file's formats 
 MediaPipe that is installed.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -36,10 +36,8 @@ class ImageEdges:
 def find_edges(image: np.ndarray) -> ImageEdges:
     """Edges by Canny's method (1986, doi:10.1109/TPAMI.1986.4767851), to a fraction of a pixel.
 
-    The one of scikit-image does not tell in which direction an edge runs.
-
-    Args:
-        image: `(H, W, 3)` RGB, 0 to 255. One without any contrast has no edges.
+    The one of scikit-image does not tell in which direction an edge runs. The image is `(H, W, 3)`
+    RGB, 0 to 255; one without any contrast has no edges.
     """
     grey = np.asarray(image, float) @ _LUMA
     dy, dx = (
@@ -91,7 +89,6 @@ class EdgeMatcher:
     """Finds the nearest of an image's edges that runs in much the same direction.
 
     Args:
-        edges: Edges of the image.
         reach: Distance beyond which nothing matches, in units of the edges' points, `turn`
             included.
         turn: Distance that half a right angle between directions counts as, over the square root
@@ -103,11 +100,7 @@ class EdgeMatcher:
         self._tree = KDTree(self._with_direction(edges.points, edges.normals))
 
     def match(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Edges for the points of a line.
-
-        Args:
-            points: `(n, 2)`.
-            normals: `(n, 2)` unit vectors across the line.
+        """Edges for the points `(n, 2)` of a line, across which unit vectors are `(n, 2)`.
 
         Returns:
             `(m,)` int, those of the points for which there is an edge, and `(m, 2)` where it is.
@@ -149,7 +142,6 @@ class Surface:
     """A morphable model that is seen again and again, in other shapes and from elsewhere.
 
     Args:
-        model: Morphable model.
         within: `(V,)` bool, the vertices whose edges are wanted; the others only hide them.
         n_identity: Number of leading identity components in the shapes.
     """

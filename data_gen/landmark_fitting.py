@@ -1,7 +1,5 @@
 """Fits a morphable model and a scaled orthographic camera to the 2D landmarks of one face."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,8 +51,6 @@ class LandmarkFitter:
     thread (`threadpoolctl`); on a busy machine its threads wait for each other many times as long.
 
     Args:
-        model: Morphable model with landmarks of the scheme.
-        scheme: Landmark scheme of the points.
         n_identity: How many of the first identity components to fit, if the model has as many.
         n_expression: How many of the first expression components to fit, if the model has as
             many; None is all, 0 fits neutral faces.
@@ -64,7 +60,7 @@ class LandmarkFitter:
             and the landmarks of photos.
 
     Raises:
-        InputError: The model has no landmarks of that scheme, or an option is out of range.
+        InputError: The model has no landmarks of that scheme.
     """
 
     def __init__(
@@ -77,11 +73,6 @@ class LandmarkFitter:
         landmark_sd: float = 1.5,
     ):
         part = model.at_landmarks(scheme)
-        if n_identity < 1 or (n_expression or 0) < 0 or not landmark_sd > 0:
-            raise InputError(
-                "n_identity must be at least 1, n_expression not negative and landmark_sd positive."
-                f" Received {n_identity}, {n_expression}, {landmark_sd}."
-            )
         mean, bases = part.mean, [part.identity_basis_times_sd[:n_identity]]
         self._has_expression = part.expression_basis is not None and n_expression != 0
         self._expression_sd = model.expression_sd
@@ -174,11 +165,8 @@ def seen_by(camera: HeadPose, points: np.ndarray) -> np.ndarray:
 def jacobian(camera: HeadPose, points: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """Derivatives of what an orthographic camera sees, `(6 + K, n, 2)`.
 
-    They are by the `N_POSE` numbers of `moved`, then by the coefficients.
-
-    Args:
-        points: `(n, 3)` millimetres.
-        basis: `(K, n, 3)` how they move with each coefficient.
+    They are by the `N_POSE` numbers of `moved`, then by the coefficients, with each of which the
+    points `(n, 3)`, millimetres, move by `basis` `(K, n, 3)`.
     """
     by_pose = np.zeros((N_POSE, len(points), 2))
     x, y, z = camera.scale * camera.rotation @ points.T
@@ -201,10 +189,7 @@ def normal_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Curvature and gradient of half the cost, whose prior is of standard-normal coefficients.
 
-    Args:
-        derivatives: `(6 + K, ...)` of the residuals, as from `jacobian`.
-        residuals: `(...)` in units of their standard deviations.
-        coefficients: `(K,)`.
+    Derivatives are `(6 + K, ...)` as from `jacobian`, residuals `(...)` in units of their s.d.
     """
     rows = derivatives.reshape(len(derivatives), -1)
     curvature = rows @ rows.T

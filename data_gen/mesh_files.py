@@ -4,8 +4,6 @@ PLY is read here and not by a library: the strict one (plyfile) is under the GPL
 is not, and trimesh takes meshes that are cut short for whole.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

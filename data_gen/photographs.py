@@ -5,8 +5,6 @@ leaves in scenes have edges as sharp as those of the head, so that a search for 
 face can go wrong.
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
@@ -40,7 +38,6 @@ def composite(
         picture: `(size, size, 3)` float.
         layer: `(size, size, 3)`, or one colour.
         depth: `(size, size)` pixels from the edge of the layer, positive within.
-        opacity: Opacity of the layer.
     """
     cover = opacity * np.clip(depth + 0.5, 0, 1)[..., None]
     picture += cover * (layer - picture)
@@ -51,10 +48,7 @@ def hair_depth(
 ) -> np.ndarray:
     """Depth of long hair behind a head, `(size, size)` as for `composite`.
 
-    Args:
-        size: Size of the picture.
-        low, high: `(2,)` pixels, corners of the head's box from the crown to the chin, y down.
-        rng: Source of length and volume.
+    `low` and `high` `(2,)` are corners of the head's box from crown to chin, pixels, y down.
     """
     x, y = (axis * size for axis in _grid(size))
     (middle, ears), (half, half_height) = (low + high) / 2, (high - low) / 2
@@ -74,10 +68,8 @@ def clothes_depth(
     """Depths of clothes before neck and shoulders, and of the collar behind, as for `composite`.
 
     Args:
-        size: Size of the picture.
         collar: `(2,)` pixels, the lowest point of the neckline, y down.
         neck: Half its width in pixels.
-        rng: Source of neckline and shoulders.
     """
     x, y = (axis * size for axis in _grid(size))
     aside = np.abs(x - collar[0]) / neck
@@ -95,8 +87,7 @@ def draw_strands(size: int, rng: np.random.Generator) -> np.ndarray:
 def _studio(size: int, rng: np.random.Generator) -> np.ndarray:
     """A screen, lit from a side or from the middle."""
     if rng.random() < 0.5:
-        place = _along(size, rng)
-        place = (place - place.min()) / np.ptp(place)
+        place = _stretched(_along(size, rng))
     else:
         x, y = _grid(size)
         centre = rng.uniform(0, 1, 2)
@@ -219,9 +210,7 @@ def _ramp(colours: np.ndarray, place: np.ndarray) -> np.ndarray:
 def photograph(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Image as taken by a camera: exposure, colour cast, a little blur, noise, and JPEG.
 
-    Args:
-        image: `(H, W, 3)` sRGB in [0, 1]; the result is uint8.
-        rng: Random generator.
+    `(H, W, 3)` sRGB in [0, 1] becomes uint8.
     """
     light = np.float32(image) ** 2.2
     light *= np.float32(np.exp(rng.normal(0.05, 0.15) + rng.normal(0, (0.06, 0.02, 0.06))))
@@ -244,7 +233,6 @@ def crop(
     Args:
         image: `(H, W, 3)` uint8.
         landmarks: `(L, 2)` pixels, x right and y down from the left upper corner.
-        size: Pixels of a side of what is returned.
         margin: Side of the square, in sizes of the landmarks' box.
 
     Returns:

@@ -5,8 +5,6 @@ then registered rigidly to the scan; the scan's point nearest to each landmark o
 is the ground truth.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Renders faces with VTK off-screen; also frames, and the visible part of a model."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import sys
@@ -56,12 +54,9 @@ class Frames:
 
 
 def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frames:
-    """Squares around the landmarks, as a face detector would cut them out.
+    """Squares around landmarks `(n, L, 2)`, millimetres, as a face detector would cut them out.
 
-    Args:
-        views: `(n, L, 2)` landmarks, millimetres.
-        size: Side in pixels.
-        margin: Side of the square, relative to the landmarks' box.
+    `margin` is the side, relative to the landmarks' box.
     """
     low, high = views.min(1), views.max(1)
     side = margin * (high - low).max(1, keepdims=True)
@@ -69,12 +64,7 @@ def square_frames(views: np.ndarray, size: int, margin: float = MARGIN) -> Frame
 
 
 def stretched_frames(views: np.ndarray, size: int) -> Frames:
-    """The bounding boxes of `(n, V, 2)` points, stretched to squares, like the authors' images.
-
-    Args:
-        views: All visible points, millimetres.
-        size: Side in pixels.
-    """
+    """Bounding boxes of `(n, V, 2)` points, mm, stretched to squares, like the authors' images."""
     low, high = views.min(1), views.max(1)
     return Frames(low, high - low, size)
 
@@ -83,7 +73,6 @@ class Renderer:
     """Draws lit faces of one morphable model.
 
     Args:
-        model: Morphable model, for its triangles.
         size: Width and height of the images in pixels.
 
     Raises:
@@ -111,8 +100,6 @@ class Renderer:
             vertices: `(n, V, 3)` projected, see `views.pose_and_project`.
             posed: `(n, V, 3)` the same in the frame of the camera, for the light.
             albedo: `(n, V, 3)` sRGB in [0, 1].
-            frames: Section of the view in each image.
-            lights: Lights on each face.
             backgrounds: `(n, size, size, 3)` uint8, behind the faces; white by default.
 
         Returns:
@@ -215,8 +202,7 @@ class Rasteriser:
     def draw_numbers(self, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Number of the visible triangle in each pixel, `(pixels, pixels)`; T or more for none.
 
-        Args:
-            places, depth: As for `draw`.
+        Arguments are those of `draw`.
         """
         # Numbers are encoded as colours; that of the background is larger than any of a mesh.
         numbers = np.arange(len(self._colours), dtype="<u4")[:, None]
@@ -258,7 +244,6 @@ def seen_vertices(
     """Sorted numbers of the vertices of all triangles visible on random faces, and of neighbours.
 
     Args:
-        model: Morphable model.
         scheme: Landmark scheme by which images are framed.
         whole: Whether images show the whole model instead of a square around the landmarks.
         margin: Margin of that square, as for `square_frames`.

@@ -1,7 +1,5 @@
 """Views of faces: random poses and cameras, and hidden landmarks; angles as in `Cameras`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_gen.models.expressions import (
@@ -98,12 +96,7 @@ def sample_hard_cameras(n: int, rng: np.random.Generator) -> Cameras:
 def hidden_by_head(
     model: MorphableModel, scheme: str, identity: np.ndarray, cameras: Cameras
 ) -> np.ndarray:
-    """Mask of the landmarks of a scheme that neutral heads hide from their cameras, `(n, L)` bool.
-
-    Args:
-        identity: `(n, K)` standard-normal coefficients.
-        cameras: One for each face.
-    """
+    """Mask `(n, L)` of the landmarks that neutral heads `(n, K)` hide from their cameras, bool."""
     landmarks = model.landmarks[scheme]
     hidden = np.empty((len(identity), len(landmarks)), bool)
     for start in range(0, len(identity), _CHUNK):
@@ -166,6 +159,13 @@ def sample_expressive(
     return identity, expression * np.minimum(1, 3 * rng.random((n, 1)))
 
 
+def sample_photo_cameras(n: int, rng: np.random.Generator) -> Cameras:
+    """Uniform poses to either side, in perspective: heads as in photos."""
+    return sample_perspective_cameras(
+        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
+    )
+
+
 def sample_photo_views(
     model: MorphableModel,
     scheme: str,
@@ -177,7 +177,6 @@ def sample_photo_views(
     """Random expressive faces in any pose, one view of each, with a detector's errors.
 
     Args:
-        model: Morphable model with named expressions and landmarks of the scheme.
         detector_sd: Standard deviation in mm, per face `(n, 1, 1)` or one number.
 
     Returns:
@@ -190,8 +189,6 @@ def sample_photo_views(
     part = model.at_landmarks(scheme)
     identity, expression = sample_expressive(model, n, rng)
     landmarks = part.shape(identity, expression)
-    cameras = sample_perspective_cameras(
-        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
-    )
+    cameras = sample_photo_cameras(n, rng)
     views = project(landmarks, cameras)
     return views + rng.normal(0, detector_sd, views.shape), landmarks, cameras

@@ -1,7 +1,5 @@
 """`deepmds`, the command: 3D face landmarks of photos, videos, or landmarks that are given."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

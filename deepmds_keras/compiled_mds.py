@@ -1,7 +1,5 @@
 """Non-metric MDS of one dissimilarity matrix, compiled: the steps of scikit-learn, not its cost."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from scipy.spatial.distance import squareform
@@ -27,7 +25,6 @@ def compiled_mds(
         dissimilarities: `(L, L)`, symmetric with zero diagonal and no negative entries. Zeros off
             the diagonal are missing values.
         start: `(L, k)` points to start from.
-        max_iter: Maximum number of iterations.
         eps: Decrease of stress, relative to the sum of squared distances, at which to stop.
 
     Returns:

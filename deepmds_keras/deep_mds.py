@@ -1,12 +1,10 @@
 """The method of the paper as one estimator: views of a face in, its 3D landmarks out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import keras
 import numpy as np
@@ -102,7 +100,7 @@ class DeepMDS(BaseEstimator):
         *,
         checkpoint: str | Path | None = None,
         progress: Callable[[str, dict], object] | None = None,
-    ) -> DeepMDS:
+    ) -> Self:
         """Train both networks, the second on the first one's predictions for the training views.
 
         Args:
@@ -140,11 +138,10 @@ class DeepMDS(BaseEstimator):
         self.front_landmark_, self.history_ = front_landmark(shapes), history
         return self
 
-    def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> DeepMDS:
+    def restore(self, checkpoint: str | Path, shapes: np.ndarray) -> Self:
         """Load the networks that a finished `fit` wrote to a folder, and train nothing.
 
         Args:
-            checkpoint: The folder.
             shapes: `(n, L, 3)` shapes of their training.
 
         Raises:
@@ -230,7 +227,7 @@ class DeepMDS(BaseEstimator):
         write_arrays(path, arrays, {"parameters": self.get_params(), **rest})
 
     @classmethod
-    def load(cls, path: str | Path) -> DeepMDS:
+    def load(cls, path: str | Path) -> Self:
         """Read what `save` wrote.
 
         Raises:
@@ -258,7 +255,7 @@ class DeepMDS(BaseEstimator):
         return model
 
     @classmethod
-    def pretrained(cls, name: str) -> DeepMDS:
+    def pretrained(cls, name: str) -> Self:
         """Shipped weights `"deepmds-ibug51"` or `"deepmds-bfm72"`; other names: InputError."""
         check_choice(name, "name", weights.pretrained_names("deepmds-"))
         return cls.load(weights.pretrained_path(name))
@@ -266,7 +263,7 @@ class DeepMDS(BaseEstimator):
     @classmethod
     def from_released(
         cls, autoencoder_h5: str | Path, dissimilarity_h5: str | Path, *, n_landmarks: int = 72
-    ) -> DeepMDS:
+    ) -> Self:
         """The `"released"` variant with the authors' Keras 2 weight files.
 
         Raises:

@@ -1,7 +1,5 @@
 """The paper's embedding: scikit-learn's non-metric MDS turns distances into 3D points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from numbers import Integral
 

@@ -1,7 +1,5 @@
 """The exceptions that the project raises for bad files, bad arguments and missing packages."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys
@@ -56,14 +54,10 @@ def check_choice(value: object, name: str, choices: Collection[str]) -> None:
 
 @contextmanager
 def needs(package: str, extra: str) -> Iterator[None]:
-    """Context for importing packages that an optional extra installs.
-
-    Args:
-        package: Name for the message.
-        extra: Name of the extra in `setup.cfg`.
+    """Context for importing packages that an optional extra of `setup.cfg` installs.
 
     Raises:
-        MissingPackageError: An import failed.
+        MissingPackageError: An import failed; the message names the package and the extra.
     """
     try:
         yield

@@ -1,7 +1,5 @@
 """Files that appear whole or not at all, arrays in NumPy's files, tables and checksums."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import hashlib

@@ -1,7 +1,5 @@
 """The criteria of the paper's tables."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.errors import InputError

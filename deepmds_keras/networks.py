@@ -1,7 +1,5 @@
 """The two networks of the paper, as uncompiled functional Keras models."""
 
-from __future__ import annotations
-
 import logging
 import math
 

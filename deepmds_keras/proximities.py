@@ -1,7 +1,5 @@
 """Proximities of a pair of 2D landmarks: the input of the dissimilarity net."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.errors import InputError, check_choice

@@ -1,7 +1,5 @@
 """The random streams that training draws from."""
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 

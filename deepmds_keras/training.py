@@ -1,7 +1,5 @@
 """Training of the two networks, epoch by epoch, so that a stopped run goes on where it was."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -64,7 +62,6 @@ def train_autoencoder(
     Args:
         views: `(n, L, 2)` normalised views.
         frontal: `(n, L, 2)` x and y of the normalised shapes.
-        recipe: Epochs, schedule and mini-batches.
         seed: Seed of the initial weights and of the order of the faces.
         training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
@@ -183,7 +180,6 @@ def train_by_epoch(
     so an interrupted run ends with the same weights as an uninterrupted one.
 
     Args:
-        model: Compiled model.
         mini_batches: From the number of an epoch to its data, as arguments of `model.fit`.
         label: Parameters of the run and `fingerprint` of its data; a checkpoint of another run is
             refused.

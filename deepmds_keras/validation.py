@@ -1,7 +1,5 @@
 """Checks of input that every method shares: input is validated once, where it enters."""
 
-from __future__ import annotations
-
 import functools
 from numbers import Integral, Real
 from typing import Any

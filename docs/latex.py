@@ -1,7 +1,5 @@
 """The pages' templates and tables in LaTeX, for the article."""
 
-from __future__ import annotations
-
 import pandas as pd
 from jinja2 import Environment
 

@@ -6,8 +6,6 @@ no unit is named. `{{ check(a < b) }}` stands in a sentence that says which of t
 smaller: pages are not written once it is no longer so.
 """
 
-from __future__ import annotations
-
 import sys
 import traceback
 from collections.abc import Iterable, Mapping

@@ -3,8 +3,6 @@
 Run from the repository: `python -m docs.make_motion`, or `make pictures`.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,11 +31,7 @@ _LAMP = np.array([0.3, 0.4, 0.87])
 
 
 def moving_picture(photo: Path) -> bytes:
-    """One face: the photo with its landmarks, beside them its shape and head, turning. A GIF.
-
-    Args:
-        photo: A photo with one face.
-    """
+    """One face: the photo with its landmarks, beside them its shape and head, turning. A GIF."""
     (face,) = predict_photo(photo)
     still = _photo(photo, face)
     frames = []

@@ -3,8 +3,6 @@
 Run from the repository: `python -m docs.make_pictures`, or `make pictures`.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -4,8 +4,6 @@ Pages are written for GitHub. Here their links to files outside docs/ lead to th
 pictures among these are copied, and formulas become MathML, which browsers draw without a script.
 """
 
-from __future__ import annotations
-
 import html
 import os
 import re

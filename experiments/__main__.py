@@ -3,8 +3,6 @@
 A step is a module of this package with `main(run, *items)`, such as `datasets.faces`.
 """
 
-from __future__ import annotations
-
 import datetime
 import errno
 import json
@@ -27,12 +25,12 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from deepmds_keras.errors import InputError, escape_unprintable
+from deepmds_keras.files import sha256_of
 from experiments.methods import METHODS
 from experiments.progress import PARENT, Progress
 from experiments.progress.step_names import in_words
 from experiments.records import (
     environment,
-    outside_files,
     publish,
     write_manifest,
     write_record,
@@ -129,7 +127,7 @@ def _run_step(module: str, run: Run, values: dict) -> None:
         "seconds": round(time.perf_counter() - clock, 1),
         "peak_memory_mb": peak_memory_mb(),
         **machine,
-        "inputs": outside_files(outside),
+        "inputs": {path.name: sha256_of([path]) for path in outside},
         "needs": [str(path) for path in dict.fromkeys(records)],
         **outcome,
     }

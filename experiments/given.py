@@ -1,7 +1,5 @@
 """Checks of the files and folders that the variables of `make` name, before any work."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from data_gen.models.registry import model_files

@@ -46,7 +46,6 @@ class Faces:
         unit_mm: `(n,)` millimetres that 1 stands for in `shapes`.
         posed: `(n, L, 3)` normalised view and, in its unit, depth towards the camera: the training
             data of a method that adds depth to the view.
-        cameras: Pose and projection of each face.
     """
 
     views: np.ndarray
@@ -106,7 +105,6 @@ def image_files(run: Run, part: str, n: int | None = None) -> ImageFiles:
     """Where images are, or will be.
 
     Args:
-        run: The run.
         part: `"train"` or `"test"` for those faces of the run, or `"rings"` for the people whom
             RingNet is trained on. Images of test faces are squares cut out of photos, except on
             the BFM track.

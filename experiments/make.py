@@ -4,8 +4,6 @@ It checks the variables, waits for other commands on the same model, and starts 
 `experiments/Snakefile`, which defines what a target needs.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -3,8 +3,6 @@
 A new method is a new row. How it is built and trained goes into `recipes`.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from functools import partial

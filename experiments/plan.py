@@ -1,7 +1,5 @@
 """What the rules of the Snakefile ask for: files, methods and commands of the steps of one run."""
 
-from __future__ import annotations
-
 import datetime
 import glob
 import os
@@ -55,7 +53,6 @@ class Plan:
         config: Variables of `make`.
 
     Attributes:
-        run: The run.
         seeds: Seeds of studies, and of the BFM table with `SEEDS=`.
         published: Hash of what the paper prints and claims, with which results are compared.
         begun: File that is as old as the folder of arrays. Results that are older, such as

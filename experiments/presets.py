@@ -3,8 +3,6 @@
 The tests of steps use the last.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 

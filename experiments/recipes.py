@@ -8,6 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from data_gen.datasets.dataset import load_dataset
 from deepmds_keras.baselines.images import IMAGE_SIZE
 from deepmds_keras.files import read_arrays
@@ -20,7 +22,6 @@ from experiments.streams import Stream
 
 if TYPE_CHECKING:
     import keras
-    import numpy as np
 
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
@@ -88,8 +89,6 @@ def faces_with_noise(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
     Each face draws an s.d. up to `LANDMARK_NOISE`, as in the training of the lifting network.
     """
-    import numpy as np
-
     views, shapes = faces(run)
     if run.track != "flame":
         return views, shapes
@@ -370,8 +369,6 @@ def ringnet_licensed(run: Run):
 
 def ringnet_data(run: Run) -> tuple:
     """Images of people, the landmarks `(n, L, 2)` in them, and the person in each, `(n,)`."""
-    import numpy as np
-
     images = load_images(run, "rings")
     subjects = np.arange(len(images)) // run.preset.ring_images
     return images, images.landmarks(range(len(images))), subjects

@@ -139,11 +139,6 @@ def steps_behind(record: dict) -> list[dict]:
     return [{k: v for k, v in step.items() if k not in _INTERNAL} for step in behind]
 
 
-def outside_files(paths: Iterable[Path]) -> dict[str, str]:
-    """sha256 of files by name."""
-    return {path.name: sha256_of([path]) for path in paths}
-
-
 def listing(folder: str | Path | None) -> str:
     """sha256 of the names and sizes of all files in a folder, whose content may be too large."""
     digest = hashlib.sha256()

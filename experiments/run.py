@@ -259,7 +259,6 @@ def run_of_variables(variables: dict[str, str], track: str = "bfm") -> Run:
     Args:
         variables: `MODEL`, `DATA` and so on; empty or missing ones get their defaults. A switch
             such as `RINGNET=no` leaves steps out, see `left_out`.
-        track: Track of the target.
 
     Raises:
         InputError: A variable has no such value.

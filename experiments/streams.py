@@ -1,7 +1,5 @@
 """The random streams of a run, declared once: `default_rng([run.seed, Stream.SUBSETS])`."""
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 

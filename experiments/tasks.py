@@ -1,7 +1,5 @@
 """Tasks of a step, shared by the cores of this machine."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

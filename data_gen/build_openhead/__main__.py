@@ -1,7 +1,5 @@
 """Command line: `python -m data_gen.build_openhead` makes the embedded head model."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -4,8 +4,6 @@ The latter is the joint Gaussian of all vertices under identities and expression
 them, by its first principal components. `python -m experiments surface` writes it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -10,8 +10,6 @@ front of z = 110 mm on the average adult. The list is data, not code, so that th
 same vertices on every graphics driver.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -131,10 +129,7 @@ def split_quads(quads: np.ndarray, vertices: np.ndarray) -> np.ndarray:
 def pupil_fan(ring: np.ndarray, centre: int, positions: np.ndarray) -> np.ndarray:
     """`(8, 3)` triangles from a ring of vertices to a new centre, facing +z.
 
-    Args:
-        ring: `(8,)` vertex numbers, in order around the pupil.
-        centre: Vertex number of the pupil.
-        positions: `(8, 3)` where the ring is.
+    `ring` `(8,)` has vertex numbers in order around the pupil, at `positions` `(8, 3)`.
     """
     x, y = (positions - positions.mean(0))[:, :2].T
     area = (x * np.roll(y, -1) - np.roll(x, -1) * y).sum()

@@ -3,8 +3,6 @@
 The wheel is only a carrier of asset files: nothing of it is unpacked, imported or run.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io
@@ -53,7 +51,6 @@ class MakeHumanAssets:
         mirror: `(V,)` int, the vertex on the other side.
 
     Args:
-        wheel: Path of the zip.
         base_sha256: What base.obj must hash to; None takes any.
 
     Raises:

@@ -8,8 +8,6 @@ gives them. Nothing of ICT-FaceKit's geometry enters the head: only how much, an
 what, each landmark varies among real faces.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path

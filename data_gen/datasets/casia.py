@@ -4,8 +4,6 @@
 knowledge about its files comes from public programs that read them.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -59,8 +57,6 @@ class CasiaScan:
 
     Attributes:
         name: Subject, of three digits, and number of the scan, such as `"001-004"`.
-        image: The photograph.
-        points: The cloud of points.
         condition: What it shows, according to the index; may be empty.
     """
 
@@ -78,7 +74,6 @@ def find_scans(root: str | Path, report: Callable[[str], object] = print) -> lis
     path is used.
 
     Args:
-        root: Folder that holds the data set.
         report: Called with a sentence about skipped files, if there are any.
 
     Raises:
@@ -118,7 +113,6 @@ def read_index(path: str | Path, scans: Iterable[CasiaScan]) -> list[CasiaScan]:
     Args:
         path: The table. A scan that it does not list is not used; numbers may have lost leading
             zeros in a spreadsheet.
-        scans: All scans of the data set.
 
     Returns:
         The chosen scans, by name.

@@ -4,8 +4,6 @@ Liu et al. 2015, doi:10.1109/ICCV.2015.425. The data set is for research only an
 here. Its five landmarks per face are too few for this method and are not read.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

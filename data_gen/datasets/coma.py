@@ -5,8 +5,6 @@ doi:10.1007/978-3-030-01219-9_43; for research, by registration, coma.is.tue.mpg
 FLAME's topology and are in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,10 +25,7 @@ _MAX_DISTANCE = 35.0
 
 
 def find_meshes(root: str | Path) -> list[Path]:
-    """All meshes of the data set, sorted by subject, sequence and frame.
-
-    Args:
-        root: The folder of the subjects.
+    """All meshes in the folder of the subjects, sorted by subject, sequence and frame.
 
     Raises:
         InputError: No mesh where one is expected.
@@ -58,9 +53,6 @@ def load_coma(
     its triangles are in another order.
 
     Args:
-        root: As for `find_meshes`.
-        embedding: Positions of FLAME's landmarks.
-        jobs: Number of processes.
         progress: Called with the number of meshes just read.
 
     Returns:

@@ -5,8 +5,6 @@ open substitute for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43),
 subjects, 12 sequences and 20,466 frames and is available on request only.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +21,6 @@ from deepmds_keras.geometry.views import PROJECTIONS, Cameras, project
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
 _ARRAYS = ("identity", "expression", "landmarks", "views")
-_MIN_FRAMES = 3  # of a performance: neutral, something, neutral
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +34,6 @@ class Dataset:
             from elsewhere.
         landmarks: `(n, L, 3)` float32, millimetres, frame of the morphable model.
         views: `(n, L, 2)` float32, millimetres in the plane of the face, y up.
-        cameras: Pose and projection of each face.
         description: Its origin: model, hash of that, scheme, protocol, seed.
     """
 
@@ -66,10 +62,6 @@ def make_dataset(
     Only the landmarks of each face are computed, in chunks.
 
     Args:
-        model: Morphable model with landmarks of the scheme.
-        n: Number of faces.
-        rng: Random generator.
-        scheme: Landmark scheme.
         protocol: As for `sample_cameras`.
         progress: Called with the number of faces just sampled.
 
@@ -102,8 +94,6 @@ def dataset_of(
 
     Args:
         landmarks: `(n, L, 3)` millimetres.
-        cameras: One for each face.
-        description: As `Dataset.description`.
         identity, expression: Coefficients `(n, K)` and `(n, E)` of the faces, if they have any.
     """
     views = np.float32(project(landmarks.astype(float), cameras))
@@ -127,25 +117,14 @@ def make_rings(
     Sanyal et al. 2019 (RingNet, arXiv:1905.06817) learn from rings of photos, all but one of which
     show the same person: they share the identity, but neither expression nor pose.
 
-    Args:
-        model: Morphable model with landmarks of the scheme and named expressions.
-        n_subjects: Number of different identities.
-        images_per_subject: Number of faces of each.
-        rng, scheme, protocol: As for `make_dataset`.
-
     Returns:
         Faces; face i shows subject i // images_per_subject.
 
     Raises:
-        InputError: No subjects or images, a model whose expressions have other names or that has no
-            landmarks of that scheme, or an unknown protocol.
+        InputError: A model whose expressions have other names or that has no landmarks of that
+            scheme, or an unknown protocol.
     """
     n = n_subjects * images_per_subject
-    if min(n_subjects, images_per_subject) < 1:
-        raise InputError(
-            "n_subjects and images_per_subject must be at least 1. "
-            f"Received {n_subjects} and {images_per_subject}."
-        )
     part, expression = model.at_landmarks(scheme), np.float32(sample_expressions(model, n, rng))
     cameras = sample_cameras(n, rng, protocol)
     of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
@@ -161,25 +140,18 @@ def make_performances(
     """Frames of performances: every subject performs every sequence once.
 
     Args:
-        model: Morphable model with named expressions.
         n_subjects: Number of subjects, each of standard-normal identity coefficients.
-        n_frames: Total number of frames, distributed evenly over the performances.
-        rng: Random generator.
+        n_frames: Total number of frames, distributed evenly over the performances, of three at
+            least: neutral, something, neutral.
 
     Returns:
         `(n, K)` identity coefficients and `(n, E)` expression weights, both float32, of the frames
         by subject, then sequence, then time.
 
     Raises:
-        InputError: Too few frames for so many performances, or the names of the model's expressions
-            are not known.
+        InputError: The names of the model's expressions are not known.
     """
     n_performances = n_subjects * len(SEQUENCES)
-    if n_subjects < 1 or n_frames < _MIN_FRAMES * n_performances:
-        raise InputError(
-            f"n_subjects must be at least 1, and n_frames at least {_MIN_FRAMES * len(SEQUENCES)} "
-            f"for each. Received {n_subjects} subjects and {n_frames} frames."
-        )
     identity = np.float32(rng.standard_normal((n_subjects, model.n_identity)))
     lengths = np.diff(np.arange(n_performances + 1) * n_frames // n_performances)
     performed = zip(SEQUENCES * n_subjects, lengths, strict=True)

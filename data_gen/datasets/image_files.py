@@ -1,7 +1,5 @@
 """Image files: photos of data sets from elsewhere, and the rendered images of a data set."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +18,6 @@ def read_image(path: Path, formats: Sequence[str]) -> np.ndarray:
     """An image from outside, `(H, W, 3)` uint8 RGB.
 
     Args:
-        path: The file.
         formats: Pillow's names of the formats that it may have.
 
     Raises:
@@ -42,11 +39,6 @@ class ImageFiles:
     """The images of a data set on disk, indexed like one array `(n, size, size, 3)` uint8.
 
     Only the requested pages are read.
-
-    Args:
-        folder: Folder of the files.
-        n: Total number of images.
-        size: Width and height of the images in pixels.
     """
 
     def __init__(self, folder: str | Path, n: int, size: int):

@@ -1,7 +1,5 @@
 """Images of the faces of a data set, each in the view of its landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,13 +91,7 @@ def posed_faces(
 def render(
     scene: Scene, dataset: Dataset, faces: range, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images of some faces of a data set, in random colours and light.
-
-    Args:
-        scene: Scene to render them with.
-        dataset: Faces of the same morphable model.
-        faces: Their numbers.
-        rng: Random generator for colours and light.
+    """Images of some faces of a data set of the scene's model, in random colours and light.
 
     Returns:
         `(n, size, size, 3)` uint8, and the landmarks in them: `(n, L, 2)` float32 pixels, x right

@@ -4,8 +4,6 @@
 for research only and has no 3D truth; `Portraits` are of expressive faces turned any way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -87,7 +85,6 @@ class Portraits:
 
     Args:
         model: Morphable model with landmarks `"bfm72"` and `"ibug68"` and named expressions.
-        seed: Seed of everything random.
 
     Raises:
         InputError: As `images.make_scene`, or the model's expressions have other names.
@@ -171,8 +168,6 @@ class PhotosSubstitute(Portraits):
     Args:
         model: Morphable model with landmarks `"bfm72"`; those of `"ibug68"` are given too, if
             known.
-        n: Number of photos.
-        seed: Seed of everything random.
 
     Raises:
         InputError: The model has no such landmarks or cannot be coloured, or the libraries that

@@ -1,7 +1,5 @@
 """An open substitute for the CASIA-3D scans: faces of a model, photographed and scanned."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,9 +55,7 @@ class ScansSubstitute:
 
     Args:
         model: Morphable model with landmarks `"ibug51"` and named expressions.
-        n_subjects: Number of people.
         n_scans: Total number of scans, spread evenly.
-        seed: Seed of everything random.
 
     Raises:
         InputError: As `images.make_scene`, or the model's expressions have other names.

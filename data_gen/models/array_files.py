@@ -5,8 +5,6 @@ that one wrong byte crashes the process, and allocates what a header claims. For
 Format", The MathWorks, chapter 1 (version 5).
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 import zlib

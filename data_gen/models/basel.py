@@ -4,8 +4,6 @@ Paysan et al. 2009, doi:10.1109/AVSS.2009.58; Gerig et al. 2018, doi:10.1109/FG.
 licensed by the University of Basel.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ github.com/cleardusk/3DDFA (MIT licence). Its numbers are those of the Basel Fac
 licence allows research only: nothing of them, nor weights trained on them, may be passed on.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Li et al. 2017, "Learning a model of facial shape and expression from 4D scans",
 doi:10.1145/3130800.3130813; licensed by the Max Planck Society, flame.is.tue.mpg.de.
 """
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path

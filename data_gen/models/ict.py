@@ -4,8 +4,6 @@ Li et al. 2020, "Learning formation of physically-based face attributes" (CVPR);
 github.com/ICT-VGL/ICT-FaceKit.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

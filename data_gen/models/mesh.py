@@ -1,7 +1,5 @@
 """Facts about triangle meshes: which way they face, and which vertices are connected."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components

@@ -1,7 +1,5 @@
 """Reads the embedded open head model, built from CC0 MakeHuman assets by `build_openhead`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +13,14 @@ OPENHEAD = Path(__file__).parents[1] / "assets" / "openhead.npz"
 _KIND = "an open head model (python -m data_gen.build_openhead makes one)"
 
 
-def load_openhead(path: str | Path | None = None) -> MorphableModel:
+def load_openhead(path: Path = OPENHEAD) -> MorphableModel:
     """The open head: 3,765 vertices, 199 identity components, 51 expressions, mm.
 
-    Its nose tip is at (0, 4.4, 131) mm, as in the Basel Face Model. Without a path it is the one
-    that comes with the package.
+    Its nose tip is at (0, 4.4, 131) mm, as in the Basel Face Model.
 
     Raises:
         InputError: The file is missing, cut short or not an open head.
     """
-    path = OPENHEAD if path is None else Path(path)
     arrays = read_openhead(path)
     try:
         of_ibug = arrays["landmarks68"].astype(int)
@@ -48,7 +44,7 @@ def load_openhead(path: str | Path | None = None) -> MorphableModel:
         raise InputError(f"{path} must be {_KIND}. Received {error!r}.") from None
 
 
-def read_openhead(path: str | Path | None = None) -> dict[str, np.ndarray]:
+def read_openhead(path: Path = OPENHEAD) -> dict[str, np.ndarray]:
     """All arrays of the file, for what the shape model leaves out.
 
     `part` `(V,)` is 0 skin, 1 and 2 right and left eye, 3 and 4 upper and lower teeth; `mask_lips`,
@@ -59,4 +55,4 @@ def read_openhead(path: str | Path | None = None) -> dict[str, np.ndarray]:
     Raises:
         InputError: The file is missing, cut short or not an npz.
     """
-    return read_npz(OPENHEAD if path is None else path, _KIND)
+    return read_npz(path, _KIND)

@@ -1,7 +1,5 @@
 """Every face model by its name on the command line, and where its files are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -24,10 +22,7 @@ class FaceModel:
     """One value of `MODEL=`.
 
     Attributes:
-        title: Name in texts.
-        load: Function that reads its file.
         files: Names of its file, in order of preference; none if it comes with this package.
-        source: Where to get it.
         place: Function of that file that returns what `load` takes, such as the folder above.
         parts: Function of this place that returns all files that `load` reads.
         scheme: Its landmarks, if it has no others and is for the BFM track alone.
@@ -114,14 +109,12 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
     nose is where FLAME has it: the paper's unit of length depends on the origin.
 
     Args:
-        name: One of `MODELS`.
         path: File or folder of the model (`DATA=` on the command line). `"openhead"` comes with
             this package and needs none.
-        scheme: Landmark scheme.
 
     Raises:
         InputError: Unknown name; the model's files are missing (the message says which, and where
-            to get them) or unusable; or it lacks the landmarks or, for `"ibug51"`, expressions.
+            to get them) or unusable; or it lacks the landmarks.
     """
     file = find_model(name, path)
     model = MODELS[name].load(file)
@@ -132,8 +125,6 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
         )
     if scheme != "ibug51" or name == "flame":
         return model
-    if model.expression_basis is None:
-        raise InputError(f"{name} must have expressions. Received a model without.")
     shift = _FLAME_NOSE_TIP_MM - model.mean[model.landmarks[scheme][_NOSE_TIP]]
     return replace(model, mean=model.mean + shift)
 

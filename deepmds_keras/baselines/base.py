@@ -1,7 +1,5 @@
 """What compared methods with one network share: training, restoring, initial weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
@@ -23,6 +21,9 @@ class NetworkMethod(BaseEstimator):
 
     A subclass defines `_build(seed)`, and a `fit` that begins with `_compiled` and ends with
     `_train` or `_train_on_arrays`, which take `checkpoint` and `progress` like `train_by_epoch`.
+    Common parameters are `learning_rate`, the initial one; `epochs` of `steps_per_epoch`
+    mini-batches, each of `batch_size` faces; and `seed`, of the initial weights and of the order of
+    the faces.
 
     Attributes:
         network_: Trained `keras.Model`.
@@ -103,8 +104,6 @@ def dense_network(
     """A stack of dense layers on the `(n, n_inputs)` numbers of a view.
 
     Args:
-        name: Name of the network.
-        n_inputs: Numbers of a view.
         sizes: Units and activation of each layer, by its name.
         seed: Seed of the initial weights.
         standardised: Whether the numbers are first centred and divided by their s.d., in a layer

@@ -1,8 +1,7 @@
 """Compared methods that solve linear equations; none of them needs TensorFlow."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -34,7 +33,7 @@ class MeanShape(BaseEstimator):
         mean_: `(L, 3)`.
     """
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray) -> MeanShape:
+    def fit(self, views: np.ndarray, shapes: np.ndarray) -> Self:
         """Take the mean of `(n, L, 3)` shapes in one frame and unit; views are only checked.
 
         Raises:
@@ -76,7 +75,7 @@ class RidgeRegression(BaseEstimator):
     alphas: tuple[float, ...] = tuple(10.0**k for k in range(-9, 3))
     roll_aligned: bool = False
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray) -> RidgeRegression:
+    def fit(self, views: np.ndarray, shapes: np.ndarray) -> Self:
         """Solve for `(n, L, 2)` views and `(n, L, 3)` shapes; errors as `MeanShape.fit`."""
         views, shapes = check_views_and_shapes(views, shapes)
         n, self.n_landmarks_ = views.shape[:2]

@@ -4,8 +4,6 @@ Huber et al. 2016, doi:10.5220/0005669500580067. The model is for non-commercial
 https://github.com/patrikhuber/eos/tree/master/share, and is not part of this package.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +38,7 @@ def surrey_files(path: str | Path) -> list[Path]:
 
 
 def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
-    """Read the Surrey model by eos.
-
-    Args:
-        path: As for `surrey_files`.
+    """Read the Surrey model by eos, from the path of `surrey_files`.
 
     Returns:
         The folder; shape model, blendshapes and landmark mapper, as eos reads them; and the
@@ -68,11 +63,7 @@ def read_surrey(path: str | Path) -> tuple[Path, Any, list, Any, list[int]]:
 class EosFit:
     """Shape, expression and camera of each view, by eos's `fit_shape_and_pose` as documented.
 
-    Args:
-        path: As for `read_surrey`.
-
-    Raises:
-        InputError: As for `read_surrey`.
+    The path, and errors, are those of `read_surrey`.
     """
 
     def __init__(self, path: str | Path):
@@ -89,14 +80,11 @@ class EosFit:
         )
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """The fitted faces.
+        """The fitted faces `(n, 51, 3)`, millimetres, frontal, y up; NaN at 61 and 65.
 
         Args:
             views: `(n, 51, 2)` or `(n, 68, 2)` in iBUG's order, y up, any scale and place; of 68
                 the jaw line is not used. NaN where a landmark is missing.
-
-        Returns:
-            `(n, 51, 3)` millimetres, frontal, y up; NaN at 61 and 65.
 
         Raises:
             InputError: Landmarks of another scheme.

@@ -1,7 +1,5 @@
 """Images of faces as networks take them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.errors import InputError
@@ -14,12 +12,8 @@ def forward_images(network, images: np.ndarray, batch_size: int = 100) -> np.nda
     from deepmds_keras.networks import forward  # which imports TensorFlow
 
     batches = (images[i : i + batch_size] for i in range(0, len(images), batch_size))
-    return np.concatenate([forward(network, scale_images(batch)) for batch in batches])
-
-
-def scale_images(images: np.ndarray) -> np.ndarray:
-    """[0, 255] → [-1, 1]."""
-    return images.astype(np.float32) / 127.5 - 1
+    scaled = (batch.astype(np.float32) / 127.5 - 1 for batch in batches)
+    return np.concatenate([forward(network, batch) for batch in scaled])
 
 
 def image_batches(images, targets: np.ndarray, rows: np.ndarray):

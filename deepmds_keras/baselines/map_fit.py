@@ -1,7 +1,5 @@
 """Fit of a morphable model to views in perspective: the most probable shape and camera."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 

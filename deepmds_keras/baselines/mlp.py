@@ -1,8 +1,7 @@
 """A multilayer perceptron from a view to the shape, which a structured network must beat."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -33,10 +32,6 @@ class MLP(NetworkMethod):
     Args:
         n_landmarks: L.
         units: Units of each hidden layer.
-        learning_rate: Adam's initial learning rate.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72
@@ -48,12 +43,8 @@ class MLP(NetworkMethod):
     batch_size: int = 128
     seed: int = 0
 
-    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> MLP:
+    def fit(self, views: np.ndarray, shapes: np.ndarray, **training) -> Self:
         """Train on `(n, L, 2)` views, any scale and place, and `(n, L, 3)` shapes in one frame.
-
-        Args:
-            views, shapes: The faces.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: NaN, infinity, degenerate or another number of landmarks, or a checkpoint

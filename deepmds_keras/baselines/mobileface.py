@@ -1,9 +1,8 @@
 """Coefficients of a face model from an image, as the paper's authors built MobileFace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -38,10 +37,6 @@ class MobileFace(NetworkMethod):
             offsets at one s.d., square millimetres.
         standardise: `"face"` or `"batch"`: what training standardises over.
         schedule: `"constant"` learning rate, like the authors', or `"cosine"` decay to zero.
-        learning_rate: Adam's initial learning rate.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
 
     Attributes:
         history_: Losses in mm²; `inference` is over a fixed choice of five hundred faces.
@@ -59,14 +54,13 @@ class MobileFace(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(self, images, coefficients: np.ndarray, **training) -> MobileFace:
+    def fit(self, images, coefficients: np.ndarray, **training) -> Self:
         """Train on images of faces with known coefficients.
 
         Args:
             images: `(n, 96, 96, 3)` uint8, an array or something indexed like one; read one
                 mini-batch at a time.
             coefficients: `(n, K)` standard-normal identity coefficients.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, or a checkpoint of another run.
@@ -93,11 +87,7 @@ class MobileFace(NetworkMethod):
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model: frontal.
 
-        Args:
-            images: `(n, 96, 96, 3)` uint8.
-
-        Returns:
-            `(n, L, 3)` millimetres.
+        Images `(n, 96, 96, 3)` uint8 give `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Not trained, or images of another kind or size.

@@ -1,9 +1,8 @@
 """RingNet: a face model's coefficients from an image, learnt from landmarks in images alone."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
+from typing import Self
 
 import keras
 import numpy as np
@@ -48,7 +47,6 @@ class RingNet(NetworkMethod):
         image_size: Width and height of the images, at least 32 pixels.
         ring_size, rings_per_batch: Images in a ring, at least 3, and rings in a mini-batch.
         learning_rate: Adam's learning rate after the warm-up.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
         seed: Seed of the initial weights, of dropout and of the order of the images.
         landmark_weight: Weight of the landmarks' mean absolute error; the image's side is 2.
         ring_weight: Weight of the ring loss.
@@ -75,7 +73,7 @@ class RingNet(NetworkMethod):
     identity_weight: float = 1e-2
     expression_weight: float = 1e-1
 
-    def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> RingNet:
+    def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> Self:
         """Train on images with their landmarks, several of each subject.
 
         Args:
@@ -83,7 +81,6 @@ class RingNet(NetworkMethod):
                 read one mini-batch at a time.
             landmarks: `(n, L, 2)` pixels, x right and y down from the upper left corner.
             subjects: `(n,)` int, the person in each image.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: Unequal numbers, fewer than two subjects or too few images of one for a
@@ -130,11 +127,7 @@ class RingNet(NetworkMethod):
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Landmarks of the faces in images, in the frame of the face model, without the pose.
 
-        Args:
-            images: `(n, image_size, image_size, 3)` uint8.
-
-        Returns:
-            `(n, L, 3)` millimetres.
+        Images `(n, image_size, image_size, 3)` uint8 give `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Not trained, or images of another kind or size.

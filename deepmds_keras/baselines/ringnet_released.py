@@ -1,7 +1,5 @@
 """RingNet as its authors trained it: runs the TensorFlow 1 graph that they license."""
 
-from __future__ import annotations
-
 import glob
 import math
 from collections.abc import Iterator
@@ -70,13 +68,9 @@ class ReleasedRingNet:
             saver.restore(self._session, prefix)
 
     def predict(self, images: np.ndarray) -> np.ndarray:
-        """Landmarks of the faces in images.
+        """Landmarks of the faces in images, each a loose square around a face.
 
-        Args:
-            images: `(n, 224, 224, 3)` uint8, RGB, a loose square around each face.
-
-        Returns:
-            `(n, L, 3)` millimetres.
+        Images `(n, 224, 224, 3)` uint8, RGB, give `(n, L, 3)` millimetres.
 
         Raises:
             InputError: Images of another kind or size.

@@ -1,8 +1,7 @@
 """Landmark depth by a dense network, after Zhao et al. 2017 as the paper's authors trained it."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 import keras
 import numpy as np
@@ -30,10 +29,6 @@ class Zhao(NetworkMethod):
     Args:
         n_landmarks: L.
         optimizer: `"adam"` or `"rmsprop"`.
-        learning_rate: Learning rate of the optimiser.
-        epochs, steps_per_epoch: Rounds of training, and mini-batches in each.
-        batch_size: Faces per mini-batch.
-        seed: Seed of the initial weights and of the order of the faces.
     """
 
     n_landmarks: int = 72
@@ -45,13 +40,12 @@ class Zhao(NetworkMethod):
     batch_size: int = 16
     seed: int = 0
 
-    def fit(self, points: np.ndarray, **training) -> Zhao:
+    def fit(self, points: np.ndarray, **training) -> Self:
         """Train on faces in the camera's frame.
 
         Args:
             points: `(n, L, 3)`: x and y as in the view and, in the same frame and unit, depth
                 towards the viewer.
-            training: `checkpoint` and `progress`, as for `train_by_epoch`.
 
         Raises:
             InputError: NaN, infinity, degenerate or another number of landmarks, another optimiser,
@@ -70,14 +64,10 @@ class Zhao(NetworkMethod):
         return self._train_on_arrays(network, views, depths, **training)
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        """Shapes in the camera's frame.
+        """Shapes in the camera's frame, of views of any scale and place.
 
-        Args:
-            views: `(n, L, 2)` or `(L, 2)`, any scale and place.
-
-        Returns:
-            `(n, L, 3)` or `(L, 3)`: normalised x and y, and depth towards the viewer in the same
-            unit.
+        `(n, L, 2)` gives `(n, L, 3)`, and one view `(L, 2)` gives `(L, 3)`: normalised x and y, and
+        depth towards the viewer in the same unit.
 
         Raises:
             InputError: Not trained, or NaN, infinity, degenerate or another number of landmarks.

@@ -1,7 +1,5 @@
 """Procrustes alignment of one set of landmarks onto another."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -35,14 +33,7 @@ def procrustes(
     Gower 1975 (doi:10.1007/BF02291478), Schönemann 1966 (doi:10.1007/BF02289451); without
     reflection Umeyama 1991 (doi:10.1109/34.88573).
 
-    Args:
-        source: `(n, L, d)` or `(L, d)` points to move.
-        target: Points of the same shape; a single `(L, d)` target serves all sources.
-        scaling: Whether the source may be scaled.
-        reflection: Whether it may be mirrored.
-
-    Raises:
-        InputError: Shapes that do not match, NaN or infinity.
+    Arguments and errors are those of `align`.
     """
     source, target = as_numbers(source, "source"), as_numbers(target, "target")
     shape, of_face = source.shape, source.shape[-2:]

@@ -1,7 +1,5 @@
 """Classical scaling: points from Euclidean distances by an eigenvalue problem (Torgerson 1952)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Orientation of an embedding, which distances leave open: front to the viewer, nose ahead."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.geometry.camera import orthographic_cameras

@@ -1,7 +1,5 @@
 """Position and size of landmarks: the unit of the paper, centred faces, their radius."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepmds_keras.errors import InputError

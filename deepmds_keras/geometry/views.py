@@ -121,12 +121,7 @@ def rotations(cameras: Cameras) -> np.ndarray:
 
 
 def in_camera_frame(points: np.ndarray, cameras: Cameras) -> np.ndarray:
-    """Points of the faces as posed: +x to the right of the image, +z towards the viewer.
-
-    Args:
-        points: `(n, L, 3)` millimetres, like the result.
-        cameras: One for each face.
-    """
+    """Points `(n, L, 3)` of the faces as posed: +x to the right of the image, +z to the viewer."""
     return points @ np.swapaxes(rotations(cameras), 1, 2)
 
 
@@ -148,7 +143,6 @@ def pose_and_project(
     Args:
         points: `(n, V, 3)` millimetres, in the frame of the face.
         landmarks: `(n, L, 3)` likewise, which define each camera, see `project`.
-        cameras: One for each face.
 
     Returns:
         `(n, V, 3)` as from `in_camera_frame`; and `(n, V, 3)` x and y as from `project`, with a
@@ -164,11 +158,9 @@ def pose_and_project(
 
 
 def perspectives(fields_of_view: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Inverse distance, times its r.m.s. radius, at which a face fills each field of view, `(n,)`.
+    """Inverse distances at which a face `(L, 3)` fills fields of view, `(n,)` degrees → `(n,)`.
 
-    Args:
-        fields_of_view: `(n,)` degrees.
-        mean: `(L, 3)` landmarks of the face.
+    They are times the r.m.s. radius of the face.
     """
     return rms_radius(mean[None]) * _filling(mean[None], fields_of_view)[1]
 

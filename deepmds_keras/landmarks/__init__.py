@@ -1,7 +1,5 @@
 """Landmark schemes: order, names, mirror pairs, drawing lines, and conversion."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from functools import cache, lru_cache

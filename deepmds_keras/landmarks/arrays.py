@@ -1,7 +1,5 @@
 """Landmarks as files and users hold them: lists with gaps, coordinates first, fractions."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 

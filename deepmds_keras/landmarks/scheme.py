@@ -1,7 +1,5 @@
 """A landmark scheme, and the tables that it is read from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,9 +84,7 @@ def read_scheme(
     """The scheme of some landmarks of a table.
 
     Args:
-        name: Of the scheme.
         table: File of the landmarks, which need not exist; see `schemes.csv` for those beside it.
-        numbers: Of the landmarks.
         longer: Other accepted numbers of points.
         is_ibug: Whether the table is that of iBUG's 68 itself.
     """

@@ -1,7 +1,5 @@
 """Direction of y in landmarks: distinguishes flipped axes from a face that leans or turns."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -43,7 +41,6 @@ def check_y_axis(
 
     Args:
         landmarks: `(n, L, 2)` or `(L, 2)`, x to the right of the image and y down; finite or NaN.
-        scheme: Name of their scheme.
         name: Name of the file or argument, for the message.
         needed: What the message says of a wrong y.
 
@@ -74,10 +71,7 @@ def check_y_axis(
 
 
 def check_views(views: np.ndarray) -> None:
-    """`check_y_axis` for views whose y grows upwards; views of an unknown scheme pass.
-
-    Args:
-        views: `(n, L, 2)`, NaN where a landmark is missing.
+    """`check_y_axis` for views `(n, L, 2)` whose y grows upwards; those of an unknown scheme pass.
 
     Raises:
         InputError: y grows downwards, or most faces are mirrored or upside down.
@@ -97,7 +91,6 @@ def quarter_turns(landmarks: np.ndarray, scheme: str) -> np.ndarray:
 
     Args:
         landmarks: `(n, L, 2)` as for `check_y_axis`.
-        scheme: Name of their scheme.
 
     Returns:
         `(n,)` int, -2 to 2: 0 for a face that leans by less than 45 degrees.

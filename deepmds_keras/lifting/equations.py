@@ -4,8 +4,6 @@ Every function takes `xp`, NumPy or `keras.ops`, first. Arrays are float32 batch
 landmarks last: views `(n, 2, L)`, shapes `(n, 3, L)`, coefficients of the basis `(n, r)`.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

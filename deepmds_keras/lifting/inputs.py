@@ -1,7 +1,5 @@
 """Prepares views of faces for the lifting network."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -75,11 +73,7 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
 
 
 def standardise(points, visible):
-    """Centre and scale what is visible.
-
-    Args:
-        points: `(n, 2, L)`.
-        visible: `(n, L)`.
+    """Centre and scale what is visible, `(n, L)`, of points `(n, 2, L)`.
 
     Returns:
         `(n, 2, L)` views of unit root mean square radius, 0 where not visible; their centres

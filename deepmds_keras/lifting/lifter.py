@@ -3,12 +3,10 @@
 Predicting needs NumPy alone; `fit` imports Keras, and scikit-learn is imported only by its users.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -128,7 +126,7 @@ class LandmarkLifter:
         landmark_sd: float | np.ndarray | None = None,
         progress: Callable[[dict], object] | None = None,
         checkpoint: str | Path | None = None,
-    ) -> LandmarkLifter:
+    ) -> Self:
         """Train on given faces, or on faces that a function samples.
 
         Args:
@@ -252,11 +250,7 @@ class LandmarkLifter:
     ) -> Estimate:
         """Shapes, standard deviations and cameras in one pass; orientation is not checked.
 
-        Args:
-            views, landmark_sd, visible: As for `predict`.
-
-        Raises:
-            InputError: As for `predict`.
+        Arguments and errors are those of `predict`.
         """
         seen = prepare_views(views, self.n_landmarks, visible, landmark_sd)
         return self._estimate(seen, of_one=np.ndim(views) == 2)
@@ -286,7 +280,7 @@ class LandmarkLifter:
         write_arrays(path, arrays, described)
 
     @classmethod
-    def load(cls, path: str | Path) -> LandmarkLifter:
+    def load(cls, path: str | Path) -> Self:
         """Read what `save` wrote.
 
         Raises:
@@ -310,11 +304,8 @@ class LandmarkLifter:
         return lifter
 
     @classmethod
-    def pretrained(cls, scheme: str) -> LandmarkLifter:
-        """The weights that ship with the package for landmarks of a scheme.
-
-        Args:
-            scheme: `"ibug51"`, `"ibug68"` or `"bfm72"`.
+    def pretrained(cls, scheme: str) -> Self:
+        """The weights that ship for landmarks of a scheme: `"ibug51"`, `"ibug68"` or `"bfm72"`.
 
         Raises:
             InputError: No weights for that scheme.
@@ -327,7 +318,7 @@ class LandmarkLifter:
         """Parameters of the constructor by name, as scikit-learn's estimators return them."""
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
-    def set_params(self, **parameters: Any) -> LandmarkLifter:
+    def set_params(self, **parameters: Any) -> Self:
         """Set parameters of the constructor.
 
         Raises:

@@ -25,12 +25,7 @@ class Node(NamedTuple):
 
 
 class Graph:
-    """The nodes and constants traced so far.
-
-    Attributes:
-        nodes: Nodes in the order of the computation.
-        constants: Arrays by name.
-    """
+    """The nodes and constants traced so far."""
 
     def __init__(self):
         self.nodes: list[Node] = []

@@ -66,7 +66,6 @@ def disturb(faces: Faces, missing: float, noise: float, rng: np.random.Generator
     """The faces with errors added to their landmarks, and some landmarks hidden.
 
     Args:
-        faces: Any number of faces.
         missing: Largest share to hide; each face draws a share up to it, and keeps six landmarks.
         noise: Largest standard deviation of the errors; each face draws one up to it.
         rng: Random generator; it draws the same amount whatever the other arguments.

@@ -1,7 +1,5 @@
 """A lifter as a graph of array operations, for programs that are not in Python."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

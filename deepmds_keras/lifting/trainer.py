@@ -1,7 +1,5 @@
 """Training of the lifting network in blocks, so that an interrupted run can resume."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,9 +39,6 @@ def train_lifting_net(
         faces_of_block: From the number of a block and of faces to that many training faces, which
             depend on the numbers alone.
         held_out: Faces that the network is checked on after each block.
-        steps: Total number of mini-batches.
-        batch_size: Faces per mini-batch.
-        learning_rate: Initial learning rate.
         label: What identifies the run; the checkpoint of another run is refused.
         checkpoint, progress: As for `train_by_epoch`; a block counts as an epoch.
 

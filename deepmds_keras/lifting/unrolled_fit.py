@@ -1,7 +1,5 @@
 """The lifting network: its weights and its output."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -39,9 +37,8 @@ class Lift(NamedTuple):
 def initial_weights(shapes: np.ndarray, seed: int) -> dict[str, np.ndarray]:
     """Weights that make the network a fit of the shapes' principal components.
 
-    Args:
-        shapes: `(n, 3, L)` centred shapes; of few faces or landmarks the rank is lower.
-        seed: Seed of the kernels.
+    Shapes are `(n, 3, L)`, centred; of few faces or landmarks the rank is lower. The seed is of the
+    kernels.
     """
     n, _, n_landmarks = shapes.shape
     flat = shapes.reshape(n, -1).astype(float)

@@ -1,7 +1,5 @@
 """Step: the claims of all face models whose audit is done: `results/audit`."""
 
-from __future__ import annotations
-
 from experiments.audit.audit import combine
 from experiments.run import Run
 

@@ -1,7 +1,5 @@
 """Step: collect what the audit measured, decide every claim, and compare the face models."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -70,9 +68,7 @@ def figures(curves: pd.DataFrame) -> dict[str, Figure]:
 def numbers_table(run: Run, folder: Path) -> pd.DataFrame:
     """The content of `numbers.csv`: what is known of a face model, from its tables of results.
 
-    Args:
-        run: The run.
-        folder: Folder of the audit's own tables.
+    Those of the audit itself are in `folder`.
     """
     return pd.DataFrame(
         {"claim": claim, "number": name, "model": run.model, **asdict(estimate)}

@@ -5,8 +5,6 @@ of `numbers_of` with bounds: `deep_mds_over_mean_shape < 1; rank = 2`. Where the
 evaluator or list of points makes a difference, the claim has conditions for their protocol too.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 import re

@@ -3,8 +3,6 @@
 The module is light to import, since the Snakefile reads the names of the topics.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import numpy as np
@@ -39,7 +37,6 @@ class Evidence:
     """Test faces of the BFM track, some of them chosen, and what trained methods make of them.
 
     Attributes:
-        run: The run, whose methods are trained.
         methods: Ids of those that have predicted the test faces.
         test: All test faces, `n` of them.
         views, landmarks: Of the audited faces, in millimetres: `(m, L, 2)` and `(m, L, 3)`.

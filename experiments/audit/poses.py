@@ -1,7 +1,5 @@
 """Topics on views: poses and projections, landmark noise, perspective."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import repeat
 
@@ -60,8 +58,7 @@ def poses(evidence: Evidence) -> pd.DataFrame:
 def noise(evidence: Evidence) -> pd.DataFrame:
     """Errors by the noise of the landmarks, with columns as `poses`."""
     views, landmarks, truth = evidence.views, evidence.landmarks, evidence.test[evidence.audited]
-    names = load_scheme(evidence.run.scheme).names
-    right, left = (names.index(f"{side}_eye_outer_corner") for side in ("right", "left"))
+    right, left = load_scheme(evidence.run.scheme).eye_corners()
     distances = np.linalg.norm(landmarks[:, right] - landmarks[:, left], axis=-1)
     # The same draws at every size, so that a curve shows nothing but the size.
     draws = evidence.rng(Stream.AUDIT_NOISE).standard_normal((_NOISE_DRAWS, *views.shape))

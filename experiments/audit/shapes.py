@@ -1,7 +1,5 @@
 """Topics on shapes: bias, constant answers, depth without error, ranks of distances, samplings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
@@ -39,10 +37,7 @@ def bias(evidence: Evidence) -> pd.DataFrame:
 
 
 def bias_of(predicted: np.ndarray, mean: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Position of predictions between mean shape and ground truth, to which both are aligned.
-
-    Args:
-        predicted, mean, truth: `(n, L, 3)`.
+    """Position of predictions `(n, L, 3)` between mean shape and truth, to which both are aligned.
 
     Returns:
         `slope`: of the regression through the origin of predicted on true offsets from the mean,
@@ -131,9 +126,7 @@ def false_positives(
 
     Args:
         difference: `(n,)` error of one method less that of the other, for each face.
-        samplings: Numbers of samplings.
         size: Faces in each, at most n.
-        simulations: Number of simulations.
 
     Returns:
         Number of samplings → share; that of the test over all faces is under `"faces"`.

@@ -1,7 +1,5 @@
 """Numbers from the tables of results on one face model, by which claims are decided."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +15,6 @@ class Tables:
     """Tables of results on one face model, for a run of the BFM track. Missing numbers are NaN.
 
     Attributes:
-        run: The run.
         audit: Folder of the audit's own tables, if these are not in the results yet.
     """
 

@@ -5,8 +5,6 @@ embeddings are scikit-learn's (`sklearn`) or compiled by numba (`numba`). `landm
 other method of this package, `eos` (`SFM=`) eos's fit of the Surrey Face Model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import product
@@ -16,7 +14,6 @@ from timeit import repeat
 import keras
 import numpy as np
 import pandas as pd
-import tensorflow as tf
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.models.registry import load_model
@@ -38,6 +35,7 @@ from experiments.run import Run
 from experiments.scoring.latex import plain_tabular
 from experiments.streams import Stream
 from experiments.tasks import single_threaded
+from experiments.tracks.train import limit_threads
 
 SCHEME, N_LANDMARKS, VARIANT = "bfm72", 72, "paper"
 _LOOKS = {
@@ -49,8 +47,7 @@ _LOOKS = {
 
 
 def main(run: Run) -> dict:
-    tf.config.threading.set_intra_op_parallelism_threads(1)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
+    limit_threads(1)
     with single_threaded():
         todo = [*tasks(run)]
         measured = counted("measurement", todo, len(todo))
@@ -175,10 +172,9 @@ def training(
 
 
 def with_ratios(rows: list[tuple]) -> pd.DataFrame:
-    """Times, and the speed-up of each way over the other ways of the same part.
+    """Rows of `comparison, part, way, n_faces, seconds`, each with the time of a face.
 
-    Args:
-        rows: `comparison, part, way, n_faces, seconds`.
+    Ratios are the speed-up of each way over the other ways of the same part.
     """
     table = pd.DataFrame(rows, columns=["comparison", "part", "way", "n_faces", "seconds"])
     table["ms_per_face"] = 1000 * table["seconds"] / table["n_faces"]

@@ -4,8 +4,6 @@
 those of whole processes, as a user waits for them.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 The work is done in pieces, in parallel, and resumes after a stop.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +41,6 @@ def find_faces(
     test face.
 
     Args:
-        run: The run.
         kind: `"scan"` or `"photo"`.
         pieces: Folder with a file for each finished piece, which is not done again.
         sizes: Number of photos of each piece.

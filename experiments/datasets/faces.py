@@ -1,7 +1,5 @@
 """Step of the BFM track: random faces and their views."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_gen.datasets.dataset import make_dataset, save_dataset

@@ -1,7 +1,5 @@
 """Step of the FLAME track: frames of expressions, the training set, and their views."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,6 @@ import numpy as np
 from data_gen.datasets.coma import find_meshes, load_coma
 from data_gen.datasets.dataset import dataset_of, make_performances, save_dataset
 from data_gen.models.flame import load_embedding
-from data_gen.models.morphable_model import MorphableModel
 from data_gen.views import sample_cameras
 from experiments.inputs import embedding_file, face_model, in_photos
 from experiments.progress import Progress
@@ -30,19 +27,15 @@ def coma_frames(run: Run, folder: Path) -> tuple[np.ndarray, int]:
     return landmarks, len(skipped)
 
 
-def substitute_frames(run: Run, model: MorphableModel, rng: np.random.Generator) -> np.ndarray:
-    """Landmarks `(n, 51, 3)` of as many frames of the open substitute, millimetres."""
-    faces = make_performances(model, run.preset.frame_subjects, run.preset.frames, rng)
-    return model.at_landmarks(run.scheme).shape(*faces)
-
-
 def main(run: Run) -> dict:
     """Write the frames and one view of each."""
     model = face_model(run)
     rng = np.random.default_rng([run.seed, Stream.FRAMES])
     folder, skipped = run.folder_of("coma"), 0
     if folder is None:
-        landmarks, source = substitute_frames(run, model, rng), f"substitute, {model.name}"
+        faces = make_performances(model, run.preset.frame_subjects, run.preset.frames, rng)
+        landmarks = model.at_landmarks(run.scheme).shape(*faces)
+        source = f"substitute, {model.name}"
     else:
         (landmarks, skipped), source = coma_frames(run, folder), "CoMA"
     cameras = sample_cameras(len(landmarks), rng, run.protocol)

@@ -1,7 +1,5 @@
 """Step of MobileFace: an image of every face, in the view of its landmarks."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -21,7 +19,6 @@ def make_images(run: Run, part: str, seed: tuple[int, ...]) -> dict[str, str]:
     """Write the images of a data set of the run that an earlier run has not written yet.
 
     Args:
-        run: The run.
         part: Name of the data set, which lies in `<part>.npz`.
         seed: Seed of light and skin.
 

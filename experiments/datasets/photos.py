@@ -4,8 +4,6 @@ As in the paper, the fitted shape is both the truth against which methods are me
 by the camera of the fit, the landmarks that they get.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Step of RingNet: images of people, several of each, in all expressions and poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_gen.datasets.dataset import make_rings, save_dataset

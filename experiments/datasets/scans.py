@@ -1,7 +1,5 @@
 """Step of the FLAME track: test faces, with landmarks detected in photos and located on scans."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from itertools import groupby

@@ -1,7 +1,5 @@
 """Losses over training: both networks' learning curves, and the lag of batch normalisation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

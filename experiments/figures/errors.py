@@ -1,11 +1,8 @@
 """Errors against pose, noise, condition or region: one line per method, with intervals."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,13 +16,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from pandas.api.types import is_numeric_dtype
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import INK, Look, drawn, look, method_legend, styled
 from experiments.figures.wireframe import draw_error_map
 from experiments.methods import title
 from experiments.scoring.numbers import minus, power
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
 
 _SHADE = "#FFF3D0"
 _BAND = 0.18  # opacity
@@ -43,8 +38,6 @@ class Panel:
             `low` and `high` of an interval, or neither.
         x: Column of `rows` for the x axis; strings are categories, not joined by lines.
         label: Label of the x axis, with its unit; none if its categories explain themselves.
-        title: Title above the axes.
-        log_x: Whether the x axis is logarithmic.
         shaded: Range of x in the training views, which is shaded.
     """
 
@@ -71,12 +64,9 @@ def error_lines(
     """Means against x, one line per method, with intervals.
 
     Args:
-        panels: Panels to draw.
-        quantity: Quantity on the y axis.
         unit: Power of ten in which the y axis counts, of `units`.
         units: Unit of `mean` in the rows of the panels.
         looks: Looks of ids in `method` that are not methods of the tables.
-        interval: What the intervals are.
         n_columns: Columns of the grid of panels; None puts all in one row.
         log_y: Whether the y axis is logarithmic; otherwise it begins at 0.
     """
@@ -210,11 +200,7 @@ def error_per_pose(errors: pd.DataFrame, unit: float = 1e-4) -> Figure:
 
 @styled
 def error_distribution(errors: Mapping[str, np.ndarray]) -> Figure:
-    """Cumulative distribution of the errors of faces.
-
-    Args:
-        errors: Method id to `(n,)` mean squared errors of the same faces.
-    """
+    """Cumulative distribution of the mean squared errors `(n,)` of the same faces, by method id."""
     figure = Figure(figsize=(3.5, 2.6), layout="constrained")
     axes = figure.subplots()
     shares = np.linspace(0, 1, 501)
@@ -240,7 +226,6 @@ def error_per_landmark(
 
     Args:
         errors: Method id to `(L,)` root-mean-square distances to the truth in millimetres.
-        scheme: Landmark scheme, for its polylines and groups.
         mean_shape: `(L, 3)` in any unit, where the landmarks are drawn.
         maps: Method ids to draw as faces.
     """

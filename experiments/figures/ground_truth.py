@@ -1,9 +1,6 @@
 """The ground truth taken from scans or photos, and its distance from the true landmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
 from experiments.figures.wireframe import (
     bare,
@@ -22,9 +20,6 @@ from experiments.figures.wireframe import (
     side_view,
 )
 from experiments.methods import title
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
 
 _FIT_COLOUR = "#0072B2"
 # Landmarks of a scan → legend entry and look; those drawn beneath are larger and hollow.
@@ -57,7 +52,6 @@ def ground_truth(
         shown: `(k,)` faces to draw, one per column.
         images: `(k, S, S, 3)` uint8 photos around their landmarks.
         detected: `(k, L, 2)` pixels in these.
-        scheme: Landmark scheme, for its polylines.
     """
     # Fixed positions: a constrained layout differs in the last digit from run to run.
     marks = {name: mark for name, mark in _MARKS.items() if name in {"detected", *scans}}
@@ -136,7 +130,6 @@ def fits(
         images: Photos, `(H, W, 3)` uint8, a column each.
         detected: `(n, D, 2)` landmarks of the detector, pixels.
         fitted: `(n, L, 2)` landmarks of the fitted model, pixels.
-        scheme: Landmark scheme, for its polylines.
         distances: Id of the fit or of another method → the root mean square distance of each test
             face's landmarks from the truth, millimetres; empty if that is unknown.
     """

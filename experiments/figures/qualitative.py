@@ -1,16 +1,14 @@
 """Pictures of faces: contact sheets, and the results of methods on views and photos."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deepmds_keras.landmarks import LandmarkScheme
 from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
 from experiments.figures.wireframe import (
     bare,
@@ -21,10 +19,7 @@ from experiments.figures.wireframe import (
 )
 from experiments.methods import title
 from experiments.scoring.numbers import power
-
-if TYPE_CHECKING:
-    from deepmds_keras.landmarks import LandmarkScheme
-    from experiments.scoring.scores import Scores
+from experiments.scoring.scores import Scores
 
 _PAGE = 7.2  # inches
 _INCHES_PER_UNIT = 1.25  # at most: a face is about 0.65 units wide
@@ -63,7 +58,6 @@ def qualitative(
         scores: Method id to its scores on these faces.
         faces: Numbers of the R faces to draw, one per row.
         row_titles: `R` names of these.
-        scheme: Landmark scheme, for its polylines.
         photos: `(R, S, S, 3)` uint8 in which the views were detected, drawn in their place, and
             landmarks `(R, L, 2)` in their pixels, y down.
         unit: Power of ten in which errors are counted.
@@ -168,7 +162,6 @@ def gallery(
         shapes: Method id to `(n, L, 3)`, all in one frame and of about one size; NaN where a method
             did not find the face.
         row_titles: `n` names of the photos.
-        scheme: Landmark scheme, for its polylines.
     """
     known = np.concatenate([predicted.reshape(-1, 3) for predicted in shapes.values()])
     low, high = np.nanmin(known, axis=0), np.nanmax(known, axis=0)
@@ -210,7 +203,6 @@ def renders(images: np.ndarray, landmarks: np.ndarray, scheme: LandmarkScheme) -
     Args:
         images: `(n, size, size, 3)` uint8.
         landmarks: `(n, L, 2)` pixels, x right and y down from the left upper corner.
-        scheme: Landmark scheme, for its polylines.
     """
     n_rows = -(-len(images) // _SHEET_COLUMNS)
     height = n_rows * _PAGE / _SHEET_COLUMNS + _SHEET_FOOT

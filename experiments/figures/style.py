@@ -1,7 +1,5 @@
 """One look for all figures, with a fixed colour and marker per method, and the writer."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -37,11 +35,7 @@ class Look(NamedTuple):
 
 
 def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
-    """Look of a method id, the same in every figure.
-
-    Args:
-        method: Its id.
-        looks: Looks of ids that are not methods of the tables, such as parts of one.
+    """Look of a method id, the same in every figure; `looks` has ids that are not of the tables.
 
     Raises:
         InputError: The id is in neither.
@@ -72,7 +66,6 @@ def method_legend(
     """Add a legend of methods below the panels of a figure with a constrained layout.
 
     Args:
-        figure: The figure.
         methods: Ids in the order of the legend.
         more: Handles of further entries.
         looks: As for `look`.
@@ -103,9 +96,7 @@ def save(figure: Figure, folder: str | Path, name: str, caution: str = "") -> No
     Each file appears whole or not at all. The metadata hold no date.
 
     Args:
-        figure: As returned by the functions of this package.
         folder: Created if it is missing.
-        name: File name without its ending.
         caution: Written beside the figure, `run.preset.caution`: too small a run means nothing.
     """
     size = {}

@@ -1,7 +1,5 @@
 """The headline figure, every method next to the paper's number, and the errors of several seeds."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np
@@ -30,7 +28,6 @@ def summary(table: pd.DataFrame, n_landmarks: int, unit: float = _MSE_UNIT) -> F
         table: `method` (id), `metric` (`"mse"`, `"depth_corr"`), `mean`, `std`, `paper_mean`; NaN
             where there is no number. Perhaps also `n_seeds`, `median`, `lowest` and `highest` over
             seeds.
-        n_landmarks: Of a face.
         unit: Power of ten in which the errors are counted.
     """
     methods = table["method"].unique()

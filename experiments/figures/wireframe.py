@@ -1,7 +1,5 @@
 """Draws a face as landmarks joined by polylines, seen from the front or the side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,7 +40,6 @@ def draw_wireframe(
         axes: Needs an equal aspect for the face to keep its proportions.
         points: `(L, 2)`, as given by `front_view` or `side_view`.
         polylines: 0-based landmark numbers of every line, `scheme.polylines`.
-        colour: Colour of lines and dots.
         linewidth: Width of the lines in points.
         dot_area: Area of a dot in points squared; 0 leaves the dots out.
     """

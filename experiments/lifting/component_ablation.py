@@ -5,8 +5,6 @@ one thing from the row that its title names. Dissimilarity matrices go through t
 non-metric MDS and through metric MDS.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterator
 

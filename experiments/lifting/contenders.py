@@ -7,8 +7,6 @@ for the position and size of the face in the image, their posterior is Gaussian:
 translation and scale. Draws from it are indistinguishable by the view.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 
@@ -41,7 +39,6 @@ class Contenders:
     """The simpler methods of the protocol `hard`: from `Views` to shapes `(n, L, 3)`.
 
     Args:
-        run: The run.
         condition: Condition of the training views, and of the noise that the fits assume.
     """
 
@@ -184,7 +181,6 @@ def posterior_draws(
         jacobian: `(n, K, L, 2)` derivatives of the views by standard-normal coefficients.
         views: `(n, L, 2)`, whose translation and scale are not known.
         certainty: `(n, L)` inverse standard deviation of the noise of a landmark; 0 if missing.
-        rng: Random generator.
     """
     n, k = jacobian.shape[:2]
     shifts = np.broadcast_to(np.eye(2)[:, None], (n, 2, *views.shape[1:]))

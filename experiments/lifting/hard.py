@@ -3,8 +3,6 @@
 Every condition is a column of the table. Learning methods are trained for each, on the same faces.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

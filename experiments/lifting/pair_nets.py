@@ -1,7 +1,5 @@
 """Dissimilarity nets that know more of a pair than the paper's."""
 
-from __future__ import annotations
-
 import keras
 from keras import layers, ops
 

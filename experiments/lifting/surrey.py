@@ -4,8 +4,6 @@ Huber et al. 2016, doi:10.5220/0005669500580067, from scans of 169 people; for n
 research, from https://github.com/patrikhuber/eos/tree/master/share.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

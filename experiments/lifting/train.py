@@ -1,7 +1,5 @@
 """Step: trains one network of `hard` or `transfer`, by its name; resumes from its checkpoint."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,7 +102,7 @@ def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.nda
         Views `(n, L, 2)` and shapes `(n, L, 3)`, millimetres, and the s.d. of each view's noise.
     """
     rng = np.random.default_rng([run.seed, Stream.TRANSFER_TRAINING])
-    sd = training_noise(run.preset.train_faces, rng)
+    sd = _MOST_NOISE_MM * rng.random(run.preset.train_faces) ** 2  # mostly small
     names = OPEN if faces == BOTH else (faces,)
     parts = [
         sample_photo_views(
@@ -115,8 +113,3 @@ def transfer_faces(run: Run, faces: str) -> tuple[np.ndarray, np.ndarray, np.nda
     ]  # fmt: skip
     views, shapes = map(np.concatenate, zip(*parts, strict=True))
     return views, shapes, sd
-
-
-def training_noise(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Standard deviations `(n,)` of the noise in views to train on, mm: mostly small."""
-    return _MOST_NOISE_MM * rng.random(n) ** 2

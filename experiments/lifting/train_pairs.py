@@ -3,8 +3,6 @@
 Nets on views of the autoencoder use the run's; seeds concern what is trained here.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ The faces have expressions, poses as in photos and, in training, landmark noise 
 Training uses the run's face model; the tests use the open ones, and the run's.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -13,13 +11,13 @@ import pandas as pd
 from sklearn.linear_model import LinearRegression
 
 from data_gen.models.registry import TITLES, load_model, open_models
-from data_gen.views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_photo_views
+from data_gen.views import FIELD_OF_VIEW, sample_photo_cameras, sample_photo_views
 from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
 from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.baselines.map_fit import MapFit, principal_components
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
-from deepmds_keras.geometry.views import perspectives, project, sample_perspective_cameras
+from deepmds_keras.geometry.views import perspectives, project
 from deepmds_keras.metrics import mse
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
@@ -144,9 +142,7 @@ def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np
         return sample_photo_views(model, TRANSFER_SCHEME, n, rng, detector_sd=noise_mm)[:2]
     shapes = Surrey(run.sfm).sample(n, rng)
     known = np.isfinite(shapes[0, :, 0])
-    cameras = sample_perspective_cameras(
-        n, rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
-    )
+    cameras = sample_photo_cameras(n, rng)
     views = np.full((*shapes.shape[:2], 2), np.nan)
     views[:, known] = project(shapes[:, known], cameras)
     return views + rng.normal(0, noise_mm, views.shape), shapes

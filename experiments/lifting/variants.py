@@ -3,8 +3,6 @@
 The module is light to import, since the Snakefile reads it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

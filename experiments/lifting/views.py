@@ -69,7 +69,6 @@ class Views:
         shapes: `(n, L, 3)` true landmarks.
         views: `(n, L, 2)` landmarks in the image, NaN where one is missing.
         sd_mm: `(n,)` standard deviation of the landmarks' noise in the image.
-        cameras: Pose and projection of each face.
     """
 
     identity: np.ndarray
@@ -92,8 +91,7 @@ class Views:
 @functools.cache
 def landmark_model(run: Run) -> MorphableModel:
     """The run's face model restricted to the landmarks."""
-    model = face_model(run)
-    return model.at_landmarks(run.scheme)
+    return face_model(run).at_landmarks(run.scheme)
 
 
 def sample_views(run: Run, condition: Condition, n: int, rng: np.random.Generator) -> Views:

@@ -1,7 +1,5 @@
 """Shapes of objects from `OBJECTS=`, their views from all sides, and what is held out for tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

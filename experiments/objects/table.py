@@ -1,7 +1,5 @@
 """Step: the table and the figure of all objects."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from experiments.figures.errors import Panel, error_lines
@@ -43,26 +41,17 @@ def main(run: Run) -> dict:
     scores = pd.concat(map(pd.read_csv, files), ignore_index=True)
     table = summarise(scores)
     texts = table.assign(
-        text=[
-            between(*ends, _UNIT)
-            for ends in zip(table["median"], table["lowest"], table["highest"], strict=True)
-        ],
-        of=[
-            f"{name}, {noise:.0%}"
-            for name, noise in zip(table["object"], table["noise"], strict=True)
-        ],
+        text=[between(*ends, _UNIT) for ends in table[["median", "lowest", "highest"]].to_numpy()],
+        of=table["object"] + table["noise"].map(", {:.0%}".format),
     )
     cells = texts.pivot_table("text", "of", "method", "first", sort=False)[[*METHODS]]
     cells = cells.rename(columns=title).rename_axis(index="Object, noise", columns=None)
+    rows = table.rename(columns={"median": "mean", "lowest": "low", "highest": "high"})
     panels = [
         Panel(
-            table[table["noise"] == noise].rename(
-                columns={"median": "mean", "lowest": "low", "highest": "high"}
-            ),
-            "object",
-            title=f"Noise of {100 * noise:g} % of the r.m.s. radius",
+            rows[rows["noise"] == n], "object", title=f"Noise of {100 * n:g} % of the r.m.s. radius"
         )
-        for noise in NOISES
+        for n in NOISES
     ]
     options = {"interval": "range over seeds", "n_columns": 1}
     figure = error_lines(panels, "MSE of an object", _UNIT, "squared r.m.s. radii", **options)

@@ -1,7 +1,5 @@
 """Step: train every method on views of an object from one seed, and score it on held-out shapes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -5,8 +5,6 @@ of the distance between the outer corners of the eyes in front of the mean landm
 head 0.14, on ICT-FaceKit 0.22, each aligned to the open head by a similarity.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -59,13 +57,9 @@ def write_canonical_face(obj: str | Path, path: str | Path = CANONICAL) -> None:
 
 
 def canonical_mean(mean: np.ndarray, scheme: str) -> np.ndarray:
-    """The canonical face at all landmarks of a scheme, in the frame and size of another mean face.
+    """The canonical face in the frame and size of another mean face `(L, 3)` of a scheme, mm.
 
     Landmarks that it lacks are those of the other face, displaced as their neighbours are.
-
-    Args:
-        mean: `(L, 3)` millimetres.
-        scheme: Its landmark scheme.
     """
     canonical = convert(read_canonical_face(), _SCHEME, scheme, missing="nan")
     known = np.isfinite(canonical).all(1)

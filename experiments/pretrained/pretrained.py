@@ -1,7 +1,5 @@
 """Step: measures the weights for photos on rendered ones, with known truth, and ships them."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 from collections.abc import Iterator
@@ -13,9 +11,11 @@ import pandas as pd
 from data_gen.models.registry import TITLES, open_models
 from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.baselines.eos_fit import EosFit
+from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.landmarks import convert
+from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.metrics import mse
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.weights import PRETRAINED
@@ -42,13 +42,18 @@ _FEWEST = 4  # least number of photos with a detected face
 
 @functools.cache
 def trained(run: Run, scheme: str) -> Trained:
-    """Every method, trained on the training faces of a scheme's lifter."""
+    """The networks of a scheme, and the other methods trained on the same faces."""
+    names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
+    return trained_beside(run, scheme, *(load_network(weights_file(run, name)) for name in names))
+
+
+def trained_beside(
+    run: Run, scheme: str, lifter: LandmarkLifter, deep_mds: DeepMDS | None = None
+) -> Trained:
+    """Networks for photos, and other methods trained on the training faces of a lifter."""
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(scheme)])
     views, shapes, _ = photo_faces(run, scheme)(run.preset.train_faces, rng)
-    names = [name for name in (f"lifting-{scheme}", f"deepmds-{scheme}") if name in NETWORKS]
-    networks = [load_network(weights_file(run, name)) for name in names]
-    networks += [None] * (2 - len(networks))
-    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
+    return Trained(views, shapes, lifter, deep_mds, mlp(run, views.shape[1]))
 
 
 def measure(run: Run) -> Iterator[dict]:
@@ -86,12 +91,9 @@ class Views(NamedTuple):
 
 
 def views_of(photos: dict[str, np.ndarray], kind: str, scheme: str) -> Views | None:
-    """Landmarks of a scheme, `"exact"` or by a detector as prediction takes them; None if unknown.
+    """Landmarks of a scheme in `read_portraits`, as prediction takes them; None if unknown.
 
-    Args:
-        photos: Photos of a model, as from `read_portraits`.
-        kind: `"exact"` or a detector.
-        scheme: Scheme of the landmarks.
+    The kind is `"exact"` or a detector.
     """
     source = "bfm72" if scheme == "bfm72" else "ibug68"
     truth = normalise(convert(photos[f"landmarks_{source}"], source, scheme))

@@ -5,8 +5,6 @@ which prediction corrects a detector, `deepmds_keras/landmarks/detectors.csv`. A
 if its shapes from both are similar, and unlike those of other people.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
@@ -22,7 +20,7 @@ from deepmds_keras.tool.detection import detector_sd, measured, move
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
 from experiments.pretrained.portraits import read_portraits
-from experiments.pretrained.pretrained import SCHEMES, errors_of
+from experiments.pretrained.pretrained import SCHEMES, errors_of, trained_beside
 from experiments.pretrained.residuals import (
     along_face,
     mean_residuals,
@@ -31,8 +29,6 @@ from experiments.pretrained.residuals import (
     residuals,
     sd_in_pixels,
 )
-from experiments.pretrained.train import LIFTERS, photo_faces
-from experiments.recipes import mlp
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.scoring.numbers import between
@@ -66,7 +62,8 @@ def main(run: Run) -> dict:
         raise InputError(f"{run.real} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
-    methods = _methods(run)
+    shipped = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
+    methods = trained_beside(run, _SCHEME, *shipped)
     # First of all, since everything below reads the s.d. in it.
     if run.preset.name == "full" and not open_models(run.data)[1]:
         write_csv(FOLDER / "detectors.csv", detector_table(run, faces, methods.lifter))
@@ -84,14 +81,6 @@ def main(run: Run) -> dict:
     }
     cells = pd.DataFrame(texts, index=table["method"].map(title))
     return write_results(run, "real", tables, cells, _NOTES)
-
-
-def _methods(run: Run) -> Trained:
-    """The shipped weights, and other methods trained on the lifter's training faces."""
-    rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(_SCHEME)])
-    views, shapes, _ = photo_faces(run, _SCHEME)(run.preset.train_faces, rng)
-    networks = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
-    return Trained(views, shapes, *networks, mlp(run, views.shape[1]))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
@@ -143,7 +132,6 @@ def reliability(
     Offsets and the size of the s.d. come from one half of the faces, the test from the other.
 
     Args:
-        methods: What predicts.
         faces: Landmarks `(n, 51, 2)` in images by detector.
         off: `(n, 51, 2)` residuals of dlib's landmarks, as from `residuals`.
         seed: Of the bootstrap.
@@ -206,9 +194,7 @@ def _mean_of_known(distances: list[np.ndarray]) -> np.ndarray:
 def _within_and_between(pairs: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean distances of a person from itself and from others, `(B,)`, if each is drawn so often.
 
-    Args:
-        pairs: `(n, n)` distances, NaN for people who were never tested together.
-        drawn: `(B, n)` times that each person is drawn.
+    Pairs are `(n, n)`, NaN for people who were never tested together; `drawn` is `(B, n)`.
     """
     n = len(pairs)
     known = np.isfinite(pairs) & ~np.eye(n, dtype=bool)

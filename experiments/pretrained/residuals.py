@@ -4,8 +4,6 @@ What remains alike on every face is no error of that face: there the detector me
 than the shapes that the lifter learnt from.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

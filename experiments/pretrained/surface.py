@@ -1,7 +1,5 @@
 """Step: writes the head of `deepmds predict --mesh`, and measures the errors of its meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,10 +13,10 @@ from data_gen.build_openhead.components import write_surface
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import read_openhead
 from data_gen.models.registry import OPEN, TITLES, load_model, open_models
-from data_gen.views import FIELD_OF_VIEW, PITCH, ROLL, YAW, sample_expressive
+from data_gen.views import sample_expressive, sample_photo_cameras
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align, procrustes
-from deepmds_keras.geometry.views import project, sample_perspective_cameras
+from deepmds_keras.geometry.views import project
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.progress import counted
@@ -80,10 +78,7 @@ def _given(true: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, np
     """Landmarks `(n, L, 3)` of several kinds, from the true ones, with their description."""
     yield "exact", true
     yield f"off by {_ERROR_MM} mm a coordinate", true + rng.normal(0, _ERROR_MM, true.shape)
-    cameras = sample_perspective_cameras(
-        len(true), rng, yaw=YAW, pitch=PITCH, roll=ROLL, field_of_view=(0, FIELD_OF_VIEW)
-    )
-    views = project(true, cameras)
+    views = project(true, sample_photo_cameras(len(true), rng))
     lifter = LandmarkLifter.pretrained(_SCHEME)
     yield "lifted from exact views", align(lifter.predict(views, landmark_sd=0), true)
     views = views + rng.normal(0, _VIEW_ERROR_MM, views.shape)

@@ -5,8 +5,6 @@ input. Every face is changed beyond its model, since real people are of no model
 networks of Deep-MDS are those of `deep_mds_cosine`, on faces of the open head alone.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,12 +1,11 @@
 """Progress within a step: a bar on a terminal; under `make` and in a log, lines."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from typing import Self
 
 from tqdm import tqdm
 
@@ -40,7 +39,7 @@ class Progress:
             disable=not sys.stderr.isatty() or PARENT in os.environ,
         )  # fmt: skip
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_) -> None:

@@ -1,7 +1,5 @@
 """What users see of Snakemake: one line per step, with the approximate time left."""
 
-from __future__ import annotations
-
 import logging
 import re
 import sys

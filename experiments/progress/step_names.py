@@ -1,7 +1,5 @@
 """What each step does, in words of a reader, by the file of its record."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

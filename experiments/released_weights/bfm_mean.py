@@ -5,8 +5,6 @@ training targets: x and y of normalised shapes. Their depth net (Zhao et al.) gi
 that frontal view. The model's licence does not let us hand the mean on.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from pathlib import Path

@@ -6,8 +6,6 @@ like, the faces are the model's. Four answers are scored on the same test faces:
 outputs, one such output for all views, a random face for all, and the mean shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Step: methods trained on faces around the Basel mean, at one scale of the s.d. and one seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ by the code of that commit and by that of the last one: what writes the same dig
 to do so at full size.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

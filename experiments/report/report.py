@@ -1,7 +1,5 @@
 """Writes the report of a face model, `results/<model>/report/report.md`, from its results alone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -248,8 +246,7 @@ def escaped(text: object) -> str:
 def markdown_table(texts: pd.DataFrame) -> str:
     """A table in GitHub's Markdown; lower heads appear only below an upper head with several.
 
-    Args:
-        texts: A named index becomes the first column.
+    A named index becomes the first column.
     """
     if texts.columns.nlevels > 1:
         groups = texts.columns.get_level_values(0).value_counts()

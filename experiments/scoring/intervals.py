@@ -1,7 +1,5 @@
 """Numbers with their 95 % intervals: over seeds, samplings, faces or simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

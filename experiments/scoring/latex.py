@@ -1,7 +1,5 @@
 r"""Tables as LaTeX to `\input`: pandas' Styler writes them, for the package booktabs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 
@@ -40,8 +38,7 @@ def tabular(cells: pd.DataFrame, columns: str, notes: Sequence[str] = ()) -> str
 def plain_tabular(table: pd.DataFrame) -> str:
     r"""A plain table of names and numbers, with five digits each, to `\input`.
 
-    Args:
-        table: The names of its columns become the heads; NaN and empty cells stay empty.
+    The names of its columns become the heads; NaN and empty cells stay empty.
     """
     numeric = {*table.select_dtypes("number")}
     cells = table.map(_plain).rename(columns=lambda name: name.replace("_", " "))

@@ -1,7 +1,5 @@
 """The metrics of the tables: a new row here is a new column there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -160,14 +158,7 @@ METRICS = {
 
 
 def metrics_of(experiment: str) -> list[Metric]:
-    """Metrics of the tables of an experiment: the paper's first, in its order.
-
-    Args:
-        experiment: `"bfm"`, `"celeba"` or `"flame"`.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Metrics of the tables of an experiment: the paper's first, in its order."""
     order = [*dict.fromkeys(published(experiment)["metric"])]
     metrics = [metric for metric in METRICS.values() if metric.is_of(experiment)]
     return sorted(metrics, key=lambda m: order.index(m.id) if m.in_paper else len(order))

@@ -1,7 +1,5 @@
 """Numbers and times as text."""
 
-from __future__ import annotations
-
 import math
 
 from experiments.scoring.published import as_printed

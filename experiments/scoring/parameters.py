@@ -1,7 +1,5 @@
 """The paper's table of trainable parameters and time complexity, next to ours."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

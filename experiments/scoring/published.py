@@ -1,14 +1,11 @@
 """The numbers that the paper prints, from `results/published/published.csv`."""
 
-from __future__ import annotations
-
 import functools
 import math
 from decimal import Decimal
 
 import pandas as pd
 
-from deepmds_keras.errors import InputError
 from experiments.records import PUBLISHED
 
 _FILE = PUBLISHED / "published.csv"
@@ -23,18 +20,12 @@ SOURCES = {
 
 
 def published(experiment: str) -> pd.DataFrame:
-    """The paper's numbers for an experiment, in plain units.
-
-    Args:
-        experiment: `"bfm"`, `"celeba"`, `"flame"` or `"parameters"`.
+    """The paper's numbers for an experiment of `SOURCES`, in plain units.
 
     Returns:
         A row for each method and metric: `method`, `metric`, `paper_mean`, `paper_std` (NaN where
         none is printed) and `paper_note`. 1.4 in units of 1e-4 is 1.4e-4; depth correlations stay
         as printed, since the paper's "%" is a sum over landmarks.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     rows = _rows(experiment)
     rows = rows[(rows["method"] != "") & (rows["value"] != "")].reset_index(drop=True)
@@ -45,47 +36,30 @@ def published(experiment: str) -> pd.DataFrame:
 
 
 def paper_table(experiment: str) -> pd.DataFrame:
-    """Cells of the paper's own table: `table, row, column, method, metric, printed`.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Cells of the paper's own table: `table, row, column, method, metric, printed`."""
     rows = _rows(experiment)
     return rows[rows["table"].str.startswith("tab:") & rows["method"].ne("")]
 
 
 def printed(experiment: str, metric: str) -> dict[str, str]:
-    """Cells of a metric as the paper prints them, by method, including those that are no numbers.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Cells of a metric as the paper prints them, by method, also those that are no numbers."""
     rows = _rows(experiment)
     rows = rows[rows["metric"] == metric]
     return dict(zip(rows["method"], rows["printed"], strict=True))
 
 
 def unit_of(experiment: str, metric: str) -> float:
-    """Power of ten in which the paper prints a metric of an experiment; 1 if it has none.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Power of ten in which the paper prints a metric of an experiment; 1 if it has none."""
     rows = _rows(experiment)
     units = rows["unit"][rows["metric"] == metric]
     return float(_plain("1", units.iloc[0])) if len(units) else 1.0
 
 
 def as_printed(mean: float, std: float = math.nan) -> list[Decimal]:
-    """A number of the paper and its uncertainty, if any, with the printed digits.
+    """A number of the paper and its uncertainty, if not NaN, with the printed digits; plain units.
 
-    Tables hold the paper's numbers as floats, which do not distinguish 0.3 from 0.30.
-
-    Args:
-        mean, std: Numbers in plain units, as from `published`; NaN for none.
-
-    Returns:
-        Numbers in plain units; without trailing zeros if the paper prints no such number.
+    Tables hold the paper's numbers as floats, which do not distinguish 0.3 from 0.30. A number that
+    the paper does not print has no trailing zeros.
     """
     numbers = tuple(value for value in (mean, std) if not math.isnan(value))
     printed = {tuple(map(float, digits)): digits for digits in _transcription()["digits"]}
@@ -104,10 +78,6 @@ def _transcription() -> pd.DataFrame:
 
 
 def _rows(experiment: str) -> pd.DataFrame:
-    if experiment not in SOURCES:
-        raise InputError(
-            f"experiment must be one of {', '.join(SOURCES)}. Received {experiment!r}."
-        )
     rows = _transcription()
     return rows[rows["table"].isin(SOURCES[experiment])]
 

@@ -41,11 +41,6 @@ def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]
     return read_arrays(run.prediction_file(method))
 
 
-def runs_by_seed(run: Run) -> list[Run]:
-    """The same run from each seed of `make seeds`; the first is its own."""
-    return [replace(run, seed=run.seed + k) for k in range(run.n_seeds)]
-
-
 def metrics_by_seed(run: Run) -> pd.DataFrame | None:
     """Rows of `method, seed, metric, value` for the seeds of a run; None if it has one only.
 
@@ -55,9 +50,9 @@ def metrics_by_seed(run: Run) -> pd.DataFrame | None:
     if run.seeds is None:
         return None
     rows = [
-        (method, seeded.seed, metric, value)
-        for seeded in runs_by_seed(run)
-        for method, metric, value in load_record(seeded, "seed")["rows"]
+        (method, seed, metric, value)
+        for seed in range(run.seed, run.seed + run.n_seeds)
+        for method, metric, value in load_record(replace(run, seed=seed), "seed")["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
 
@@ -131,8 +126,6 @@ def evaluate(
     """Score every method, on all test faces and on the run's random subsets.
 
     Args:
-        run: The run.
-        test: Test faces.
         shapes: Method → `(n, L, 3)` predictions; NaN for a face that it did not find.
         descriptions: Method → the description stored with its predictions.
 

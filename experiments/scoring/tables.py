@@ -1,7 +1,5 @@
 """From `metrics.csv` to the files of an experiment: `table.csv`, `table.tex`, `wilcoxon.csv`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -64,7 +62,7 @@ def summarise(
         says why. `std` is that of a sample (n - 1). Notes of a cell are separated by `"; "`.
 
     Raises:
-        InputError: The experiment or a method is unknown.
+        InputError: A method is unknown.
     """
     metrics, quoted = _with_derived(metrics), published(experiment)
     measured = metrics.groupby(_KEYS)["value"].agg(mean="mean", std="std", n_subsets="count")
@@ -97,25 +95,21 @@ def write_tables(
     metrics: pd.DataFrame,
     *,
     experiment: str,
-    subset_size: int,
-    n_landmarks: int | None = None,
-    notes: Mapping[str, str],
     per_face: Mapping[str, Mapping[str, np.ndarray]],
-    paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
+    **options,
 ) -> pd.DataFrame:
     """Write `table.csv`, `table.tex` and `wilcoxon.csv`.
 
     Args:
         folder: `results/<model>/<experiment>`.
-        metrics, experiment, subset_size, n_landmarks, notes, paper_rows, seeds: As for `summarise`.
+        metrics, experiment, seeds, options: As for `summarise`.
         per_face: Metric → method → `(n,)`, for all test faces in one order.
 
     Returns:
         The content of `table.csv`.
     """
-    sizes = {"subset_size": subset_size, "n_landmarks": n_landmarks}
-    table = summarise(metrics, experiment, notes, **sizes, paper_rows=paper_rows, seeds=seeds)
+    table = summarise(metrics, experiment, seeds=seeds, **options)
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
     write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds))

@@ -1,7 +1,5 @@
 """Typesets a table: its cells as texts, for LaTeX and for the terminal."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping
 
@@ -25,9 +23,6 @@ def text(table: pd.DataFrame, experiment: str) -> str:
     Args:
         table: As from `tables.summarise`.
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     shown = cells(table, experiment, "terminal").rename_axis(None)
     in_paper = [(head, "paper") in shown for head, _ in shown]
@@ -40,14 +35,7 @@ def text(table: pd.DataFrame, experiment: str) -> str:
 
 
 def latex(table: pd.DataFrame, experiment: str) -> str:
-    r"""The table to `\input`: methods by metrics, the paper's first, and the definitions below.
-
-    Args:
-        table, experiment: As for `text`.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    r"""The table of `text` to `\input`, methods by metrics; below it the definitions."""
     shown = cells(table, experiment, "latex").reset_index(col_level=1)
     columns = "l" + "r" * (shown.shape[1] - 1)
     return tabular(shown, columns, remarks(table, experiment, "latex"))
@@ -83,12 +71,8 @@ def paper_layout(
 def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
     """Texts of a table: methods by columns with two levels, the metric and its statistic.
 
-    Args:
-        table, experiment: As for `text`.
-        output: `"terminal"` or `"latex"`, which has fewer columns.
-
-    Raises:
-        InputError: Unknown experiment.
+    Table and experiment are as for `text`; the output is `"terminal"` or `"latex"`, which has fewer
+    columns.
     """
     methods, columns, n = table["method"].unique(), {}, n_landmarks(table, experiment)
     for metric in _metrics_shown(table, experiment, output):

@@ -1,7 +1,5 @@
 """The verdict below the main table, and the comparison with the committed one."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The test by which the paper compares methods."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -5,8 +5,6 @@ its skip connection and of other depths, the method without its autoencoder, and
 trained on fewer faces.
 """
 
-from __future__ import annotations
-
 import json
 
 import pandas as pd

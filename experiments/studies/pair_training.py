@@ -1,10 +1,9 @@
 """Training of nets on pairs of landmarks, those of one face or of all in a mini-batch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Self
 
 import keras
 import numpy as np
@@ -48,7 +47,7 @@ class PairNet:
         *,
         checkpoint: Path | None = None,
         progress: Callable | None = None,
-    ) -> PairNet:
+    ) -> Self:
         """Train, or resume from a checkpoint.
 
         Args:

@@ -5,8 +5,6 @@ The scale is of the standard deviations of 3DDFA's fits, which are a low estimat
 differences between faces. The module is light to import, since every command reads the scales.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Step: errors of the methods against the scale of the Basel model's s.d., table and figure."""
 
-from __future__ import annotations
-
 import pandas as pd
 from matplotlib.figure import Figure
 

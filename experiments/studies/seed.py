@@ -3,8 +3,6 @@
 It scores the predictions of these methods in a BFM run of that seed.
 """
 
-from __future__ import annotations
-
 import keras
 import numpy as np
 
@@ -48,14 +46,11 @@ def autoencoder_errors(run: Run, train: Faces, method: str) -> dict[str, float]:
 
 
 def recalibrate_batchnorm(network: keras.Model, inputs: np.ndarray) -> keras.Model:
-    """The same weights with the batch normalisation of these inputs, all as one batch.
+    """The same weights with the batch normalisation of the inputs of its training, as one batch.
 
     Training leaves in each such layer a running average over past mini-batches and past weights.
-    The gain from recalibration is the cost of that lag.
-
-    Args:
-        network: Trained model, which is not changed.
-        inputs: `(n, d)`, the faces it was trained on.
+    The gain from recalibration is the cost of that lag. Inputs are `(n, d)`; the network itself is
+    not changed.
     """
     copy = keras.models.clone_model(network)
     copy.set_weights(network.get_weights())

@@ -3,8 +3,6 @@
 Faces, views, initial weights and mini-batches all come from the seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pandas as pd
@@ -40,10 +38,8 @@ def autoencoder_histories(run: Run, metrics: pd.DataFrame) -> dict[str, dict[int
     """Losses of the autoencoder by schedule and seed, as `batchnorm_lag` draws them."""
     errors = metrics.set_index(["method", "metric", "seed"])["value"]
     histories = {"constant": {}, "cosine": {}}
-    for method in (
-        "deep_mds",
-        "deep_mds_cosine",
-    ):  # the third method has the autoencoder of the first
+    # The third method has the autoencoder of the first.
+    for method in ("deep_mds", "deep_mds_cosine"):
         variant, schedule = DEEP_MDS[method]
         for seed in map(int, metrics["seed"].unique()):
             files = checkpoint_files(replace(run, seed=seed).networks, variant, schedule)

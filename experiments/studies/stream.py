@@ -1,7 +1,5 @@
 """Step: the tails of the errors, over any number of faces, from the shards of `stream_part`."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from deepmds_keras.files import read_arrays

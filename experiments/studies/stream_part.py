@@ -5,8 +5,6 @@ and one with more faces keeps the existing shards. The module is light to import
 read the names of the parts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,8 +31,6 @@ class Shard:
     """Some of the faces.
 
     Attributes:
-        number: Number of the shard.
-        size: Number of faces.
         file: Their errors: `method/metric` to `(size,)`.
     """
 

@@ -1,7 +1,5 @@
 """How studies write and print their results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -32,9 +30,7 @@ def write_results(
     """Write CSV, `table.tex` and figures, print the table, and return entries for the record.
 
     Args:
-        run: The run.
         name: Name of the folder in the model's results, or a folder for several models.
-        tables, figures: Tables and figures by name.
         cells: The table for readers, as from `grid` or `statistics_cells`.
         notes: Lines below it.
     """

@@ -25,7 +25,6 @@ class Variant:
     """Difference of a training from the paper's method.
 
     Attributes:
-        title: Title in tables and figures.
         schedule: Learning rate of both networks.
         shuffled: As for `PairNet`.
         chain: Number of hidden layers and units per layer of a net without skip connection.

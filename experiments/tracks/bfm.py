@@ -1,7 +1,5 @@
 """Last step of the BFM track: the paper's table next to ours, and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,15 +29,11 @@ _RELEASED_NOTE = (
 
 
 def as_released(shapes: dict[str, np.ndarray], truth: np.ndarray) -> dict[str, np.ndarray]:
-    """Shapes that the released evaluator compares with the ground truth for each prediction.
+    """Shapes `(n, L, 3)` that the released evaluator compares with the truth, by method.
 
     Its script for Zhao's net reads only the depth, and from the previous file. It rescales the
     depth to [0, 1] by itself and joins it to the true x and y, whose depth spans less than half of
     that. It then averages over one face only, which is not done here.
-
-    Args:
-        shapes: Method to predictions `(n, L, 3)`.
-        truth: `(n, L, 3)` normalised true landmarks.
 
     Returns:
         The same, with Zhao's rows replaced and the true depth added as a row.

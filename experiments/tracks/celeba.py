@@ -1,7 +1,5 @@
 """Last step of the CelebA experiment: the paper's table next to ours, and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 `TF_FLAME=` is the folder `data` of the public repository TF_FLAME: photos with 51 landmarks each.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Last step of the FLAME track: the paper's CASIA-3D table next to ours, and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Step: predictions of one method for the test faces."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import numpy as np
@@ -72,7 +70,7 @@ def compare_solvers(model, views: np.ndarray, shapes: np.ndarray) -> None:
 def main(run: Run, method_id: str) -> dict:
     """Write the method's shapes, and the number of its parameters."""
     method = method_of(method_id)
-    limit_threads(method)
+    limit_threads(method.threads)
     inputs = inputs_for(run, method)  # a damaged file is to be reported before long work
     model = load(run, method_id)
     if method.deep_mds:

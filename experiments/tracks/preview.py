@@ -1,7 +1,5 @@
 """Step: print the table of the quick methods before the slow ones are trained."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import import_module
 

@@ -1,7 +1,5 @@
 """Scores of a track's methods against one truth, and the files that every track writes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -46,7 +44,6 @@ class Evaluation:
     """Methods compared with one truth.
 
     Attributes:
-        run: The run.
         name: Name of the folder of results.
         test: Test faces, with that truth.
         shapes, descriptions: Predictions by method, as for `scores.evaluate`.
@@ -201,8 +198,6 @@ def evaluate_both(
     """Score predictions against landmarks located in scans or photos, and true ones if known.
 
     Args:
-        run: The run.
-        methods: Ids of the methods.
         table: Table of the test faces, as from `detected_faces.find_faces`.
         row: Id of the located landmarks, in the table against the true ones.
         references: Shapes `(n, L, 3)` of further rows, by id.
@@ -223,12 +218,7 @@ def evaluate_both(
 
 
 def write_results(evaluations: Sequence[Evaluation], draw: Callable[..., None]) -> dict:
-    """Write the tables of evaluations, and figures; return entries for the record.
-
-    Args:
-        evaluations: As from `evaluate_both`.
-        draw: Function of these evaluations that writes the figures.
-    """
+    """Write tables of evaluations, and by `draw(*evaluations)` figures; return what to record."""
     for evaluation in evaluations:
         evaluation.write()
     draw(*evaluations)

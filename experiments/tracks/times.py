@@ -1,7 +1,5 @@
 """Step: times of all methods, in turns, so that other load affects all alike; on one thread."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 
@@ -12,6 +10,7 @@ from experiments.progress import counted
 from experiments.run import Run
 from experiments.tasks import single_threaded
 from experiments.tracks.predict import inputs_for
+from experiments.tracks.train import limit_threads
 
 
 def prediction_times(
@@ -24,7 +23,6 @@ def prediction_times(
 
     Args:
         models: As from `methods.load`.
-        inputs: Inputs of each model.
         passes: Timed predictions of each model, after the first.
 
     Returns:
@@ -52,10 +50,7 @@ def prediction_times(
 
 
 def main(run: Run, *methods: str) -> dict:
-    import tensorflow as tf
-
-    tf.config.threading.set_intra_op_parallelism_threads(1)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
+    limit_threads(1)
     models = [load(run, method) for method in methods]
     inputs = [inputs_for(run, METHODS[m])[: run.preset.timed_faces] for m in methods]
     times = prediction_times(models, inputs, run.preset.timed_passes)

@@ -1,7 +1,5 @@
 """Step: train one method, resuming from its checkpoint."""
 
-from __future__ import annotations
-
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.method import Method
 from experiments.methods import method_of, train
@@ -9,14 +7,14 @@ from experiments.records import load_record, resumable
 from experiments.run import Run
 
 
-def limit_threads(method: Method) -> None:
-    """Set TensorFlow's threads for the method: the order of sums depends on their number."""
-    if method.threads is None:
+def limit_threads(threads: int | None) -> None:
+    """Set TensorFlow's threads, if not None: the order of sums depends on their number."""
+    if threads is None:
         return
     import tensorflow as tf
 
-    tf.config.threading.set_intra_op_parallelism_threads(method.threads)
-    tf.config.threading.set_inter_op_parallelism_threads(method.threads)
+    tf.config.threading.set_intra_op_parallelism_threads(threads)
+    tf.config.threading.set_inter_op_parallelism_threads(threads)
 
 
 def keep_checkpoints(run: Run, method: Method) -> None:
@@ -35,7 +33,7 @@ def keep_checkpoints(run: Run, method: Method) -> None:
 
 def main(run: Run, method_id: str) -> dict:
     method = method_of(method_id)
-    limit_threads(method)
+    limit_threads(method.threads)
     keep_checkpoints(run, method)
     train(run, method_id)
     return {"method": method_id}

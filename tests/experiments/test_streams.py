@@ -17,7 +17,6 @@ MODULES = {
 }
 # Streams that two modules draw from, on purpose: the same faces.
 SHARED = {
-    "PHOTO_FACES": {"pretrained/pretrained.py", "pretrained/real_faces.py"},  # train both
     "RELEASED_WEIGHTS_FACES": {
         "released_weights/train.py",
         "released_weights/score.py",
