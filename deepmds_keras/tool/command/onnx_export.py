@@ -101,8 +101,9 @@ def open_lifter(model: str) -> tuple[LandmarkLifter, Path]:
     model = lifters[FALLBACK] if model == DEFAULT else model
     if model not in lifters.values() and not Path(model).is_file():
         raise InputError(
-            f"model must be {', '.join(lifters.values())} or a file of LandmarkLifter.save(): the "
-            f"networks of deepmds are not lifters. Received {str(model)!r}."
+            f"model must be {', '.join(lifters.values())} or an existing file of "
+            "LandmarkLifter.save(): the networks of deepmds are not lifters. "
+            f"Received {str(model)!r}."
         )
     weights = weights_path(model)
     return LandmarkLifter.load(weights), weights

@@ -33,6 +33,7 @@ _PATIENCE = 1.0  # seconds for which a face may be lost
 # much as in neighbouring frames. A face that moves by less than this there is the same: a flash.
 _CUT, _CUT_RATIO, _CUT_STILL = 0.06, 4, 0.02
 _CUT_GRID, _CUT_FRAMES = 48, 5  # compared pixels per side; neighbouring frames on either side
+_WHOLE = 0.95  # least share of its frames: players skip some at the ends of a cut video
 _TRIED_FRAMES = 8  # of a video, in all orientations
 # Frames in a row, of which only the first is searched everywhere unless a face is lost. They are
 # one task, so that the result does not depend on the number of processes.
@@ -86,6 +87,9 @@ def find_in_video(
     counts = [len(here) for here in faces]
     if not any(counts):
         raise no_face(Path(source), detector, "in any frame")
+    remarks = []
+    if video.is_counted and len(frames) < _WHOLE * video.n_frames:
+        remarks.append(f"damaged: {len(frames)} of {video.n_frames} frames could be read")
     tracks = np.concatenate(follow_faces(faces, times, find_cuts(changes)))
     landmarks = np.concatenate(faces)
     order = np.lexsort((tracks, np.repeat(frames, counts)))
@@ -102,6 +106,7 @@ def find_in_video(
         is_photo=False,
         frame_refs=[*map(FrameRef, frame.tolist(), time.tolist(), track.tolist())],
         detector=describe_detector(detector, landmarker),
+        remarks=remarks,
     )
 
 

@@ -49,6 +49,7 @@ class Video:
 
     Attributes:
         n_frames: Number of frames of an iteration according to the file; None if it does not say.
+        is_counted: Whether the file has that number, which otherwise follows from its duration.
 
     Args:
         path: Any file that FFmpeg reads.
@@ -72,6 +73,7 @@ class Video:
             self._step = float(1 / rate)
             stretch = float(stream.sample_aspect_ratio or 1)
             self._stretch = stretch if 1 / _STRETCH <= stretch <= _STRETCH else 1
+            self.is_counted = stream.frames > 0
             n = stream.frames or round((container.duration or 0) / 1e6 * rate)
         self.n_frames = -(-n // every) or None
 

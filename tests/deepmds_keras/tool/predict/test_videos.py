@@ -219,6 +219,17 @@ def test_of_a_damaged_file_there_is_what_can_be_decoded(tmp_path, suffix, damage
     assert (5 < len(list(Video(path))) < 20) if damage == "cut" else len(list(Video(path))) > 10
 
 
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_video_that_breaks_off_is_remarked(squares, tmp_path, every):
+    whole = write_video(tmp_path / "a.mp4", [scene(5 + x, 90) for x in range(60)])
+    cut = tmp_path / "b.mp4"
+    cut.write_bytes(whole.read_bytes()[: 2 * whole.stat().st_size // 3])
+    assert not find_in_video(whole, "a", detector="squares", every=every).remarks
+    (remark,) = find_in_video(cut, "b", detector="squares", every=every).remarks
+    n_read, n = map(int, re.findall(r"\d+", remark))
+    assert 5 < n_read == len([*Video(cut, every)]) < n == 60 // every
+
+
 def test_pyav_19_is_not_told_how_to_read_metadata(tmp_path, monkeypatch):
     path, open_any = write_video(tmp_path / "a.mp4", counted(3)), av.open
 
