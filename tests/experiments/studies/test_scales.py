@@ -30,6 +30,6 @@ def test_medians_and_ranges_are_over_seeds_and_each_ratio_is_within_its_own():
 def test_what_the_paper_prints_is_a_line_over_all_scales():
     figure = draw(summarise(scores()))
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "printed: Deep-MDS, 1.4" in texts
+    assert "published: Deep-MDS, 1.4" in texts
     lines = [line.get_xydata().tolist() for line in figure.axes[0].lines]
     assert [[1, pytest.approx(1.4)], [2, pytest.approx(1.4)]] in lines, "in 10⁻⁴"
