@@ -122,8 +122,8 @@ class EdgeFitter:
                 decide alone.
 
         Raises:
-            InputError: Not 68 finite points, most of them in the image, of a face that is seen from
-                in front.
+            InputError: Not such an image, or not 68 finite points, most of them in the image, of a
+                face that is seen from in front.
         """
         landmarks = _checked(landmarks, image)
         targets = landmarks[self._known] * (1, -1)
@@ -206,7 +206,11 @@ def _face_of(
 
 
 def _checked(landmarks: np.ndarray, image: np.ndarray) -> np.ndarray:
-    landmarks = np.asarray(landmarks, float)
+    image, landmarks = np.asarray(image), np.asarray(landmarks, float)
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise InputError(
+            f"image must be RGB, uint8 (H, W, 3). Received {image.dtype} {image.shape}."
+        )
     if landmarks.shape != (_N_LANDMARKS, 2) or not np.isfinite(landmarks).all():
         raise InputError(
             f"landmarks must be ({_N_LANDMARKS}, 2) finite numbers. "

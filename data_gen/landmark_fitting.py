@@ -60,7 +60,7 @@ class LandmarkFitter:
             and the landmarks of photos.
 
     Raises:
-        InputError: The model has no landmarks of that scheme.
+        InputError: The model has no landmarks of that scheme, or an option is out of range.
     """
 
     def __init__(
@@ -73,6 +73,11 @@ class LandmarkFitter:
         landmark_sd: float = 1.5,
     ):
         part = model.at_landmarks(scheme)
+        if n_identity < 1 or (n_expression or 0) < 0 or not landmark_sd > 0:
+            raise InputError(
+                "n_identity must be at least 1, n_expression not negative and landmark_sd positive."
+                f" Received {n_identity}, {n_expression}, {landmark_sd}."
+            )
         mean, bases = part.mean, [part.identity_basis_times_sd[:n_identity]]
         self._has_expression = part.expression_basis is not None and n_expression != 0
         self._expression_sd = model.expression_sd

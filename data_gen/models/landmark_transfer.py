@@ -41,11 +41,15 @@ def transfer_landmarks(
         `(72,)` target vertex numbers, all distinct.
 
     Raises:
-        InputError: Anchors in one plane, or the surfaces do not meet near the landmarks.
+        InputError: Too few anchors, or the surfaces do not meet near the landmarks.
     """
     landmarks = source.landmarks["bfm72"]
     anchors_from = source.mean[source_anchors]
     for label, anchors in (("source", anchors_from), ("target", target.mean[target_anchors])):
+        if len(anchors) < MIN_ANCHORS:
+            raise InputError(
+                f"{label}_anchors must be at least {MIN_ANCHORS} vertices. Received {len(anchors)}."
+            )
         extent = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
         if not extent[2] > 1e-3 * extent[0]:
             raise InputError(f"{label}_anchors must not lie in one plane. Received {extent}.")

@@ -114,7 +114,7 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
 
     Raises:
         InputError: Unknown name; the model's files are missing (the message says which, and where
-            to get them) or unusable; or it lacks the landmarks.
+            to get them) or unusable; or it lacks the landmarks or, for `"ibug51"`, expressions.
     """
     file = find_model(name, path)
     model = MODELS[name].load(file)
@@ -125,6 +125,8 @@ def load_model(name: str, path: str | Path | None = None, scheme: str = "bfm72")
         )
     if scheme != "ibug51" or name == "flame":
         return model
+    if model.expression_basis is None:
+        raise InputError(f"{name} must have expressions. Received a model without.")
     shift = _FLAME_NOSE_TIP_MM - model.mean[model.landmarks[scheme][_NOSE_TIP]]
     return replace(model, mean=model.mean + shift)
 

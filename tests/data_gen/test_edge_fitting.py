@@ -187,5 +187,8 @@ def test_what_cannot_be_fitted_is_refused(model, faces):
     ):
         with pytest.raises(InputError, match=message):
             fitter.fit(landmarks, image)
+    for other in (image[..., 0], image / 255.0):
+        with pytest.raises(InputError, match=r"image must be RGB, uint8 \(H, W, 3\)"):
+            fitter.fit(points, other)
     with pytest.raises(InputError, match="openhead must be a mesh .* Received one that has none"):
         EdgeFitter(replace(model, landmarks={}))

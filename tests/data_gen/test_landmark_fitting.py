@@ -122,5 +122,8 @@ def test_points_that_cannot_be_a_face_are_refused(model, fitter):
     ):
         with pytest.raises(InputError, match=message):
             fitter.fit(points)
+    for option in ({"n_identity": 0}, {"n_expression": -1}, {"landmark_sd": 0.0}):
+        with pytest.raises(InputError, match="n_identity must be at least 1, n_expression not"):
+            LandmarkFitter(model, **option)
     with pytest.raises(InputError, match="scheme must be one of bfm72, ibug68, ibug51 .* 'x'"):
         LandmarkFitter(model, "x")

@@ -78,10 +78,10 @@ def sequence_weights(
         and last frame are 0.
 
     Raises:
-        InputError: The names of the model's expressions are not known.
+        InputError: Unknown sequence, or the names of the model's expressions are not known.
     """
     columns = _columns(model)
-    course = np.repeat(_COURSES[SEQUENCES.index(sequence)], 2, axis=0)
+    course = np.repeat(_COURSES[_number(sequence, SEQUENCES, "sequence")], 2, axis=0)
     mean_spans = np.resize([_HOLD, 1.0], len(course) - 1)
     mean_spans[[0, -1]] = _REST
     spans = mean_spans * rng.uniform(1 - _JITTER, 1 + _JITTER, len(mean_spans))
@@ -108,10 +108,10 @@ def scan_expression_weights(
         `(n, E)` expression weights in [0, 1.2], a face for each name (of `SCAN_EXPRESSIONS`).
 
     Raises:
-        InputError: The names of the model's expressions are not known.
+        InputError: Unknown name, or the names of the model's expressions are not known.
     """
     columns = _columns(model)
-    faces = np.array([SCAN_EXPRESSIONS.index(name) for name in names], int)
+    faces = np.array([_number(name, SCAN_EXPRESSIONS, "expression") for name in names], int)
     weights = _HELD_POSES[faces] * _strengths(len(faces), _HELD_ASYMMETRY, rng)
     return weights.clip(0, _MAX_WEIGHT) @ columns
 
@@ -159,6 +159,12 @@ def _between(before: np.ndarray, after: np.ndarray, place: np.ndarray) -> np.nda
 def _ease(place: np.ndarray) -> np.ndarray:
     """Smooth step from 0 at 0 to 1 at 1, and back to 0 at 2."""
     return (1 - np.cos(np.pi * place)) / 2
+
+
+def _number(name: str, known: tuple[str, ...], what: str) -> int:
+    if name not in known:
+        raise InputError(f"{what} must be one of {', '.join(known)}. Received {name!r}.")
+    return known.index(name)
 
 
 def _columns(model: MorphableModel) -> np.ndarray:

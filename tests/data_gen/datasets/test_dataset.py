@@ -65,10 +65,18 @@ def test_every_subject_performs_every_sequence_from_neutral():
     assert not expression[starts].any() and expression.any(1).sum() > n
 
 
-@pytest.mark.parametrize(("make", "n"), [(make_dataset, (3,)), (make_rings, (3, 2))])
-def test_an_unknown_scheme_is_refused(make, n):
-    with pytest.raises(InputError, match=r"scheme must be one of .* Received 'dlib'"):
-        make(MODEL, *n, np.random.default_rng(0), scheme="dlib")
+@pytest.mark.parametrize(
+    ("make", "arguments", "options", "message"),
+    [
+        (make_dataset, (3,), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (3, 2), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
+        (make_rings, (0, 2), {}, "n_subjects and images_per_subject must be at least 1"),
+        (make_performances, (2, 71), {}, "n_frames at least 36 for each"),
+    ],
+)
+def test_unusable_arguments_are_refused(make, arguments, options, message):
+    with pytest.raises(InputError, match=message):
+        make(MODEL, *arguments, np.random.default_rng(0), **options)
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):

@@ -134,10 +134,13 @@ def test_open_head_and_ict_make_the_same_expressions(openhead, ict):
 @pytest.mark.parametrize("names", [(), tuple(f"expression_{k}" for k in range(51))])
 def test_unknown_expressions_are_refused(openhead, names):
     unknown, rng = replace(openhead, name="pca", expression_names=names), np.random.default_rng(0)
-    for function, *arguments in (
-        (sequence_weights, "mouth_open", 10),
-        (scan_expression_weights, ["smile"]),
-        (sample_expressions, 10),
+    for call in (
+        lambda model, name: sequence_weights(model, name or "mouth_open", 10, rng),
+        lambda model, name: scan_expression_weights(model, [name or "smile"], rng),
     ):
         with pytest.raises(InputError, match="pca: .*openhead and ict"):
-            function(unknown, *arguments, rng)
+            call(unknown, None)
+        with pytest.raises(InputError, match="must be one of .* Received 'yawn'"):
+            call(openhead, "yawn")
+    with pytest.raises(InputError, match="pca: .*openhead and ict"):
+        sample_expressions(unknown, 10, rng)
