@@ -22,6 +22,11 @@ _TRIES = 5
 _LONGEST_NAME = 32  # characters of a file's name in that of its temporary one: names have a limit
 
 
+def instead_of_file(path: Path) -> str:
+    """What is at a path where no file is, for messages."""
+    return "a folder or device" if path.exists() else "a path that does not exist"
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file for writing, under a temporary name until it is complete; create its folder.

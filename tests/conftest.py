@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import runs
 from filelock import FileLock
-from places import MEDIAPIPE
+from places import MEDIAPIPE, SHARED
 from threadpoolctl import threadpool_limits
 
 from experiments.__main__ import prepare
@@ -40,6 +40,15 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture
 def rng():
     return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def paper():
+    """The paper, in LaTeX."""
+    path = SHARED / "paper.tex"
+    if not path.exists():
+        pytest.skip("../shared/paper.tex is absent")
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

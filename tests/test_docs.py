@@ -242,9 +242,8 @@ def test_the_method_in_the_readme_runs_and_finds_the_shape_of_a_face():
     assert np.corrcoef(found, mean)[0, 1] > 0.6  # about 0 if the order of the pairs is wrong
 
 
-@pytest.mark.skipif(not (SHARED / "paper.tex").exists(), reason="../shared/paper.tex is absent")
-def test_every_table_and_figure_of_the_paper_is_in_the_index():
-    labels = re.findall(r"\\label{(?:tab|fig):(.*?)}", (SHARED / "paper.tex").read_text("utf-8"))
+def test_every_table_and_figure_of_the_paper_is_in_the_index(paper):
+    labels = re.findall(r"\\label{(?:tab|fig):(.*?)}", paper)
     index = text_of("docs/paper.md")
     assert labels and not [label for label in labels if f"`{label}`" not in index]
 

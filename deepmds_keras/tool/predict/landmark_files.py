@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief
-from deepmds_keras.files import map_npy
+from deepmds_keras.files import instead_of_file, map_npy
 from deepmds_keras.landmarks import face_sizes, load_scheme
 from deepmds_keras.landmarks.arrays import LARGEST_FRACTION, as_faces, seem_fractions
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
@@ -181,7 +181,7 @@ def _in_pixels(
 
 def _check_size(path: Path, max_bytes: int) -> None:
     if not path.is_file():
-        received = "a folder or device" if path.exists() else "a path that does not exist"
+        received = instead_of_file(path)
     elif not (size := path.stat().st_size):
         received = "an empty file"
     elif size > max_bytes:

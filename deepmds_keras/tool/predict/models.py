@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from deepmds_keras.errors import InputError, needs
-from deepmds_keras.files import read_arrays
+from deepmds_keras.files import instead_of_file, read_arrays
 from deepmds_keras.geometry.camera import HeadPose, head_poses, refit
 from deepmds_keras.landmarks import convert, face_sizes, load_scheme, scheme_of, unnamed
 from deepmds_keras.lifting.lifter import LandmarkLifter
@@ -197,10 +197,9 @@ def weights_path(name: str) -> Path:
     if path.is_file():
         return path
     if path.suffix:
-        received = "a folder" if path.exists() else "a path that does not exist"
         raise InputError(
             f"{path} must be a file written by LandmarkLifter.save() or DeepMDS.save(). "
-            f"Received {received}."
+            f"Received {instead_of_file(path)}."
         )
     try:
         return pretrained_path(name)

@@ -88,8 +88,8 @@ def find_in_video(
     if not any(counts):
         raise no_face(Path(source), detector, "in any frame")
     remarks = []
-    if video.is_counted and len(frames) < _WHOLE * video.n_frames:
-        remarks.append(f"damaged: {len(frames)} of {video.n_frames} frames could be read")
+    if video.n_counted and len(frames) < _WHOLE * video.n_counted:
+        remarks.append(f"damaged: {len(frames)} of {video.n_counted} frames could be read")
     tracks = np.concatenate(follow_faces(faces, times, find_cuts(changes)))
     landmarks = np.concatenate(faces)
     order = np.lexsort((tracks, np.repeat(frames, counts)))

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 from deepmds_keras.errors import InputError, needs
-from deepmds_keras.files import atomic_write
+from deepmds_keras.files import atomic_write, instead_of_file
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.detection.photos import MIN_SIDE
 from deepmds_keras.tool.predict.faces import Face, frame_of, in_degrees
@@ -49,7 +49,7 @@ class Video:
 
     Attributes:
         n_frames: Number of frames of an iteration according to the file; None if it does not say.
-        is_counted: Whether the file has that number, which otherwise follows from its duration.
+        n_counted: That number, unless it only follows from the file's duration.
 
     Args:
         path: Any file that FFmpeg reads.
@@ -73,9 +73,9 @@ class Video:
             self._step = float(1 / rate)
             stretch = float(stream.sample_aspect_ratio or 1)
             self._stretch = stretch if 1 / _STRETCH <= stretch <= _STRETCH else 1
-            self.is_counted = stream.frames > 0
-            n = stream.frames or round((container.duration or 0) / 1e6 * rate)
-        self.n_frames = -(-n // every) or None
+            counted = stream.frames
+            n = counted or round((container.duration or 0) / 1e6 * rate)
+        self.n_frames, self.n_counted = (-(-frames // every) or None for frames in (n, counted))
 
     def __iter__(self) -> Iterator[Frame]:
         start, time, index = None, 0.0, -1
@@ -111,10 +111,7 @@ class Video:
         """The container and its video stream, while it is open."""
         av = _import_av()
         if not self.path.is_file():
-            missing = not self.path.exists()
-            raise self._unreadable(
-                "a path that does not exist" if missing else "a folder or device"
-            )
+            raise self._unreadable(instead_of_file(self.path))
         try:
             # From 19 on PyAV reads metadata that are no UTF-8 anyway, and refuses the argument.
             is_19 = int(av.__version__.split(".")[0]) >= 19
@@ -175,8 +172,7 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
         noted = f", {n_noted} with notes" if n_noted else ""
         yield (
             f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
-            f"frames{noted}; yaw {in_degrees(min(yaws))} to "
-            f"{in_degrees(max(yaws))}"
+            f"frames{noted}; yaw {in_degrees(min(yaws))} to {in_degrees(max(yaws))}"
         )
     if len(tracks) > most:
         yield f"  and {len(tracks) - most} more tracks; pictures are of the {most} longest"

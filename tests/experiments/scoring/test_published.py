@@ -5,7 +5,6 @@ from decimal import Decimal
 
 import pandas as pd
 import pytest
-from places import SHARED
 
 from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
@@ -13,8 +12,6 @@ from experiments.records import PUBLISHED
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import as_quoted
 from experiments.scoring.published import printed, published
-
-PAPER = SHARED / "paper.tex"
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +32,7 @@ def test_every_cell_of_the_four_tables_is_there(rows):
         assert {*published(experiment)["metric"]} == in_paper
 
 
-@pytest.mark.skipif(not PAPER.exists(), reason="../shared/paper.tex is absent")
-def test_numbers_are_those_in_the_papers_tables(rows):
-    paper = PAPER.read_text(encoding="utf-8")
+def test_numbers_are_those_in_the_papers_tables(rows, paper):
     in_paper = [
         (label, " ± ".join(number))
         for body, label in re.findall(r"\\begin{tabular}(.*?)\\label{(.*?)}", paper, re.S)
