@@ -3,8 +3,8 @@
 Predicting needs NumPy alone; `fit` imports Keras, and scikit-learn is imported only by its users.
 """
 
-import inspect
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self, overload
 
@@ -52,6 +52,7 @@ class Estimate(NamedTuple):
     pose: HeadPose
 
 
+@dataclass(eq=False)
 class LandmarkLifter:
     """3D landmarks of a face from the 2D landmarks of one image, by a network that solves cameras.
 
@@ -99,24 +100,14 @@ class LandmarkLifter:
         True
     """
 
-    def __init__(
-        self,
-        n_landmarks: int = 72,
-        *,
-        steps: int = 4000,
-        batch_size: int = 128,
-        learning_rate: float = 2e-3,
-        missing: float = 0.0,
-        noise: float = 0.0,
-        seed: int = 0,
-    ):
-        self.n_landmarks = n_landmarks
-        self.steps = steps
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.missing = missing
-        self.noise = noise
-        self.seed = seed
+    n_landmarks: int = 72
+    _: KW_ONLY
+    steps: int = 4000
+    batch_size: int = 128
+    learning_rate: float = 2e-3
+    missing: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
 
     def fit(
         self,
@@ -316,7 +307,7 @@ class LandmarkLifter:
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Parameters of the constructor by name, as scikit-learn's estimators return them."""
-        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def set_params(self, **parameters: Any) -> Self:
         """Set parameters of the constructor.
@@ -329,10 +320,6 @@ class LandmarkLifter:
                 raise InputError(f"LandmarkLifter has no parameter {name!r}.")
             setattr(self, name, value)
         return self
-
-    def __repr__(self) -> str:
-        parameters = (f"{name}={value!r}" for name, value in self.get_params().items())
-        return f"LandmarkLifter({', '.join(parameters)})"
 
     def __sklearn_tags__(self):
         from sklearn.utils import Tags, TargetTags
