@@ -17,7 +17,7 @@ from data_gen.landmarks import load_vertices
 from data_gen.models.mesh import largest_component
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.renderer import part_of
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, naming
 from deepmds_keras.geometry.camera import HeadPose
 
 _N_LANDMARKS = len(load_vertices("ibug68").numbers)
@@ -127,10 +127,8 @@ class EdgeFitter:
         """
         landmarks = _checked(landmarks, image)
         targets = landmarks[self._known] * (1, -1)
-        try:
+        with naming("landmarks, here with y turned up"):
             start = self._start.fit(targets)
-        except InputError as error:
-            raise InputError(f"landmarks, here with y turned up: {error}") from None
         # Pixels a millimetre at the start, throughout: by its own, a smaller face would fit better.
         pose = start.camera
         unit = pose.scale

@@ -53,6 +53,15 @@ def check_choice(value: object, name: str, choices: Collection[str]) -> None:
 
 
 @contextmanager
+def naming(subject: object) -> Iterator[None]:
+    """Context that names a file or argument before the message of an InputError."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{subject}: {error}") from None
+
+
+@contextmanager
 def needs(package: str, extra: str) -> Iterator[None]:
     """Context for importing packages that an optional extra of `setup.cfg` installs.
 

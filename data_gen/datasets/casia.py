@@ -19,7 +19,7 @@ from data_gen.mesh_files import read_asc_points, read_vrml_points
 from data_gen.models.mesh import vertex_normals
 from data_gen.models.openhead import load_openhead
 from data_gen.registration import icp
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, naming
 from deepmds_keras.files import read_table, write_bytes
 
 _COLUMNS = ("subject", "scan", "use", "condition")
@@ -150,10 +150,8 @@ def load_scan(scan: CasiaScan) -> tuple[np.ndarray, np.ndarray]:
     """
     image = read_image(scan.image, ("BMP", "PNG", "JPEG"))
     points = _READERS[scan.points.suffix.lower()](scan.points)
-    try:
+    with naming(scan.points):
         return image, face_points(points)
-    except InputError as error:
-        raise InputError(f"{scan.points}: {error}") from None
 
 
 def face_points(points: np.ndarray) -> np.ndarray:

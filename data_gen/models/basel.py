@@ -15,7 +15,7 @@ from data_gen.landmarks import known_landmarks, load_basel_anchors, load_vertice
 from data_gen.models.array_files import read_mat
 from data_gen.models.morphable_model import MorphableModel, model_of
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, naming
 from deepmds_keras.files import sha256_of
 
 N_VERTICES_2009 = 53490
@@ -96,10 +96,8 @@ def load_bfm2017(path: str | Path, name: str = "bfm2017") -> MorphableModel:
     if len(anchors) < MIN_ANCHORS:
         return model
     on_head, on_model = np.array([*anchors.items()]).T
-    try:
+    with naming(f"{file}: the 72 landmarks cannot be placed"):
         landmarks = transfer_landmarks(load_openhead(), on_head, model, on_model)
-    except InputError as error:
-        raise InputError(f"{file}: the 72 landmarks cannot be placed: {error}") from None
     return replace(model, landmarks={"bfm72": landmarks})
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_gen.models.array_files import load_plain_pickle
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError, brief, naming
 from deepmds_keras.files import map_npy, sha256_of
 
 MEAN = "train.configs/u_shp.npy"
@@ -59,7 +59,7 @@ def load_bfm68(checkout: str | Path) -> MorphableModel:
             f"Received {brief(repr(error))}."
         ) from None
     expressions = _components(expression, _N_EXPRESSION)
-    try:
+    with naming(checkout):
         return MorphableModel(
             name="bfm68",
             mean=_points(mean)[vertices],
@@ -72,8 +72,6 @@ def load_bfm68(checkout: str | Path) -> MorphableModel:
             expression_basis=expressions * expression_sd[:, None, None],
             sha256=sha256_of(files),
         )
-    except InputError as error:
-        raise InputError(f"{checkout}: {error}") from None
 
 
 def _vertices(file: Path) -> np.ndarray:

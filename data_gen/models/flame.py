@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from data_gen.models.array_files import load_plain_pickle
 from data_gen.models.mesh import check_triangles
 from data_gen.models.morphable_model import MorphableModel, model_of
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, naming
 from deepmds_keras.files import read_npz, sha256_of
 
 # The last landmarks of ibug68 are those of ibug51.
@@ -145,12 +145,9 @@ def read_flame(path: str | Path) -> dict[str, np.ndarray]:
     file = Path(path)
     arrays = read_npz(file) if zipfile.is_zipfile(file) else load_plain_pickle(file)
     arrays = arrays if isinstance(arrays, dict) else {}
-    try:
-        return _checked(
-            {new: arrays[old] for old, new in _OLDER_KEYS.items() if old in arrays} | arrays
-        )
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
+    renamed = {new: arrays[old] for old, new in _OLDER_KEYS.items() if old in arrays}
+    with naming(file):
+        return _checked(renamed | arrays)
 
 
 def _checked(arrays: dict) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.mesh import check_triangles, orient_outwards
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, naming
 
 # Of expression weights that go from 0 to 1; fits to photos then stay between about -0.5 and 0.7.
 BLENDSHAPE_SD = 0.3
@@ -61,10 +61,8 @@ class MorphableModel:
     sha256: str = ""
 
     def __post_init__(self):
-        try:
+        with naming(self.name):
             self._check()
-        except InputError as error:
-            raise InputError(f"{self.name}: {error}") from None
 
     def _check(self) -> None:
         for label in ("mean", *_FIELDS, *_BASES):
@@ -185,10 +183,8 @@ def model_of(file: Path, **fields) -> MorphableModel:
     Raises:
         InputError: As `MorphableModel`, or there are no triangles; the message names the file.
     """
-    try:
+    with naming(file):
         model = MorphableModel(**fields)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
     if not len(model.triangles):
         raise InputError(f"{file}: must hold a mesh. Received no triangles.")
     return replace(model, triangles=orient_outwards(model.mean, model.triangles))
