@@ -8,7 +8,7 @@ from data_gen.models.expressions import (
     scan_expression_weights,
 )
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import check_choice
 from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.views import (
     Cameras,
@@ -53,8 +53,7 @@ def sample_cameras(n: int, rng: np.random.Generator, protocol: str = "paper") ->
     Raises:
         InputError: The protocol is none of `PROTOCOLS`.
     """
-    if protocol not in PROTOCOLS:
-        raise InputError(f"protocol must be one of {', '.join(PROTOCOLS)}. Received {protocol!r}.")
+    check_choice(protocol, "protocol", PROTOCOLS)
     # Every number is drawn for every face, so that a face keeps its pose whatever the others are.
     draw = rng.random(n)
     turn = rng.choice(_YAWS, n)

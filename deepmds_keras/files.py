@@ -72,15 +72,33 @@ def write_arrays(
         save(file, description=np.array(text), **arrays)
 
 
-def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
+@contextmanager
+def reading(path: str | Path, kind: str) -> Iterator[None]:
+    """Context for reading a file: any error becomes one InputError, that it must be `kind`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; it must be {kind}.") from None
+    except Exception as error:  # zipfile, zlib and NumPy's parser of headers raise many kinds
+        received = f"{type(error).__name__}: {brief(error)}"
+        if isinstance(error, OSError) and error.strerror:
+            received = error.strerror
+        # NumPy advises to allow it, or says that no such array can be mapped.
+        elif "allow_pickle" in str(error) or "Python objects" in str(error):
+            received = "an array of objects, which can run code when read"
+        raise InputError(f"{path} must be {kind}. Received {received}.") from None
+
+
+def read_arrays(
+    path: str | Path, kind: str = "an npz written by save()"
+) -> tuple[dict[str, np.ndarray], dict]:
     """Read what `write_arrays` wrote.
 
     Raises:
         InputError: The file is missing, damaged or not of this kind.
     """
-    kind = "an npz written by save()"
     arrays = read_npz(path, kind)
-    with _named(path, kind):
+    with reading(path, kind):
         description = json.loads(str(arrays.pop("description")))
         if not isinstance(description, dict):
             raise ValueError("a description that is no dict")
@@ -95,7 +113,7 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
             the message calls the file `kind`.
     """
     arrays = {}
-    with _named(path, kind), open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+    with reading(path, kind), open(path, "rb") as file, zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
             # Read to the end, so that the checksum is compared; NumPy stops at the array's end.
             name, content = member.filename.removesuffix(".npy"), archive.read(member)
@@ -111,7 +129,7 @@ def read_npz(path: str | Path, kind: str = "an npz file of plain arrays") -> dic
 
 def map_npy(path: str | Path, kind: str = "one array in NumPy's format") -> np.ndarray:
     """Map the array of an npy file, read-only; bad files raise InputError as in `read_npz`."""
-    with _named(path, kind):  # mapped: a header cannot claim more memory than the file has
+    with reading(path, kind):  # mapped: a header cannot claim more memory than the file has
         return _parsed(np.lib.format.open_memmap, path, mode="r")
 
 
@@ -150,20 +168,3 @@ def sha256_of(paths: Iterable[Path]) -> str:
         with path.open("rb") as file:
             hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()
-
-
-@contextmanager
-def _named(path: str | Path, kind: str) -> Iterator[None]:
-    """Turn any error into one InputError that names the file."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; it must be {kind}.") from None
-    except Exception as error:  # zipfile, zlib and NumPy's parser of headers raise many kinds
-        received = f"{type(error).__name__}: {brief(error)}"
-        if isinstance(error, OSError) and error.strerror:
-            received = error.strerror
-        # NumPy advises to allow it, or says that no such array can be mapped.
-        elif "allow_pickle" in str(error) or "Python objects" in str(error):
-            received = "an array of objects, which can run code when read"
-        raise InputError(f"{path} must be {kind}. Received {received}.") from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief, check_choice
-from deepmds_keras.files import write_arrays
+from deepmds_keras.files import reading, write_arrays
 
 if TYPE_CHECKING:
     import keras
@@ -103,20 +103,12 @@ def read_keras2_weights(network: keras.Model, path: str | Path) -> None:
 
     weights = [weight for layer in network.layers for weight in layer.weights]
     needed, arrays = [tuple(weight.shape) for weight in weights], []
-    try:
-        with h5py.File(path, "r") as file:
-            groups = [file[name] for name in _read_names(file, "layer_names")]
-            data = [group[name] for group in groups for name in _read_names(group, "weight_names")]
-            shapes = [dataset.shape for dataset in data]
-            if shapes == needed:  # otherwise the file may claim more than memory holds
-                arrays = [dataset[()] for dataset in data]
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; it must be a Keras 2 weight file.") from None
-    except Exception as error:  # h5py raises many kinds for a damaged file
-        received = f"{type(error).__name__}: {brief(error)}"
-        raise InputError(
-            f"{path} must be a Keras 2 weight file (HDF5). Received {received}."
-        ) from None
+    with reading(path, "a Keras 2 weight file (HDF5)"), h5py.File(path, "r") as file:
+        groups = [file[name] for name in _read_names(file, "layer_names")]
+        data = [group[name] for group in groups for name in _read_names(group, "weight_names")]
+        shapes = [dataset.shape for dataset in data]
+        if shapes == needed:  # otherwise the file may claim more than memory holds
+            arrays = [dataset[()] for dataset in data]
     if shapes != needed:
         raise InputError(
             f"{path} must have the {len(needed)} weights of {network.name}, of shapes "

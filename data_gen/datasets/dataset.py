@@ -5,7 +5,6 @@ open substitute for CoMA (Ranjan et al. 2018, doi:10.1007/978-3-030-01219-9_43),
 subjects, 12 sequences and 20,466 frames and is available on request only.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,8 @@ import numpy as np
 from data_gen.models.expressions import SEQUENCES, sample_expressions, sequence_weights
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.views import sample_cameras
-from deepmds_keras.errors import InputError, brief
-from deepmds_keras.files import atomic_write, read_npz
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.views import PROJECTIONS, Cameras, project
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
@@ -178,10 +177,9 @@ def _description(model: MorphableModel, scheme: str, protocol: str) -> dict:
 
 def save_dataset(path: str | Path, dataset: Dataset) -> None:
     """Write an npz, under a temporary name until it is complete."""
-    cameras = {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
     arrays = {key: getattr(dataset, key) for key in _ARRAYS}
-    with atomic_write(Path(path)) as file:
-        np.savez(file, **arrays, description=np.array(json.dumps(dataset.description)), **cameras)
+    arrays |= {key: np.float32(value) for key, value in vars(dataset.cameras).items()}
+    write_arrays(path, arrays, dataset.description, compressed=False)
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -190,7 +188,7 @@ def load_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: Missing or truncated file, a missing or misshapen array, NaN or infinity.
     """
-    arrays = read_npz(path, "a data set (npz)")
+    arrays, description = read_arrays(path, "a data set (npz)")
     n, n_landmarks = (*np.shape(arrays.get("landmarks")), 0, 0)[:2]
     needed = {"landmarks": (n, n_landmarks, 3), "views": (n, n_landmarks, 2)}
     needed |= {key: (n,) for key in Cameras.__dataclass_fields__}
@@ -206,8 +204,4 @@ def load_dataset(path: str | Path) -> Dataset:
     if not np.isin(cameras["projection"], range(len(PROJECTIONS))).all():
         raise InputError(f"{path}: projection must be a number below {len(PROJECTIONS)}.")
     cameras["projection"] = cameras["projection"].astype(int)
-    try:
-        description = json.loads(str(arrays.get("description")))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: description must be JSON. Received {brief(error)}.") from None
     return Dataset(*(arrays[key] for key in _ARRAYS), Cameras(**cameras), description)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import check_choice
 from deepmds_keras.files import read_table
 
 # Of each scheme the table, and the number of its first landmark there.
@@ -41,10 +41,7 @@ def load_vertices(scheme: str) -> LandmarkVertices:
     Raises:
         InputError: Another name.
     """
-    if scheme not in SCHEMES:
-        raise InputError(
-            f"landmark scheme must be one of {', '.join(SCHEMES)}. Received {scheme!r}."
-        )
+    check_choice(scheme, "landmark scheme", SCHEMES)
     table, first = _TABLES[scheme]
     rows = [row for row in read_table(_FOLDER / f"{table}.csv") if int(row["number"]) >= first]
     anchors = {

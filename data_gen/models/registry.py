@@ -14,7 +14,7 @@ from data_gen.models.flame import find_embedding, load_flame
 from data_gen.models.ict import NEUTRAL, load_ict
 from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import OPENHEAD, load_openhead
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 
 
 @dataclass(frozen=True)
@@ -142,10 +142,8 @@ def find_model(name: str, path: str | Path | None) -> Path:
     """
     if name == "openhead":
         return OPENHEAD
-    model = MODELS.get(name)
-    if model is None:
-        raise InputError(f"MODEL must be one of {', '.join(MODELS)}. Received {name!r}.")
-    received = "nothing"
+    check_choice(name, "MODEL", MODELS)
+    model, received = MODELS[name], "nothing"
     if path:
         path = Path(path)
         places = [path] if path.is_file() else []

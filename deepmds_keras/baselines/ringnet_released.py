@@ -2,8 +2,6 @@
 
 import glob
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,8 @@ import tensorflow as tf
 from tensorflow.core.protobuf.meta_graph_pb2 import MetaGraphDef
 
 from deepmds_keras.baselines.images import check_images
-from deepmds_keras.errors import InputError, brief
+from deepmds_keras.errors import InputError
+from deepmds_keras.files import reading
 
 IMAGE_SIZE = 224
 N_VERTICES = 5023  # FLAME's
@@ -19,6 +18,7 @@ _MM = 1000.0  # the graph gives metres
 # The authors load the file where a placeholder `input_images` exists. TensorFlow then calls the
 # file's the same with `_1`, so that the file may have it under either name.
 _INPUTS = ("input_images_1", "input_images")
+_KIND = f"RingNet's checkpoint, which TensorFlow {tf.__version__} can run"
 _VERTICES = "Flamenetnormal_2/Add_9:0"
 _UNUSABLE = {"PyFunc", "PyFuncStateless", "EagerPyFunc", "ReadFile", "WriteFile", "MatchingFiles"}
 
@@ -56,7 +56,7 @@ class ReleasedRingNet:
                     "RingNet's checkpoint without suffix, such as ring_6_68641."
                 )
         self._graph = graph = tf.Graph()
-        with _named(prefix), graph.as_default():
+        with reading(prefix, _KIND), graph.as_default():
             meta = MetaGraphDef.FromString(Path(prefix + ".meta").read_bytes())
             saver = tf.compat.v1.train.import_meta_graph(meta, clear_devices=True)
             operations = {operation.name for operation in graph.get_operations()}
@@ -76,7 +76,7 @@ class ReleasedRingNet:
             InputError: Images of another kind or size.
         """
         images, corners = check_images(images, IMAGE_SIZE), []
-        with _named(self.checkpoint_prefix):
+        with reading(self.checkpoint_prefix, _KIND):
             for image in images:  # the graph takes one at a time
                 scaled = image[None] / np.float32(127.5) - 1
                 vertices = self._session.run(self._vertices, {self._input: scaled})[0]
@@ -89,18 +89,6 @@ class ReleasedRingNet:
         """Trainable parameters."""
         variables = self._graph.get_collection(tf.compat.v1.GraphKeys.TRAINABLE_VARIABLES)
         return sum(math.prod(variable.shape) for variable in variables)
-
-
-@contextmanager
-def _named(prefix: str) -> Iterator[None]:
-    """Turn any error into one InputError that names the checkpoint."""
-    try:
-        yield
-    except Exception as error:  # TensorFlow and protobuf raise many kinds for a damaged file
-        raise InputError(
-            f"{prefix} must be RingNet's checkpoint, which TensorFlow {tf.__version__} can run. "
-            f"Received {type(error).__name__}: {brief(error)}."
-        ) from None
 
 
 def _tensor(graph: tf.Graph, name: str, shape: tuple[int, ...]) -> tf.Tensor:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.files import read_table
 
 _SIDES = {"left": ("Left",), "right": ("Right",), "both": ("Left", "Right"), "none": ("",)}
@@ -162,8 +162,7 @@ def _ease(place: np.ndarray) -> np.ndarray:
 
 
 def _number(name: str, known: tuple[str, ...], what: str) -> int:
-    if name not in known:
-        raise InputError(f"{what} must be one of {', '.join(known)}. Received {name!r}.")
+    check_choice(name, what, known)
     return known.index(name)
 
 
