@@ -153,7 +153,7 @@ class GroundTruth:
         skin = largest_component(model.n_vertices, model.triangles)
         near = KDTree(model.mean[landmarks]).query(model.mean[skin])[0] < _NEAR_MM
         facing = vertex_normals(model.mean, model.triangles)[skin, 2] > 0
-        surface = _thinned(skin[near & facing], _SURFACE_POINTS)
+        surface = thinned(skin[near & facing], _SURFACE_POINTS)
         self._n_surface = len(surface)
         self._model = model.restrict(np.concatenate([surface, landmarks]))
 
@@ -194,7 +194,7 @@ class GroundTruth:
 
 def _register(surface: np.ndarray, tree: KDTree) -> IcpResult:
     """Rigid registration from the better of two starts: middle on middle, front on front."""
-    points, few = tree.data, _thinned(surface, _COARSE_POINTS)
+    points, few = tree.data, thinned(surface, _COARSE_POINTS)
     starts = (
         points.mean(0) - surface.mean(0),
         points[points[:, 2].argmax()] - surface[surface[:, 2].argmax()],
@@ -206,5 +206,6 @@ def _register(surface: np.ndarray, tree: KDTree) -> IcpResult:
     return icp(surface, tree, rotation=best.rotation, translation=best.translation)
 
 
-def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
+def thinned(rows: np.ndarray, most: int) -> np.ndarray:
+    """Evenly chosen rows, no more than that many."""
     return rows[:: -(-len(rows) // most)]

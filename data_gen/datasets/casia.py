@@ -18,7 +18,7 @@ from data_gen.datasets.image_files import read_image
 from data_gen.mesh_files import read_asc_points, read_vrml_points
 from data_gen.models.mesh import vertex_normals
 from data_gen.models.openhead import load_openhead
-from data_gen.registration import icp
+from data_gen.registration import icp, thinned
 from deepmds_keras.errors import InputError, brief, naming
 from deepmds_keras.files import read_table, write_bytes
 
@@ -183,7 +183,7 @@ def face_points(points: np.ndarray) -> np.ndarray:
         )
     # Stray points may lie anywhere beyond.
     inner = points[((points >= low) & (points <= high)).all(1)]
-    thin = inner[:: -(-len(inner) // _SCAN_POINTS)]
+    thin = thinned(inner, _SCAN_POINTS)
     ways = [(*_find_face(thin * turn), turn) for turn in (np.ones(3), _HALF_TURN)]
     _, middle, turn = min(ways, key=lambda way: way[0])
     turned = points * turn
@@ -213,7 +213,7 @@ def _mean_face() -> np.ndarray:
     middle, nose = (landmarks.max(0) + landmarks.min(0)) / 2, landmarks[_NOSE_TIP]
     front = vertex_normals(head.mean, head.triangles)[:, 2] > 0.2
     face = head.mean[front & (np.linalg.norm(head.mean - nose, axis=1) < _FACE_MM)]
-    return np.vstack([nose, face[:: -(-len(face) // _FACE_POINTS)]]) - middle
+    return np.vstack([nose, thinned(face, _FACE_POINTS)]) - middle
 
 
 def _first_by_stem(files: list[Path], suffixes: Sequence[str]) -> dict[str, Path]:

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SHARED
 from scipy.spatial import ConvexHull
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
-from data_gen.models.ict import load_ict
+from data_gen.models.ict import KEPT
 from data_gen.models.landmark_transfer import transfer_landmarks
 from data_gen.models.mesh import largest_component, orient_outwards, vertex_normals
 from data_gen.models.openhead import read_openhead
@@ -37,11 +36,8 @@ def test_landmarks_are_recovered_on_the_same_face_renumbered_turned_and_scaled(h
     assert len(set(transfer_landmarks(twice, anchors, head, anchors))) == 144
 
 
-@pytest.mark.skipif(not (SHARED / "ict-facekit").is_dir(), reason="../shared/ict-facekit is absent")
 @pytest.mark.parametrize("kind", ["names in the file", "eos"])
-def test_open_head_landmarks_land_on_those_of_ict(head, kind):
-    path = SHARED / "ict-facekit" / "ict_light.npz"
-    ict = load_ict(path)
+def test_open_head_landmarks_land_on_those_of_ict(head, ict, kind):
     if kind == "eos":
         scheme = load_vertices("ibug68")
         known = list(scheme.anchors["bfm2017"])
@@ -49,9 +45,7 @@ def test_open_head_landmarks_land_on_those_of_ict(head, kind):
     else:
         points = [point for point in load_basel_anchors().values() if "ict" in point]
         source, target = (np.array([p[model] for p in points]) for model in ("openhead", "ict"))
-    with np.load(path) as file:
-        target = np.searchsorted(file["vertex_index"], target)
-    vertices = transfer_landmarks(head, source, ict, target)
+    vertices = transfer_landmarks(head, source, ict, np.searchsorted(KEPT, target))
     # ICT's eye opening has no skin, and its table holds a vertex of the lower lid for the pupil.
     error = ict.mean[vertices] - ict.mean[ict.landmarks["bfm72"]]
     error = np.linalg.norm(error, axis=1)[ON_SKIN]

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SHARED
 
 from data_gen.models.expressions import (
     SCAN_EXPRESSIONS,
@@ -13,12 +12,9 @@ from data_gen.models.expressions import (
     scan_expression_weights,
     sequence_weights,
 )
-from data_gen.models.ict import load_ict
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.errors import InputError
 from deepmds_keras.landmarks import load_scheme
 
-ICT = SHARED / "ict-facekit" / "ict_light.npz"
 SCHEME = load_scheme("ibug51")
 NUMBER = {number: i for i, number in enumerate(SCHEME.numbers)}
 BROWS = [i for i, group in enumerate(SCHEME.groups) if group.endswith("brow")]
@@ -29,23 +25,9 @@ MIDLINE_OF_MOUTH = [NUMBER[n] for n in (52, 58, 63, 67)]
 N_PERFORMANCES = 8
 
 
-@pytest.fixture(scope="module")
-def openhead():
-    model = load_openhead()
-    return model.restrict(model.landmarks["ibug51"])
-
-
-@pytest.fixture(scope="module")
-def ict():
-    if not ICT.exists():
-        pytest.skip("../shared/ict-facekit is absent")
-    model = load_ict(ICT)
-    return model.restrict(model.landmarks["ibug51"])
-
-
-@pytest.fixture(scope="module", params=["openhead", "ict"])
+@pytest.fixture(scope="module", params=["head", "ict"])
 def model(request):
-    return request.getfixturevalue(request.param)
+    return request.getfixturevalue(request.param).at_landmarks("ibug51")
 
 
 def landmarks(model, weights):
@@ -125,15 +107,16 @@ def test_drawn_expressions_are_many_within_bounds_and_keep_the_lips_apart(model)
     assert (gap(faces, LIPS) > gap(start, LIPS) - 4).all()
 
 
-def test_open_head_and_ict_make_the_same_expressions(openhead, ict):
+def test_open_head_and_ict_make_the_same_expressions(head, ict):
+    models = [model.at_landmarks("ibug51") for model in (head, ict)]
     for sequence in SEQUENCES:
-        first, second = (performed(model, sequence, 40)[0] for model in (openhead, ict))
+        first, second = (performed(model, sequence, 40)[0] for model in models)
         assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.6, sequence
 
 
 @pytest.mark.parametrize("names", [(), tuple(f"expression_{k}" for k in range(51))])
-def test_unknown_expressions_are_refused(openhead, names):
-    unknown, rng = replace(openhead, name="pca", expression_names=names), np.random.default_rng(0)
+def test_unknown_expressions_are_refused(head, names):
+    unknown, rng = replace(head, name="pca", expression_names=names), np.random.default_rng(0)
     for call in (
         lambda model, name: sequence_weights(model, name or "mouth_open", 10, rng),
         lambda model, name: scan_expression_weights(model, [name or "smile"], rng),
@@ -141,6 +124,6 @@ def test_unknown_expressions_are_refused(openhead, names):
         with pytest.raises(InputError, match="pca: .*openhead and ict"):
             call(unknown, None)
         with pytest.raises(InputError, match="must be one of .* Received 'yawn'"):
-            call(openhead, "yawn")
+            call(head, "yawn")
     with pytest.raises(InputError, match="pca: .*openhead and ict"):
         sample_expressions(unknown, 10, rng)

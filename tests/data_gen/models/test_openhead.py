@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import SHARED
 
 from data_gen.build_openhead.cut import LANDMARKS
 from data_gen.landmarks import load_vertices
-from data_gen.models.ict import load_ict
 from data_gen.models.openhead import read_openhead
 from deepmds_keras.files import read_table
 from deepmds_keras.geometry.alignment import align
@@ -60,14 +58,12 @@ def test_landmarks_are_those_of_the_tables_and_closed_under_mirroring(model, arr
     assert [int(row["base_vertex"]) for row in rows] == arrays["base_vertex"][vertices].tolist()
 
 
-@pytest.mark.skipif(not (SHARED / "ict-facekit").is_dir(), reason="../shared/ict-facekit is absent")
-def test_landmarks_vary_as_much_as_in_ict_facekit(model):
+def test_landmarks_vary_as_much_as_in_ict_facekit(model, ict):
     def sds(head):
         faces = head.restrict(head.landmarks["bfm72"]).sample(3000, np.random.default_rng(0))[1]
         mean = faces.mean(0) - faces.mean((0, 1))
         return align(faces, mean / np.linalg.norm(mean[0] - mean[56])).std(0)
 
-    ict = load_ict(SHARED / "ict-facekit" / "ict_light.npz")
     ratio = np.sqrt((sds(model) ** 2).sum(1) / (sds(ict) ** 2).sum(1))
     assert 0.9 < np.median(ratio) < 1.1
     assert ratio.min() > 0.6 and ratio.max() < 1.5
