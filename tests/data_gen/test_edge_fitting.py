@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from writers.scans import hull
 
 from data_gen.appearance import Albedo, sample_lights
 from data_gen.edge_fitting import EdgeFitter
@@ -77,11 +77,7 @@ def ball(radius=50.0, n=3000, grown=0.0, centre=(0, 0, 0)):
     height, turn = 1 - 2 * k / n, k * np.pi * (1 + 5**0.5)
     flat = np.sqrt(1 - height**2)
     points = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    hull = ConvexHull(points)
-    a, b, c = points[hull.simplices].swapaxes(0, 1)
-    inwards = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
-    triangles = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return radius * points + np.array(centre), grown * points[None], triangles
+    return radius * points + np.array(centre), grown * points[None], hull(points)
 
 
 def surface_of(*balls):

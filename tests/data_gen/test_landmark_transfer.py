@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
+from writers.scans import hull
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models.ict import KEPT
@@ -70,11 +70,8 @@ def test_what_does_not_fit_is_refused(head, anchors):
 def test_orientation_is_that_of_outward_normals(head):
     points = np.random.default_rng(0).normal(size=(200, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    simplices = ConvexHull(points).simplices
-    a, b, c = points[simplices.T]
-    inwards = np.einsum("td,td->t", np.cross(b - a, c - a), a) < 0
-    simplices[inwards] = simplices[inwards][:, ::-1]
-    for wound in (simplices, simplices[:, ::-1]):
+    triangles = hull(points)
+    for wound in (triangles, triangles[:, ::-1]):
         normals = vertex_normals(points, orient_outwards(points, wound))
         assert (np.einsum("vd,vd->v", normals, points) > 0.9).all()
     np.testing.assert_array_equal(orient_outwards(head.mean, head.triangles), head.triangles)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from deepmds_keras.geometry.views import in_camera_frame
 
@@ -31,6 +32,15 @@ def scan_of(shape, triangles, camera, landmarks, rng, shoulders=False):
     points = points[np.argsort(-points[:, 2])]
     _, nearest = np.unique(points[:, :2] // 1.5 @ [1000, 1], return_index=True)
     return points[nearest] - (0, 0, 1000)
+
+
+def hull(points):
+    """Triangles of the convex hull of points about the origin, counter-clockwise from outside."""
+    triangles = ConvexHull(points).simplices
+    a, b, c = points[triangles.T]
+    inwards = np.einsum("td,td->t", np.cross(b - a, c - a), a + b + c) < 0
+    triangles[inwards] = triangles[inwards][:, ::-1]
+    return triangles
 
 
 def vrml(points):

@@ -66,17 +66,15 @@ def test_every_subject_performs_every_sequence_from_neutral():
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments", "options", "message"),
+    ("make", "arguments", "message"),
     [
-        (make_dataset, (3,), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
-        (make_rings, (3, 2), {"scheme": "dlib"}, r"scheme must be one of .* Received 'dlib'"),
-        (make_rings, (0, 2), {}, "n_subjects and images_per_subject must be at least 1"),
-        (make_performances, (2, 71), {}, "n_frames at least 36 for each"),
+        (make_rings, (0, 2), "n_subjects and images_per_subject must be at least 1"),
+        (make_performances, (2, 71), "n_frames at least 36 for each"),
     ],
 )
-def test_unusable_arguments_are_refused(make, arguments, options, message):
+def test_too_few_faces_are_refused(make, arguments, message):
     with pytest.raises(InputError, match=message):
-        make(MODEL, *arguments, np.random.default_rng(0), **options)
+        make(MODEL, *arguments, np.random.default_rng(0))
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):

@@ -9,8 +9,8 @@ import pytest
 from places import SHARED
 from scipy.linalg import expm
 from scipy.sparse import coo_matrix, csc_matrix
-from scipy.spatial import ConvexHull
 from writers.pickles import chumpy_pickle
+from writers.scans import hull
 
 from data_gen.landmark_fitting import LandmarkFitter
 from data_gen.mesh_files import read_ply
@@ -27,11 +27,7 @@ def ball():
     """Vertices in metres, and triangles counter-clockwise from outside."""
     direction = np.random.default_rng(0).normal(size=(V, 3))
     vertices = 0.1 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    triangles = ConvexHull(vertices).simplices
-    a, b, c = vertices[triangles.T]
-    inwards = np.einsum("td,td->t", np.cross(b - a, c - a), a + b + c) < 0
-    triangles[inwards] = triangles[inwards][:, ::-1]
-    return vertices, triangles
+    return vertices, hull(vertices)
 
 
 @pytest.fixture

@@ -28,10 +28,8 @@ def test_faces_that_lean_turn_and_nod_pass(scheme):
     yaw, pitch, roll = (angle.ravel() for angle in angles)
     check_y_axis(seen(yaw, pitch, roll, scheme), scheme, "views")
     check_y_axis(seen(yaw, pitch, roll, scheme, 40.0), scheme, "views")
-
-
-def test_profiles_from_slightly_behind_are_not_mirrored():
-    check_y_axis(seen(yaw=np.array((-100.0, 100.0))), "bfm72", "views")
+    from_behind = seen(yaw=np.array((-100.0, 100.0)), scheme=scheme)
+    check_y_axis(from_behind, scheme, "views")
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68", "ibug51"])
@@ -46,14 +44,10 @@ def test_a_mirrored_face_is_refused_unless_it_is_nearly_in_profile():
     for yaw in (-60, 0, 45):
         for roll in (-60, 0, 60):
             mirrored = seen(yaw, 0, roll) * (-1, 1)
-            with pytest.raises(InputError, match="a.csv: x must point right.*a mirrored"):
-                check_y_axis(mirrored, "bfm72", "a.csv")
-
-
-def test_right_and_left_landmarks_in_each_others_place_are_a_mirrored_face():
-    swapped = seen()[0, load_scheme("bfm72").mirror]
-    with pytest.raises(InputError, match="swap right and left landmarks"):
-        check_y_axis(swapped, "bfm72", "a.csv")
+            swapped = seen(yaw, 0, roll)[:, load_scheme("bfm72").mirror]
+            for faces in (mirrored, swapped):
+                with pytest.raises(InputError, match="a.csv: x must .* swap right.*a mirrored"):
+                    check_y_axis(faces, "bfm72", "a.csv")
 
 
 def test_a_face_turned_by_180_degrees_is_no_matter_of_axes():
@@ -94,11 +88,6 @@ def test_faces_without_all_of_eyes_and_mouth_are_not_judged_but_those_without_a_
     assert quarter_turns(jawless[..., ::-1] * DOWN, "ibug68").tolist() == [-1]
     with pytest.raises(InputError, match="--y-up"):
         check_y_axis(jawless * DOWN, "ibug68", "a.npy")
-
-
-def test_the_wrong_number_of_landmarks_is_refused():
-    with pytest.raises(InputError, match="L = 72.*Received \\(68, 2\\)"):
-        check_y_axis(seen(scheme="ibug68")[0], "bfm72", "a.csv")
 
 
 def test_quarter_turns_bring_faces_upright():
