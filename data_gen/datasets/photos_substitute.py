@@ -5,6 +5,7 @@ for research only and has no 3D truth; `Portraits` are of expressive faces turne
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,12 +104,9 @@ class Portraits:
 
     def photos(self, numbers: range) -> Iterator[Photo]:
         """Some photos, by their numbers from 0, each drawn when it is asked for."""
-        renderer = Renderer(self._scene.model, self._scene.size)
-        try:
+        with closing(Renderer(self._scene.model, self._scene.size)) as renderer:
             for number in numbers:
                 yield self._photo(number, renderer)
-        finally:
-            renderer.close()
 
     def _photo(self, number: int, renderer: Renderer) -> Photo:
         rng = np.random.default_rng([*self._seed, number])

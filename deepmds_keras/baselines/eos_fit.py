@@ -18,8 +18,6 @@ NUMBERS = tuple(n for n in range(_FIRST, 69) if n not in (61, 65))
 _FILE = "sfm_shape_3448.bin"
 _BLENDSHAPES, _MAPPING = "expression_blendshapes_3448.bin", "ibug_to_sfm.txt"
 _TOPOLOGY, _CONTOUR = "sfm_3448_edge_topology.json", "sfm_model_contours.json"
-
-
 _IMAGE = 512  # width and height in pixels of the image for eos
 
 
