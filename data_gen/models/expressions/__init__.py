@@ -80,8 +80,9 @@ def sequence_weights(
     Raises:
         InputError: Unknown sequence, or the names of the model's expressions are not known.
     """
+    check_choice(sequence, "sequence", SEQUENCES)
     columns = _columns(model)
-    course = np.repeat(_COURSES[_number(sequence, SEQUENCES, "sequence")], 2, axis=0)
+    course = np.repeat(_COURSES[SEQUENCES.index(sequence)], 2, axis=0)
     mean_spans = np.resize([_HOLD, 1.0], len(course) - 1)
     mean_spans[[0, -1]] = _REST
     spans = mean_spans * rng.uniform(1 - _JITTER, 1 + _JITTER, len(mean_spans))
@@ -110,8 +111,10 @@ def scan_expression_weights(
     Raises:
         InputError: Unknown name, or the names of the model's expressions are not known.
     """
+    for name in names:
+        check_choice(name, "expression", SCAN_EXPRESSIONS)
     columns = _columns(model)
-    faces = np.array([_number(name, SCAN_EXPRESSIONS, "expression") for name in names], int)
+    faces = np.array([SCAN_EXPRESSIONS.index(name) for name in names], int)
     weights = _HELD_POSES[faces] * _strengths(len(faces), _HELD_ASYMMETRY, rng)
     return weights.clip(0, _MAX_WEIGHT) @ columns
 
@@ -159,11 +162,6 @@ def _between(before: np.ndarray, after: np.ndarray, place: np.ndarray) -> np.nda
 def _ease(place: np.ndarray) -> np.ndarray:
     """Smooth step from 0 at 0 to 1 at 1, and back to 0 at 2."""
     return (1 - np.cos(np.pi * place)) / 2
-
-
-def _number(name: str, known: tuple[str, ...], what: str) -> int:
-    check_choice(name, what, known)
-    return known.index(name)
 
 
 def _columns(model: MorphableModel) -> np.ndarray:
