@@ -13,21 +13,20 @@ function element(tag, attributes = {}, ...children) {
 No library: one with 3D, such as plotly, would add 4.5 MB to every page.
 
 const view = drawWireframe(canvas, {
-  shapes,   // [{name, points: [[x, y, z], …], colour, discs}]: one, or several drawn over one
-            // another. colour: of CSS, or the name of a custom property ("--face"); default: of
-            // the text. discs: radii of faint discs around the points, in their unit; default: none
+  points,   // [[x, y, z], …], drawn in the colour --face of CSS; may be empty
   lines,    // [[0, 1, 2], …] positions of the landmarks that each line joins
-  title,    // said by screen readers; optional, as is all that follows
-  names,    // of the landmarks
-  numbers,  // of the landmarks, as shown; default: 1, 2, …
+  title,    // said by screen readers
+  names,    // of the landmarks; may be empty
+  numbers,  // of the landmarks, as shown
   unit,     // of the points, beside the scale bar
-  start,    // {yaw, pitch, roll} in degrees of the first view and of reset()
-  onPoint,  // called with the position of the landmark under the pointer, or null
+  onPoint,  // called with the position of the landmark under the pointer, or null; optional, as
+            // is all that follows
   surface,  // of shadedMesh: drawn behind the lines, in the colour of --surface (#rrggbb)
   around,   // points that shall be seen too, such as those of the surface
 });
 view.turnTo({yaw, pitch, roll}, ms);  // takes a quarter of a second, or so many milliseconds
-view.reset();  view.show(shapes);  view.showNumbers(true);
+view.reset();  view.showNumbers(true);
+view.show(points, discs);  // others, with faint discs of these radii, in their unit
 view.showSurface(true);  // null if there is none
 view.mark(position);  // shows which landmark it is, null none
 wireframeButtons(view, photo)  // → element with buttons; photo: angles of "as in the photo", or null
@@ -40,12 +39,16 @@ text takes the canvas' CSS colour and its halo the CSS background colour. */
 "use strict";
 const PIXELS = 120000; // of a surface at most: it is drawn in a few milliseconds
 
+/* A number as it is shown: no sign of zero, and a true minus. */
+function signed(value, digits = 0) {
+  return value.toFixed(digits).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
+}
+
 function drawWireframe(canvas, options) {
-  const home = { yaw: -35, pitch: 10, roll: 0, ...options.start };
-  const { title = "3D wireframe", names = [], unit = "", onPoint = () => {} } = options;
-  const label = (i) => String(options.numbers ? options.numbers[i] : i + 1);
+  const home = { yaw: -35, pitch: 10, roll: 0 };
+  const { lines, title, names, numbers, unit, onPoint = () => {} } = options;
   const pen = canvas.getContext("2d");
-  const every = [...options.shapes.flatMap((shape) => shape.points), ...(options.around ?? [])];
+  const every = [...options.points, ...(options.around ?? [])];
   const centre = [0, 1, 2].map((k) => {
     const values = every.map((point) => point[k]);
     return (Math.min(...values) + Math.max(...values)) / 2;
@@ -53,7 +56,7 @@ function drawWireframe(canvas, options) {
   const radius = Math.max(...every.map((p) => Math.hypot(...p.map((v, k) => v - centre[k]))));
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
   const wrapped = (angle) => angle - 360 * Math.round(angle / 360);
-  let { shapes } = options;
+  let { points } = options, discs = [];
   let angles = { ...home }, zoom = 1, shift = [0, 0];
   let marked = null, numbered = false, visible = false, frame = 0, motion = 0;
   let { surface } = options, from = null; // where the pointer that is down was last
@@ -86,42 +89,37 @@ function drawWireframe(canvas, options) {
     [canvas.width, canvas.height] = [Math.round(width * sharp), Math.round(height * sharp)];
     pen.scale(sharp, sharp);
     pen.lineCap = pen.lineJoin = "round";
-    const ink = (colour) =>
-      colour?.startsWith("--") ? style.getPropertyValue(colour) : colour || style.color;
-    const covers = surface ? drawSurface(width, height, ink("--surface")) : () => false;
-    const marks = []; // what is drawn, with its depth
-    for (const shape of shapes) {
-      const points = shape.points.map(seen), colour = ink(shape.colour);
-      for (const line of options.lines) {
-        for (let k = 1; k < line.length; k += 1) {
-          const [a, b] = [points[line[k - 1]], points[line[k]]];
-          marks.push({ depth: (a[2] + b[2]) / 2, colour, a, b });
-        }
-      }
-      for (const a of points) marks.push({ depth: a[2] + 0.01, colour, a });
-      [pen.fillStyle, pen.globalAlpha] = [colour, 0.13];
-      for (const [i, radius] of (shape.discs ?? []).entries()) {
-        pen.beginPath(), pen.arc(points[i][0], points[i][1], scale() * radius, 0, 7), pen.fill();
+    const colour = style.getPropertyValue("--face");
+    const covers = surface
+      ? drawSurface(width, height, style.getPropertyValue("--surface")) : () => false;
+    const places = points.map(seen), marks = []; // what is drawn, with its depth
+    for (const line of places.length ? lines : []) {
+      for (let k = 1; k < line.length; k += 1) {
+        const [a, b] = [places[line[k - 1]], places[line[k]]];
+        marks.push({ depth: (a[2] + b[2]) / 2, a, b });
       }
     }
-    for (const { depth, colour, a, b } of marks.sort((m, n) => m.depth - n.depth)) {
+    for (const a of places) marks.push({ depth: a[2] + 0.01, a });
+    [pen.strokeStyle, pen.fillStyle, pen.globalAlpha] = [colour, colour, 0.13];
+    for (const [i, radius] of discs.entries()) {
+      pen.beginPath(), pen.arc(places[i][0], places[i][1], scale() * radius, 0, 7), pen.fill();
+    }
+    for (const { depth, a, b } of marks.sort((m, n) => m.depth - n.depth)) {
       const near = Math.min(Math.max((depth + 0.8) / 1.6, 0), 1);
       // What is far is faint.
       pen.globalAlpha = covers(a, b ?? a) ? 0.1 : surface ? 1 : 0.28 + 0.72 * near;
-      pen.strokeStyle = pen.fillStyle = colour;
       pen.lineWidth = 0.8 + near;
       pen.beginPath();
       if (b) pen.moveTo(a[0], a[1]), pen.lineTo(b[0], b[1]), pen.stroke();
       else pen.arc(a[0], a[1], 1.7 + 1.3 * near, 0, 7), pen.fill();
     }
     pen.globalAlpha = 1; // of text and axes
-    if (numbered && shapes.length) drawNumbers(style);
+    if (numbered) drawNumbers(style);
     drawAxes(style, height);
     drawScaleBar(style, width, height);
-    const signed = (value) => value.toFixed(0).replace("-0", "0").replace("-", "−");
     const stand = Object.entries(angles).map(([name, value]) => `${name} ${signed(value)}°`);
     write(style, stand.join("   "), 12, 20, "left");
-    if (marked !== null) drawMark(style, width, ink);
+    if (marked !== null) drawMark(style, width, colour);
   }
 
   function drawSurface(width, height, colour) {
@@ -148,9 +146,9 @@ function drawWireframe(canvas, options) {
   }
 
   function drawNumbers(style) {
-    shapes[0].points.map(seen).forEach(([x, y, depth], i) => {
+    points.map(seen).forEach(([x, y, depth], i) => {
       pen.globalAlpha = Math.min(Math.max(0.75 + 0.5 * depth, 0.25), 1);
-      write(style, label(i), x + 4, y - 4, "left", 10);
+      write(style, numbers[i], x + 4, y - 4, "left", 10);
     });
     pen.globalAlpha = 1;
   }
@@ -179,36 +177,34 @@ function drawWireframe(canvas, options) {
     write(style, `${Number(length.toPrecision(1))} ${unit}`, (left + right) / 2, y - 7, "center");
   }
 
-  function drawMark(style, width, ink) {
-    const { shape, landmark } = marked, point = shapes[shape].points[landmark];
-    const [x, y] = seen(point), digits = radius < 10 ? 3 : 1;
+  function drawMark(style, width, colour) {
+    const point = points[marked], [x, y] = seen(point), digits = radius < 10 ? 3 : 1;
     [pen.strokeStyle, pen.lineWidth] = [style.color, 2];
     pen.beginPath(), pen.arc(x, y, 6, 0, 7), pen.stroke();
-    const name = names[landmark] ? ` ${names[landmark].replaceAll("_", " ")}` : "";
+    const heading = `${numbers[marked]} ${(names[marked] ?? "").replaceAll("_", " ")}`;
     const where = ["x", "y", "z"].map((axis, k) => `${axis} ${point[k].toFixed(digits)}`);
-    const heading = (shapes.length > 1 ? `${shapes[shape].name}: ` : "") + label(landmark) + name;
     pen.font = "12px system-ui, sans-serif";
     const text = [heading, `${where.join("  ").replaceAll("-", "−")} ${unit}`];
     const wide = Math.max(...text.map((line) => pen.measureText(line).width)) + 16;
     const [left, top] = [Math.max(4, Math.min(x + 12, width - wide - 4)), y > 64 ? y - 54 : y + 14];
     pen.fillStyle = style.backgroundColor;
-    [pen.strokeStyle, pen.lineWidth] = [ink(shapes[shape].colour), 1];
+    [pen.strokeStyle, pen.lineWidth] = [colour, 1];
     pen.beginPath(), pen.rect(left, top, wide, 40), pen.fill(), pen.stroke();
     text.forEach((line, k) => write(style, line, left + 8, top + 16 + 17 * k, "left"));
   }
 
-  function mark(found) {
-    if (found?.landmark === marked?.landmark && found?.shape === marked?.shape) return;
-    marked = found;
-    onPoint(found ? found.landmark : null);
+  function mark(landmark) {
+    if (landmark === marked) return;
+    marked = landmark;
+    onPoint(landmark);
     redraw();
   }
   function nearest([x, y], within) {
-    let best = null;
-    shapes.forEach((shape, s) => shape.points.map(seen).forEach(([px, py, depth], landmark) => {
+    let best = null, least = within;
+    points.map(seen).forEach(([px, py, depth], landmark) => {
       const away = Math.hypot(px - x, py - y) - depth; // of equal ones that in front
-      if (away < within && away < (best?.away ?? Infinity)) best = { shape: s, landmark, away };
-    }));
+      if (away < least) [best, least] = [landmark, away];
+    });
     return best;
   }
 
@@ -298,10 +294,9 @@ function drawWireframe(canvas, options) {
     matchMedia(query).addEventListener("change", () => (visible || query === "print") && draw());
   }
   return {
-    turnTo, reset,
-    mark: (landmark) => mark(landmark === null || !shapes.length ? null : { shape: 0, landmark }),
-    show(others) {
-      [shapes, marked] = [others, others[marked?.shape] ? marked : null];
+    turnTo, reset, mark,
+    show(others, radii) {
+      [points, discs, marked] = [others, radii, others.length ? marked : null];
       redraw();
     },
     showNumbers: (on) => { numbered = on; redraw(); },
@@ -310,25 +305,30 @@ function drawWireframe(canvas, options) {
   };
 }
 
+/* A button that stays pressed until it is clicked again; `show` is called with whether it is. */
+function toggleButton(text, pressed, show) {
+  const button = element("button", { type: "button", "aria-pressed": pressed }, text);
+  button.addEventListener("click", () => {
+    const on = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", on);
+    show(on);
+  });
+  return button;
+}
+
 function wireframeButtons(view, photo = null) {
   const bar = element("div", { class: "wireframe-buttons" });
   const add = (text, action) => {
     const button = element("button", { type: "button" }, text);
-    button.addEventListener("click", () => action(button));
+    button.addEventListener("click", action);
     bar.append(button);
-    return button;
   };
   add("Front", () => view.turnTo({ yaw: 0, pitch: 0, roll: 0 }));
   add("Side", () => view.turnTo({ yaw: 90, pitch: 0, roll: 0 }));
   if (photo) add("As in the photo", () => view.turnTo(photo));
   add("Reset", view.reset);
-  const toggle = (text, show, pressed) => add(text, (button) => {
-    const on = button.getAttribute("aria-pressed") !== "true";
-    button.setAttribute("aria-pressed", on);
-    show(on);
-  }).setAttribute("aria-pressed", pressed);
-  toggle("Numbers", view.showNumbers, false);
-  if (view.showSurface) toggle("Surface", view.showSurface, true);
+  bar.append(toggleButton("Numbers", false, view.showNumbers));
+  if (view.showSurface) bar.append(toggleButton("Surface", true, view.showSurface));
   return bar;
 }
 

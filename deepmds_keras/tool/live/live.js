@@ -17,7 +17,7 @@ const settings = JSON.parse(at("settings").textContent);
 const { scheme } = settings;
 const run = compiled(settings.graph);
 const view = drawWireframe(at("shape"), {
-  shapes: [], lines: scheme.lines, names: scheme.names, numbers: scheme.numbers, unit: "units",
+  points: [], lines: scheme.lines, names: scheme.names, numbers: scheme.numbers, unit: "units",
   title: "The face in 3D", around: settings.around,
 });
 at("turns").append(wireframeButtons(view));
@@ -60,7 +60,6 @@ function stop() {
   say("Stopped.");
 }
 
-const signed = (degrees) => `${degrees.toFixed(0).replace("-0", "0").replace("-", "−")}°`;
 function tell(face, count) {
   const { yaw, pitch, roll } = face?.pose ?? {};
   const beyond = Object.entries(settings.turns)
@@ -70,7 +69,7 @@ function tell(face, count) {
   const recent = times.slice(-31);
   const rate = (1000 * (recent.length - 1)) / (recent.at(-1) - recent[0]);
   at("pose").textContent = face
-    ? [`yaw ${signed(yaw)}, pitch ${signed(pitch)}, roll ${signed(roll)}`, ...beyond].join("; ")
+    ? [`yaw ${signed(yaw)}°, pitch ${signed(pitch)}°, roll ${signed(roll)}°`, ...beyond].join("; ")
     : "–";
   at("sd").textContent = face
     ? `${mean(sd).toFixed(3)} on average, at most ${worst.toFixed(3)} `
@@ -119,8 +118,7 @@ function show(image, width, height, time, { faceLandmarks }) {
   drawPhoto(image, width, height, faces);
   // The one that has been there longest.
   const shown = faces.toSorted((one, other) => one.track - other.track)[0];
-  view.show(shown ? [{ name: "face", points: shown.shape, colour: "--face",
-    discs: at("discs").checked ? shown.discs : [] }] : []);
+  view.show(shown?.shape ?? [], (at("discs").checked && shown?.discs) || []);
   if (shown && at("follow").checked) view.turnTo(shown.pose, 0);
   frame += 1, times = [...times.slice(-31), performance.now()];
   tell(shown, faces.length);

@@ -4,11 +4,13 @@ import base64
 import io
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.camera import head_pose
@@ -26,27 +28,20 @@ PHONE = {
 }
 STILL = {"reduced_motion": "reduce", "viewport": {"width": 1280, "height": 900}}
 HOSTILE = "<img src=x onerror=window.ran=1>\"'&amp;{{faces}}</script><script>window.ran=1</script>"
-FRONT = {"rotation": np.eye(3)}
-SIDE = {"rotation": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])}
+POSE = (20, 12, -8)
+
+
+def rotation(yaw, pitch, roll):
+    """By degrees, in the convention of `HeadPose`."""
+    return Rotation.from_euler("yxz", (yaw, -pitch, roll), degrees=True).as_matrix()
 
 
 @pytest.fixture(scope="module")
-def shape():
-    model = load_openhead()
-    return normalise(model.mean[model.landmarks["bfm72"]][None])[0]
-
-
-@pytest.fixture(scope="module")
-def face(shape):
+def face():
     """A head that is turned, looks up and leans, in a photo of 640 x 480."""
-    angles = np.deg2rad([20, 12, -8])
-    (a, b, c), (p, q, r) = np.cos(angles), np.sin(angles)
-    rotation = (
-        np.array([[c, -r, 0], [r, c, 0], [0, 0, 1]])
-        @ np.array([[1, 0, 0], [0, b, q], [0, -q, b]])
-        @ np.array([[a, 0, p], [0, 1, 0], [-p, 0, a]])
-    )
-    view = 180 * shape @ rotation[:2].T + (330, -420)
+    model = load_openhead()
+    shape = normalise(model.mean[model.landmarks["bfm72"]][None])[0]
+    view = 180 * shape @ rotation(*POSE)[:2].T + (330, -420)
     pose = head_pose(view, shape)
     photo = Path("/somewhere/private/photo.jpg")
     return Face("photo", photo, photo, "bfm72", view * (1, -1), shape, "normalised", pose)
@@ -81,10 +76,10 @@ def drawn(page, which=0):
     return np.asarray(Image.open(png).convert("RGBA"))
 
 
-def coloured(image, colour):
-    """Number of pixels of about one colour, faint ones left out."""
-    near = (np.abs(image[..., :3].astype(int) - colour) < 40).all(-1)
-    return int((near & (image[..., 3] > 100)).sum())
+def is_line(image):
+    """Which pixels have about the colour of lines, faint ones left out."""
+    near = (np.abs(image[..., :3].astype(int) - (201, 79, 0)) < 40).all(-1)
+    return near & (image[..., 3] > 100)
 
 
 def middle(page):
@@ -97,7 +92,7 @@ def test_the_photo_is_loaded_and_the_shape_drawn(page_of, face, photo):
     assert page.title() == "3D face of photo"
     width, height = page.locator("img").evaluate("(i) => [i.naturalWidth, i.naturalHeight]")
     assert (width, height) == cut_out(photo, face.landmarks).image.size
-    assert coloured(drawn(page), (201, 79, 0)) > 500
+    assert is_line(drawn(page)).sum() > 500
     assert page.locator("svg circle").count() == 72
 
 
@@ -116,16 +111,16 @@ def test_a_missing_landmark_has_no_dot_and_no_place(page_of, face, photo, in_pho
 
 
 @pytest.mark.parametrize(
-    ("button", "pose"), [("Front", FRONT), ("Side", SIDE), ("As in the photo", {})]
+    ("button", "angles"), [("Front", (0, 0, 0)), ("Side", (90, 0, 0)), ("As in the photo", POSE)]
 )
-def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, pose):
+def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, angles):
     page = page_of([face], [photo])
     page.get_by_role("button", name=button).click()
     drawn(page)
     extent = face.xyz.min(0), face.xyz.max(0)
     centred = face.xyz - np.mean(extent, axis=0)
     radius = np.linalg.norm(centred, axis=1).max()
-    seen = (centred @ pose.get("rotation", face.pose.rotation).T)[:, :2]
+    seen = (centred @ rotation(*angles).T)[:, :2]
     gaps = np.linalg.norm(seen[:, None] - seen, axis=2) + 9 * np.eye(len(seen))
     lonely = int(gaps.min(1).argmax())  # no other is as near the pointer
     canvas = page.locator("canvas").bounding_box()
@@ -139,31 +134,25 @@ def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, po
 def test_dragging_keys_and_wheel_turn_and_zoom_and_reset_goes_back(page_of, face, photo):
     page = page_of([face], [photo])
     first = drawn(page)
-    page.mouse.move(*middle(page))
-    page.mouse.wheel(0, -200)  # scrolls the page, as long as the canvas has not been chosen
-    page.mouse.move(5, 5)
-    assert np.array_equal(drawn(page), first)
-
     x, y = middle(page)
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 80, y + 20, steps=4)
-    page.mouse.up()
-    page.mouse.move(5, 5)
-    dragged = drawn(page)
-    assert not np.array_equal(dragged, first)
 
-    page.keyboard.press("ArrowLeft")  # the canvas has the focus since it was dragged
-    turned = drawn(page)
-    assert not np.array_equal(turned, dragged)
+    def after(*actions):
+        page.mouse.move(x, y)
+        for act, *arguments in actions:
+            act(*arguments)
+        page.mouse.move(5, 5)
+        return drawn(page)
 
-    page.mouse.move(*middle(page))
-    page.mouse.wheel(0, -400)
-    page.mouse.move(5, 5)
-    zoomed = drawn(page)
-    assert coloured(zoomed, (201, 79, 0)) > 0
-    assert not np.array_equal(zoomed, turned)
-
+    wheel = page.mouse.wheel
+    # As long as the canvas has not been chosen, the wheel scrolls the page.
+    assert np.array_equal(after((wheel, 0, -200)), first)
+    drag = (page.mouse.down,), (page.mouse.move, x + 80, y + 20), (page.mouse.up,)
+    dragged = after(*drag)
+    turned = after((page.keyboard.press, "ArrowLeft"))  # since it was dragged it has the focus
+    zoomed = after((wheel, 0, -400))
+    for before, now in pairwise((first, dragged, turned, zoomed)):
+        assert not np.array_equal(before, now)
+    assert is_line(zoomed).any()
     page.get_by_role("button", name="Reset").click()
     page.mouse.move(5, 5)
     assert np.array_equal(drawn(page), first)
@@ -223,7 +212,7 @@ def test_several_faces_are_drawn_as_they_come_into_sight(page_of, face, photo):
     assert page.locator("h2").all_inner_texts() == [face.name for face in faces]
     assert page.locator("img").count() == 4
     for which in range(5):
-        assert coloured(drawn(page, which), (201, 79, 0)) > 500
+        assert is_line(drawn(page, which)).sum() > 500
     assert "millimetres" in page.locator(".facts").nth(3).inner_text()
     assert "one view does not show the true size" in page.locator(".facts").nth(2).inner_text()
     sizes = page.locator("canvas").evaluate_all("(all) => all.map((c) => c.width)")
@@ -243,14 +232,12 @@ def test_json_in_html_holds_no_markup_and_stays_what_it_is():
 def test_the_mesh_is_where_the_landmarks_are(page_of, face, photo):
     page = page_of([face], [photo], mesh=True)
     page.get_by_role("button", name="Side").click()
-    without = page_of([face], [photo], mesh=True)
-    without.get_by_role("button", name="Side").click()
-    without.get_by_role("button", name="Surface").click()
+    both = drawn(page)
+    page.get_by_role("button", name="Surface").click()
     # Above the axes and the scale bar, below the angles.
-    both, lines = (image[len(image) // 10 : -len(image) // 5]
-                   for image in (drawn(page), drawn(without)))  # fmt: skip
-    x = np.flatnonzero((np.abs(lines[..., :3].astype(int) - (201, 79, 0)) < 40).all(-1).any(0))
-    solid = (both[..., 3] == 255).any(0).nonzero()[0]
+    rows = slice(len(both) // 10, -len(both) // 5)
+    x = np.flatnonzero(is_line(drawn(page)[rows]).any(0))
+    solid = np.flatnonzero((both[rows, :, 3] == 255).any(0))
     # The tip of the nose ends both, the back of the head is behind all landmarks.
     assert abs(solid.max() - x.max()) < 12
     assert solid.min() < x.min() - 60

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from places import MEDIAPIPE, ROOT
+from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, LandmarkLifter, predict_photo
 from deepmds_keras.files import read_table, write_bytes
@@ -100,10 +101,7 @@ def frontal(middle=(300, 220), size=250):
 
 def turned(yaw, pitch, roll):
     """A rotation by degrees, in the convention of `HeadPose`."""
-    (a, b, c), (p, q, r) = (f(np.deg2rad([yaw, pitch, roll])) for f in (np.cos, np.sin))
-    about_z = np.array([[c, -r, 0], [r, c, 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, b, q], [0, -q, b]])
-    return about_z @ about_x @ np.array([[a, 0, p], [0, 1, 0], [-p, 0, a]])
+    return Rotation.from_euler("yxz", (yaw, -pitch, roll), degrees=True).as_matrix()
 
 
 def show(page, *faces, time=0.0):
@@ -345,7 +343,7 @@ def test_what_is_missing_is_said(opened, script, allowed, said):
     until(page, f"at('said').textContent.includes({said!r})")
 
 
-def test_the_policy_blocks_every_request(with_camera, page_file):
+def test_the_policy_blocks_every_request(opened):
     received = []
 
     class Server(BaseHTTPRequestHandler):
@@ -356,10 +354,7 @@ def test_the_policy_blocks_every_request(with_camera, page_file):
 
     server = HTTPServer(("127.0.0.1", 0), Server)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    context = with_camera.new_context()
-    page = context.new_page()
-    page.goto(page_file.as_uri())
-    blocked = page.evaluate(
+    blocked = opened().evaluate(
         """async (place) => {
           const blocked = [];
           addEventListener("securitypolicyviolation", (e) => blocked.push(e.effectiveDirective));
@@ -375,7 +370,6 @@ def test_the_policy_blocks_every_request(with_camera, page_file):
         }""",
         f"127.0.0.1:{server.server_port}",
     )
-    context.close()
     server.shutdown()
     server.server_close()
     assert received == []
