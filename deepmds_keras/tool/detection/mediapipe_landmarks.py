@@ -79,7 +79,10 @@ class MediaPipeLandmarks:
             raise _no_mediapipe(error) from None
         except (RuntimeError, ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
             cause = f"{type(error).__name__}: {brief(error).rstrip('.')}"
-            raise self._no_landmarker(getattr(error, "strerror", None) or cause) from None
+            raise InputError(
+                f"{self._path} must be a MediaPipe face landmarker. "
+                f"Received: {getattr(error, 'strerror', None) or cause}."
+            ) from None
         for model in (self._landmarker, self._detector):
             # Its own release, when the interpreter ends, prints an error.
             release, model.close = model.close, lambda: None
@@ -146,11 +149,6 @@ class MediaPipeLandmarks:
         """`(n, 5)` boxes of faces: left, top, right, bottom in pixels, score."""
         with nullcontext() if self._has_found else _silenced():
             return _boxes(self._detector.detect(self._image(image)).detections)
-
-    def _no_landmarker(self, received: str) -> InputError:
-        return InputError(
-            f"{self._path} must be a MediaPipe face landmarker. Received: {received}."
-        )
 
 
 def detect(images: Iterable[np.ndarray]) -> np.ndarray:

@@ -15,7 +15,6 @@ from deepmds_keras.landmarks.y_axis import quarter_turns
 from deepmds_keras.tool.detection import detector_sd
 from deepmds_keras.tool.predict.faces import Detections, Face
 from deepmds_keras.tool.predict.models import Model, load_model, name_for
-from deepmds_keras.validation import check_number
 
 _POSE_ERROR = 5  # root mean square error of head poses, degrees
 # A landmark is misplaced if its distance from the projected shape is this many times the median of
@@ -30,7 +29,7 @@ def estimate_faces(
     model: str | None = None,
     interocular: float | None = None,
     jobs: int = 1,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] = lambda n: None,
 ) -> list[Face]:
     """Estimate the shapes of all faces of a source; gaps stay gaps.
 
@@ -39,8 +38,8 @@ def estimate_faces(
         model: One of `FAMILIES`, which uses the weights for the scheme; the name of shipped
             weights; or a file that `LandmarkLifter.save` or `DeepMDS.save` wrote. None is
             `DEFAULT`.
-        interocular: Millimetres between the outer corners of the eyes; None leaves the shapes in
-            the unit of `normalise`.
+        interocular: Millimetres between the outer corners of the eyes, positive and finite; None
+            leaves the shapes in the unit of `normalise`.
         jobs: Number of processes for the embedding of the paper's method.
         progress: Called with the number of faces just done.
 
@@ -48,10 +47,8 @@ def estimate_faces(
         A face for each name, in the same order.
 
     Raises:
-        InputError: The model cannot be read or needs other landmarks, or `interocular` is not
-            positive and finite.
+        InputError: The model cannot be read or needs other landmarks.
     """
-    check_interocular(interocular)
     scheme = load_scheme(detections.scheme)
     chosen = load_model(name_for(detections.scheme, model))
     if chosen.n_landmarks != len(scheme):
@@ -67,7 +64,6 @@ def estimate_faces(
     views = landmarks * (1, -1)
     quarters = quarter_turns(landmarks, detections.scheme)
     sd = _landmark_sd(detections, seen, views)
-    progress = progress or (lambda n: None)
     turns = _turns(quarters)
     # 0 for faces that are not rotated, whose digits stay as they are.
     middle = np.nanmean(views, axis=1, keepdims=True) * (quarters != 0)[:, None, None]
@@ -112,17 +108,10 @@ def estimate_faces(
     ]
 
 
-def check_interocular(interocular: float | None) -> None:
-    """Raise InputError unless it is None, or positive and finite."""
-    if interocular is not None:
-        check_number(interocular, "interocular")
-
-
 def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) -> np.ndarray | None:
     """`(n, L)` s.d. of the landmarks' errors, in their unit: as given, or as measured."""
     if detections.landmark_sd is not None:
-        sd = np.asarray(detections.landmark_sd, float)
-        return np.broadcast_to(sd, (len(detections.names), views.shape[1]))[seen]
+        return detections.landmark_sd[seen]
     detector = detections.detector["name"] if detections.detector else detections.found_by
     measured = detector_sd(detector, detections.scheme) if detector else None
     if measured is None:

@@ -17,7 +17,7 @@ from deepmds_keras.landmarks.arrays import as_faces, seem_fractions
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.detection import DETECTORS, FOUND_BY, default_detector, to_ibug
 from deepmds_keras.tool.detection.photos import check_photo, read_photo
-from deepmds_keras.tool.predict.estimation import check_interocular, estimate_faces
+from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections, Face, frame_of, name_faces
 from deepmds_keras.tool.predict.landmark_files import FRACTIONS, Z_UNUSED, find_unusable
 from deepmds_keras.tool.predict.models import given_scheme, target_scheme
@@ -25,7 +25,7 @@ from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.smoothing import check_smooth
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
-from deepmds_keras.validation import as_numbers, check_whole
+from deepmds_keras.validation import as_numbers, check_number, check_whole
 
 
 class FaceLifter:
@@ -62,7 +62,8 @@ class FaceLifter:
             raise InputError(
                 f"detector must be one of {', '.join(DETECTORS)}. Received {detector!r}."
             )
-        check_interocular(interocular)
+        if interocular is not None:
+            check_number(interocular, "interocular")
         self.landmarker = None if landmarker is None else str(landmarker)
         self.model = None if model is None else str(model)
         self.interocular = interocular
@@ -140,7 +141,10 @@ class FaceLifter:
                 down or mirrored; a face has fewer than six landmarks, or all on one line; or an
                 unknown model.
         """
-        points, has_z = _check_points(points)
+        faces = as_faces(points, "landmarks")
+        points = faces[..., :2]
+        if np.isinf(points).any():
+            raise InputError("landmarks must be finite, or NaN if missing.")
         n, size = points.shape[:2]
         scheme = given_scheme(scheme, self.model) or scheme_of(size)
         target = target_scheme(scheme, self.model)
@@ -158,11 +162,14 @@ class FaceLifter:
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
         needed = "y must point down; negate it if it points up."
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
-        notes = dict.fromkeys(range(n), Z_UNUSED) if has_z else {}
+        notes = dict.fromkeys(range(n), Z_UNUSED) if faces.shape[2] > 2 else {}
         for i, fault in odd.items():
             notes[i] = f"seems to stand otherwise than the other faces: {fault}"
         landmarks = convert(points, scheme, target)
-        _check_faces(landmarks)
+        if n and np.isnan(landmarks).all():
+            raise InputError("landmarks must not all be missing. Received only NaN.")
+        for i, fault in find_unusable(landmarks).items():
+            raise InputError(f"landmarks {fault} in face {i}.")
         found_by = FOUND_BY.get(scheme)
         landmarks = to_ibug(landmarks, found_by, target)
         return self._estimate(
@@ -267,15 +274,6 @@ def predict_landmarks(
     return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
 
 
-def _check_points(points) -> tuple[np.ndarray, bool]:
-    """`(n, L, 2)` floats, NaN where a landmark is missing, and whether there was a third."""
-    faces = as_faces(points, "landmarks")
-    points = faces[..., :2]
-    if np.isinf(points).any():
-        raise InputError("landmarks must be finite, or NaN if missing.")
-    return points, faces.shape[2] > 2
-
-
 def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:
     """Broadcast a value for all landmarks, for each face, or for each landmark."""
     value = np.asarray(value)
@@ -286,11 +284,3 @@ def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndar
             f"{name} must be {dtype.__name__} of shape {shape}. "
             f"Received {value.dtype} of shape {value.shape}."
         ) from None
-
-
-def _check_faces(landmarks: np.ndarray) -> None:
-    """Refuse faces from which no shape can be estimated, except gaps: no landmark at all."""
-    if len(landmarks) and np.isnan(landmarks).all():
-        raise InputError("landmarks must not all be missing. Received only NaN.")
-    for face, fault in find_unusable(landmarks).items():
-        raise InputError(f"landmarks {fault} in face {face}.")

@@ -44,8 +44,8 @@ class Detections:
         scores: The detector's scores `(n,)`, 0 to 1, NaN or None if it has none.
         notes: Number of a face, 0-based, → what a reader must know about it.
         remarks: What a reader must know about the source.
-        landmark_sd: Standard deviation of the errors of a coordinate in the unit of the
-            landmarks: one number, `(n,)` or `(n, L)`; None if unknown.
+        landmark_sd: `(n, L)` standard deviations of the errors of a coordinate in the unit of the
+            landmarks; None if unknown.
         found_by: Name of the detector of landmarks that were given, if their scheme tells it.
     """
 
@@ -60,7 +60,7 @@ class Detections:
     scores: np.ndarray | None = None
     notes: Mapping[int, str] = field(default_factory=dict)
     remarks: Sequence[str] = ()
-    landmark_sd: float | np.ndarray | None = None
+    landmark_sd: np.ndarray | None = None
     found_by: str | None = None
 
 

@@ -6,7 +6,6 @@ import codecs
 import csv
 from array import array
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from itertools import count, groupby, takewhile
 from pathlib import Path
 from typing import TextIO
@@ -14,29 +13,14 @@ from typing import TextIO
 import numpy as np
 
 from deepmds_keras.errors import InputError, brief
-from deepmds_keras.landmarks import face_sizes, said_sizes
+from deepmds_keras.landmarks import said_sizes
 
 _SEPARATORS = (",", ";", "\t")
 _EMPTY = ("", "na", "<na>", "n/a", "#n/a", "nan", "null", "none")  # cells of a gap
 _SHOWN = 80  # quoted characters of a file's content
 
 
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """A table's separator, the names of its columns in lower case, and where the coordinates are.
-
-    `columns` are the positions of each axis: `(d, 1)` with one landmark per row, `(d, L)` with one
-    face per row.
-    """
-
-    separator: str
-    names: list[str]
-    columns: np.ndarray
-
-
-def read_landmark_table(
-    path: Path, *axes: Sequence[str], sizes: Collection[int] | None = None
-) -> np.ndarray:
+def read_landmark_table(path: Path, *axes: Sequence[str], sizes: Collection[int]) -> np.ndarray:
     """Landmarks of one or more faces, all with the same L.
 
     Columns `x` and `y` have one landmark per row; several faces need a column `face`, and a column
@@ -50,7 +34,7 @@ def read_landmark_table(
     Args:
         path: The table.
         axes: Names of the coordinates, such as `("x", "y")`; the first that the table has are read.
-        sizes: Numbers of landmarks, of which L must be one; None are `face_sizes`.
+        sizes: Numbers of landmarks, of which L must be one.
 
     Returns:
         `(n, L, d)`, NaN where a cell is empty, infinity where it is text.
@@ -58,12 +42,10 @@ def read_landmark_table(
     Raises:
         InputError: The file cannot be read, is no such table, or has another number of landmarks.
     """
-    sizes = face_sizes() if sizes is None else sizes
     try:
         with open(path, encoding=encoding_of(path), errors="replace", newline="") as file:
             first = next((line for line in file if line.strip() and not line.startswith("#")), "")
-            layout = _layout(path, first, axes)
-            points, numbers, faces = _read_rows(path, file, layout, sizes)
+            points, numbers, faces = _read_rows(path, file, *_layout(path, first, axes), sizes)
     except (OSError, csv.Error) as error:
         received = f"{type(error).__name__}: {brief(error)}"
         raise InputError(f"{path} must be a table of numbers. Received {received}") from None
@@ -97,7 +79,13 @@ def check_count(path: Path, n: int, sizes: Collection[int], where: str = "") -> 
         )
 
 
-def _layout(path: Path, first: str, axes: Sequence[Sequence[str]]) -> _Layout:
+def _layout(
+    path: Path, first: str, axes: Sequence[Sequence[str]]
+) -> tuple[str, list[str], np.ndarray]:
+    """Separator, names of the columns in lower case, and which hold the coordinates.
+
+    Of each axis one with one landmark per row, `(d, 1)`; with one face per row L, `(d, L)`.
+    """
     for separator in _SEPARATORS:
         cells = next(csv.reader([first], delimiter=separator, skipinitialspace=True), [])
         header = [cell.strip() for cell in cells]
@@ -119,7 +107,7 @@ def _layout(path: Path, first: str, axes: Sequence[Sequence[str]]) -> _Layout:
                     f"each once. Received {brief(first, _SHOWN)!r}."
                 )
             columns = np.array([[header.index(name) for name in each] for each in wide])
-            return _Layout(separator, names, columns)
+            return separator, names, columns
     raise InputError(
         f"{path} must have a header with columns {', '.join(axes[-1])}; save numbers without "
         f"one as .npy. Received the first line {brief(first, _SHOWN)!r}."
@@ -127,16 +115,19 @@ def _layout(path: Path, first: str, axes: Sequence[Sequence[str]]) -> _Layout:
 
 
 def _read_rows(
-    path: Path, file: TextIO, layout: _Layout, sizes: Collection[int]
+    path: Path,
+    file: TextIO,
+    separator: str,
+    names: list[str],
+    columns: np.ndarray,
+    sizes: Collection[int],
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Coordinates `(rows, d, 1 or L)`, numbers `(rows,)` of landmarks, and the face of each row."""
-    names, columns = layout.names, layout.columns
     told = [name for name in ("number", "success", "residual") if name in names]
     used = [*columns.ravel().tolist(), *map(names.index, told)]
     face = names.index("face") if "face" in names and columns.shape[1] == 1 else None
     values, end = array("d"), 0
     faces: list[str] = []
-    separator = layout.separator
     for row in csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True):
         if len(row) < 2 and not any(row):
             continue  # a blank line: Windows may leave one after each row

@@ -18,7 +18,6 @@ FILE = Path(__file__).with_name("surface.npz")  # CC0, see data_gen/assets/LICEN
 # both open models, whose errors hardly change near these values.
 _LANDMARK_SD, _MODEL_SD, _MODEL_RANGE = 1.0, 3.0, 20.0
 _ROUNDS = 3  # of alignment and conditional mean; further ones change less than 0.01 mm
-_CHUNK = 256  # faces at a time
 
 
 class _Head(NamedTuple):
@@ -58,13 +57,9 @@ def fit_surfaces(shapes: np.ndarray, scheme: str) -> np.ndarray:
     Raises:
         InputError: Another scheme.
     """
-    check_choice(scheme, "the scheme of a head", _head().landmarks)
-    parts = [shapes[start : start + _CHUNK] for start in range(0, len(shapes), _CHUNK)]
-    return np.concatenate([_fit(part, scheme) for part in parts])
-
-
-def _fit(shapes: np.ndarray, scheme: str) -> np.ndarray:
-    head, gain = _head(), _gain(scheme)
+    head = _head()
+    check_choice(scheme, "the scheme of a head", head.landmarks)
+    gain = _gain(scheme)
     mean, columns = head.mean[head.landmarks[scheme]], _columns(scheme)
     seen = np.tile(mean, (len(shapes), 1, 1))
     for _ in range(_ROUNDS):

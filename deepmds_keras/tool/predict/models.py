@@ -44,9 +44,9 @@ class LifterModel:
     def predict(
         self,
         views: np.ndarray,
-        landmark_sd: np.ndarray | None = None,
-        jobs: int = 1,
-        progress: Callable[[int], object] = lambda n: None,
+        landmark_sd: np.ndarray | None,
+        jobs: int,
+        progress: Callable[[int], object],
     ) -> tuple[np.ndarray, np.ndarray | None, HeadPose]:
         """Faces in views `(n, L, 2)`, y up, NaN where a landmark is missing.
 
@@ -82,9 +82,9 @@ class PaperNetworks:
     def predict(
         self,
         views: np.ndarray,
-        landmark_sd: np.ndarray | None = None,
-        jobs: int = 1,
-        progress: Callable[[int], object] | None = None,
+        landmark_sd: np.ndarray | None,
+        jobs: int,
+        progress: Callable[[int], object],
     ) -> tuple[np.ndarray, None, HeadPose]:
         """As for `LifterModel`; no landmark may be missing, and s.d. are neither used nor given."""
         if np.isnan(views).any():

@@ -149,7 +149,8 @@ def test_angles_of_exact_near_views_are_those_of_the_camera(scheme):
     turns = rotations(Cameras(zeros.astype(int), yaw, pitch, zeros, zeros))
     camera = HeadPose(turns, zeros + 1, np.zeros((len(grid), 2)), zeros + 1 / 350)  # mm
     views = camera.project(np.stack([mean] * len(grid)))
-    faces = estimate_faces(replace(detections(views * (1, -1), scheme), landmark_sd=0.0))
+    exact = np.zeros(views.shape[:2])
+    faces = estimate_faces(replace(detections(views * (1, -1), scheme), landmark_sd=exact))
     for angle, truth in (("yaw", yaw), ("pitch", pitch), ("roll", 0)):
         off = np.abs(np.subtract([getattr(face.pose, angle) for face in faces], truth))
         assert off.max() < 1.3, (angle, off)  # 1.2 of "bfm72", less of the others

@@ -10,11 +10,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.models.registry import load_model
 from data_gen.views import sample_expressive
 from deepmds_keras.files import read_npz
-from deepmds_keras.tool.predict.mesh import (
-    FILE,
-    fit_surfaces,
-    surface_landmarks,
-)
+from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
 from experiments.pretrained.surface import measure
 
 
@@ -54,12 +50,6 @@ def test_frame_and_unit_are_those_of_the_landmarks(heads):
     moved = 0.006 * landmarks @ turn + (3, -2, 1)
     expected = 0.006 * fit_surfaces(landmarks, "ibug51") @ turn + (3, -2, 1)
     assert np.abs(fit_surfaces(moved, "ibug51") - expected).max() < 1e-4
-
-
-def test_many_faces_are_fitted_as_each_alone(heads):
-    landmarks = np.tile(heads[:, surface_landmarks("bfm72")], (40, 1, 1))
-    together = fit_surfaces(landmarks, "bfm72")
-    assert np.abs(together[-1] - fit_surfaces(landmarks[-1:], "bfm72")[0]).max() < 1e-3
 
 
 @pytest.mark.parametrize("model", ["openhead", "ict"])
