@@ -130,13 +130,14 @@ def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     yield from (f" {json.dumps(key)}: {json.dumps(value)},\n" for key, value in described.items())
     yield ' "faces": ['
     for i, face in enumerate(faces):
+        pose = face.pose.as_dict()
         record = {
             "name": face.name,
             "source": str(face.source),
             "photo": None if face.photo is None else str(face.photo),
             **_frame(face),
             "notes": face.notes,
-            "pose": _rounded_pose(face),
+            "pose": None if face.is_gap else {k: _rounded(v) for k, v in pose.items()},
             "landmarks": _rounded(face.landmarks),
             "image_xyz": _rounded(face.landmarks_3d),
             "shape": _rounded(face.xyz),
@@ -289,11 +290,6 @@ def _vertices(faces: Sequence[Face], model: Mapping, mesh: bool) -> tuple[np.nda
 
 def _rows(row: str, numbers: np.ndarray) -> str:
     return (f"{row}\n" * len(numbers)) % tuple(numbers.ravel().tolist())
-
-
-def _rounded_pose(face: Face) -> dict | None:
-    pose = {key: _rounded(value) for key, value in face.pose.as_dict().items()}
-    return None if face.is_gap else pose
 
 
 def _rounded(values) -> list | float | None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from deepmds_keras.files import atomic_write
 from deepmds_keras.geometry.views import about_axis
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.predict.faces import Face
@@ -76,16 +74,6 @@ def overlay(faces: Sequence[Face], photo: np.ndarray | None) -> Image.Image:
         photo: `(H, W, 3)` uint8, RGB, or None: each face is drawn beside its view in 3D.
     """
     return _in_tiles(faces) if photo is None else _on_photo(faces, photo)
-
-
-def write_overlay(path: Path, faces: Sequence[Face], photo: np.ndarray | None) -> None:
-    """Write the picture of `overlay` as PNG, whole or not at all.
-
-    Raises:
-        InputError, OSError: As for `atomic_write`.
-    """
-    with atomic_write(path) as file:
-        overlay(faces, photo).save(file, "png")
 
 
 def _in_tiles(faces: Sequence[Face]) -> Image.Image:

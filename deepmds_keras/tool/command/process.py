@@ -10,11 +10,12 @@ import numpy as np
 from tqdm import tqdm
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import convert, scheme_of
 from deepmds_keras.landmarks.y_axis import check_y_axis
 from deepmds_keras.tool.command.cli import fault_of, lines_about
 from deepmds_keras.tool.command.outputs import MESH_FORMATS, output_files, write_output
-from deepmds_keras.tool.command.overlay import write_overlay
+from deepmds_keras.tool.command.overlay import overlay
 from deepmds_keras.tool.command.page import write_page
 from deepmds_keras.tool.command.sources import kind_of
 from deepmds_keras.tool.detection import FOUND_BY, to_ibug
@@ -39,33 +40,32 @@ _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
 
 
 def process(
-    source: Path,
-    name: str,
-    *,
-    folder: Path,
-    formats: tuple[str, ...],
-    view: bool,
-    mesh: bool,
-    **settings,
+    source: Path, name: str, *, folder: Path, **settings
 ) -> tuple[list[str], list[str], object]:
     """Write the files of a source into a folder.
+
+    Args:
+        source: A photo, a video or a file of landmarks.
+        name: Name of its results.
+        folder: Where to write.
+        settings: The other options of `deepmds predict`, by name.
 
     Returns:
         Names of the files, lines for the terminal, and what could not be used, or None.
     """
     try:
-        photo, detections = _detect(source, name, **settings)
+        photo, detections = _detect(source, name, settings)
         n = len(detections.names)
         with tqdm(total=n, unit="face", leave=False, disable=n <= _DRAWN_FACES or None) as bar:
             options = {key: settings[key] for key in ("model", "interocular", "jobs")}
             faces = estimate_faces(detections, progress=bar.update, **options)
         model = describe_model(detections.scheme, settings["model"])
-        kinds = [*formats, *(MESH_FORMATS if mesh else ())]
+        kinds = [*settings["formats"], *(MESH_FORMATS if settings["mesh"] else ())]
         files: dict[Path, Callable[[Path], None]] = {
             path: partial(write_output, faces=held, model=model)
             for path, held in output_files(folder, name, faces, kinds).items()
         }
-        files |= _pictures(folder, source, name, faces, photo, view, mesh, settings["every"])
+        files |= _pictures(folder, source, name, faces, photo, settings)
         for path, write in files.items():
             write(path)
     except InputError as error:
@@ -83,50 +83,29 @@ def picture_name(source: Path, name: str) -> str:
     return f"{name}{'.mp4' if kind_of(source) == 'video' else '.png'}"
 
 
-def _detect(
-    source: Path,
-    name: str,
-    *,
-    detector: str,
-    landmarker: str | None,
-    model: str | None,
-    smooth: float | str,
-    every: int,
-    y_up: bool,
-    image_size: tuple[float, float] | None,
-    scheme: str | None,
-    jobs: int,
-    **_,
-) -> tuple[np.ndarray | None, Detections]:
+def _detect(source: Path, name: str, settings: dict) -> tuple[np.ndarray | None, Detections]:
     """The photo, or None for other sources, and the landmarks of its faces."""
+    how = {key: settings[key] for key in ("detector", "landmarker", "model")}
     if kind_of(source) == "video":
-        return None, find_in_video(
-            source,
-            name,
-            detector=detector,
-            landmarker=landmarker,
-            model=model,
-            every=every,
-            smooth=smooth,
-            jobs=jobs,
-        )
+        how |= {key: settings[key] for key in ("every", "smooth", "jobs")}
+        return None, find_in_video(source, name, **how)
     if kind_of(source) == "photo":
         photo, n_pictures = read_photo(source)
-        detections = find_in_photo(
-            photo,
-            source,
-            name,
-            detector=detector,
-            landmarker=landmarker,
-            model=model,
-            n_pictures=n_pictures,
-        )
+        detections = find_in_photo(photo, source, name, n_pictures=n_pictures, **how)
         if not detections.names:
             of = f" in the first of {n_pictures} pictures" if n_pictures > 1 else ""
-            raise no_face(source, detector, f"whichever side is up{of}")
+            raise no_face(source, how["detector"], f"whichever side is up{of}")
         return photo, detections
-    scheme = given_scheme(scheme, model)
-    landmarks, faults, remarks = read_faces(source, y_up=y_up, image_size=image_size, scheme=scheme)
+    return None, _read(source, name, settings)
+
+
+def _read(source: Path, name: str, settings: dict) -> Detections:
+    """The landmarks of a file, in the scheme of the model; faces that cannot be used are gaps."""
+    model, smooth = settings["model"], settings["smooth"]
+    scheme = given_scheme(settings["scheme"], model)
+    landmarks, faults, remarks = read_faces(
+        source, y_up=settings["y_up"], image_size=settings["image_size"], scheme=scheme
+    )
     n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
     odd = check_y_axis(landmarks, scheme, str(source))
     target = target_scheme(scheme, model)
@@ -149,7 +128,7 @@ def _detect(
     landmarks[rows] = smooth_over_time(landmarks[rows], rows, smooth)
     if smooth and (rough := int(seen.any(1).sum()) - len(rows)):
         remarks.append(f"{rough} of {n} rows lack landmarks and are not smoothed")
-    return None, Detections(
+    return Detections(
         source=source,
         names=name_faces(name, n),
         scheme=target,
@@ -168,11 +147,10 @@ def _pictures(
     name: str,
     faces: list[Face],
     photo: np.ndarray | None,
-    view: bool,
-    mesh: bool,
-    every: int,
+    settings: dict,
 ) -> dict[Path, Callable[[Path], None]]:
     """The page and the picture of a source, for a video another video, each with its writer."""
+    every = settings["every"]
     shown = [face for face in faces if not face.is_gap]
     if video := faces[0].frame_ref is not None:
         shown = portraits(shown, _DRAWN_FACES)
@@ -180,13 +158,14 @@ def _pictures(
 
     def write_view(path: Path) -> None:
         stills = read_stills(source, some, every) if video else [photo] * len(some)
-        write_page(path, some, stills, mesh=mesh)
+        write_page(path, some, stills, mesh=settings["mesh"])
 
     def write_picture(path: Path) -> None:
         if video:
             write_landmark_video(path, source, faces, every)
-        else:
-            write_overlay(path, some if photo is None else shown, photo)
+            return
+        with atomic_write(path) as file:
+            overlay(some if photo is None else shown, photo).save(file, "png")
 
-    writers = {folder / f"{name}.html": write_view} if view else {}
+    writers = {folder / f"{name}.html": write_view} if settings["view"] else {}
     return {**writers, folder / picture_name(source, name): write_picture}
