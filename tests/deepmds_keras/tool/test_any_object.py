@@ -1,6 +1,7 @@
 """The tool on other objects than faces: a saved lifter of 14 landmarks, with names and without."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,6 @@ from deepmds_keras import (
     read_landmarks,
     sample_views,
 )
-from deepmds_keras.__main__ import main
 from deepmds_keras.geometry.units import centre_and_scale
 from deepmds_keras.lifting.unrolled_fit import initial_weights
 from deepmds_keras.tool.command.evaluation import evaluate
@@ -58,17 +58,12 @@ def scheme(tmp_path):
     return tmp_path / "parts.csv"
 
 
-def run(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([*map(str, arguments)])
-    return ended.value.code
-
-
-def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, capsys):
+def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, command):
     out = tmp_path / "out"
     given = ("predict", points, "--model", model, "--out", out, "--view", "--jobs", 1)
-    assert run(*given, "--format", "csv,json,npz,ply,obj") == 0, capsys.readouterr().err
-    assert "points.npy: 5 shapes" in capsys.readouterr().out
+    status, output, errors = command(*given, "--format", "csv,json,npz,ply,obj")
+    assert status == 0, errors
+    assert "points.npy: 5 shapes" in output
     assert "<title>5 shapes in 3D</title>" in (out / "points.html").read_text(encoding="utf-8")
     views = np.load(points) * (1, -1)
     expected = LandmarkLifter.load(model).predict(views)
@@ -82,7 +77,7 @@ def test_the_command_lifts_them_as_python_does(model, points, scheme, tmp_path, 
     with Image.open(out / "points.png") as picture:
         assert picture.size == (1800, 600)
     assert "landmark_14" in (out / "points.html").read_text(encoding="utf-8")
-    assert run(*given, "--scheme", scheme, "--format", "json,obj", "--overwrite") == 0
+    assert command(*given, "--scheme", scheme, "--format", "json,obj", "--overwrite")[0] == 0
     content = json.loads((out / "points.json").read_bytes())
     assert content["landmark_names"] == [f"part_{i}" for i in range(L)]
     assert content["landmark_numbers"] == [*range(L)]
@@ -115,15 +110,14 @@ def test_python_lifts_landmarks_and_refuses_photos(model, points, scheme):
         (["--scheme", "no.csv"], "no.csv must be a table"),
     ],
 )
-def test_what_only_faces_have_is_refused(model, points, tmp_path, capsys, arguments, message):
-    out = tmp_path / "out"
-    code = run("predict", points, "--model", model, "--out", out, "--jobs", 1, *arguments)
-    output = f"{code} {capsys.readouterr().err}"
-    assert code != 0 and pd.Series([output]).str.contains(message).all(), output
-    assert not [*out.glob("points*")]
+def test_what_only_faces_have_is_refused(model, points, tmp_path, command, arguments, message):
+    given = ("predict", points, "--model", model, "--out", tmp_path / "out", "--jobs", 1)
+    status, _, errors = command(*given, *arguments)
+    assert status != 0 and re.search(message, errors), errors
+    assert not [*tmp_path.glob("out/points*")]
 
 
-def test_it_is_exported_with_the_names_of_its_landmarks(model, points, scheme, tmp_path):
+def test_it_is_exported_with_the_names_of_its_landmarks(model, points, scheme, tmp_path, command):
     import onnx
     import onnxruntime
 
@@ -133,7 +127,7 @@ def test_it_is_exported_with_the_names_of_its_landmarks(model, points, scheme, t
               "landmark_sd": np.full((5, L), np.nan, "f")}  # fmt: skip
     shape = onnxruntime.InferenceSession(tmp_path / "chair.onnx").run(None, inputs)[0]
     assert np.abs(shape - LandmarkLifter.load(model).predict(views)).max() < 1e-4
-    assert run("export", tmp_path / "named.onnx", "--model", model, "--scheme", scheme) == 0
+    assert command("export", tmp_path / "named.onnx", "--model", model, "--scheme", scheme)[0] == 0
     for file, first in (("chair", "landmark_1"), ("named", "part_0")):
         metadata = onnx.load(tmp_path / f"{file}.onnx").metadata_props
         names = next(json.loads(entry.value) for entry in metadata if entry.key == "landmark_names")

@@ -9,7 +9,6 @@ from places import SHARED
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_expressive
 from deepmds_keras import InputError
-from deepmds_keras.__main__ import main
 from deepmds_keras.geometry.views import in_camera_frame, sample_perspective_cameras
 from deepmds_keras.tool.command.evaluation import evaluate, read_truth
 
@@ -66,18 +65,16 @@ def test_coordinates_may_come_first_as_in_aflw2000_of_3ddfa(truth, tmp_path):
     np.testing.assert_array_equal(read_truth(tmp_path / "first.npy"), truth)
 
 
-def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, capsys):
+def test_a_table_and_landmarks_of_a_detector_are_taken(truth, tmp_path, command):
     lines = ["Face, X, Y, Z"]
     lines += [f"{i},{x},{y},{z}" for i, face in enumerate(truth[:9, 17:]) for x, y, z in face]
     (tmp_path / "truth.csv").write_text("\n".join(lines))
     np.testing.assert_array_equal(read_truth(tmp_path / "truth.csv"), truth[:9, 17:])
     noise = np.random.default_rng(0).normal(0, 3, (9, 51, 2))
     np.save(tmp_path / "seen.npy", (truth[:9, 17:, :2] + noise) * (1, -1))
-    command = ["evaluate", tmp_path / "truth.csv", "--out", tmp_path / "out"]
-    with pytest.raises(SystemExit) as ended:
-        main([*map(str, command), "--landmarks", str(tmp_path / "seen.npy")])
-    assert ended.value.code == 0
-    output = capsys.readouterr().out
+    given = ("evaluate", tmp_path / "truth.csv", "--out", tmp_path / "out")
+    status, output, _ = command(*given, "--landmarks", tmp_path / "seen.npy")
+    assert status == 0
     assert "9 faces" in output and "51, lifting " in output and "exact" not in output
     np.save(tmp_path / "seen.npy", np.where(np.arange(9)[:, None, None] == 4, np.nan, noise))
     with pytest.raises(InputError, match="seen.npy must have .* Received none for face 5"):

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.models.registry import load_model
 from deepmds_keras import InputError, LandmarkLifter
-from deepmds_keras.__main__ import main
 from deepmds_keras.files import read_table
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.landmarks import FOLDER, load_scheme
@@ -101,27 +100,21 @@ def test_each_node_has_a_name_of_its_own_as_some_runtimes_need(model):
     assert len({*names}) == len(names)
 
 
-def test_the_command_writes_a_model_and_never_over_a_file(weights, tmp_path, capsys, monkeypatch):
+def test_the_command_writes_a_model_and_never_over_a_file(weights, tmp_path, command, monkeypatch):
     path = tmp_path / "own.onnx"
-    with pytest.raises(SystemExit) as ended:
-        main(["export", str(path), "--model", str(weights)])
-    assert ended.value.code == 0
-    assert str(path) in capsys.readouterr().out
+    status, output, _ = command("export", path, "--model", weights)
+    assert status == 0 and str(path) in output
     content = path.read_bytes()
-    with pytest.raises(SystemExit) as ended:
-        main(["export", str(path), "--model", str(weights)])
-    assert "exists" in str(ended.value.code)
+    assert "exists" in command("export", path, "--model", weights)[2]
     assert path.read_bytes() == content
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(InputError, match=r"\[onnx\]"):
         export(tmp_path / "other.onnx", str(weights))
 
 
-def test_weights_of_another_model_are_refused(tmp_path):
+def test_weights_of_another_model_are_refused(tmp_path, command):
     for model in ("deepmds", "deepmds-ibug51", "unknown"):
-        with pytest.raises(SystemExit) as ended:
-            main(["export", str(tmp_path / "model.onnx"), "--model", model])
-        said = ended.value.code
+        said = command("export", tmp_path / "model.onnx", "--model", model)[2]
         assert "lifting-ibug51" in said and "LandmarkLifter" in said and "or deepmds" not in said
     assert not [*tmp_path.iterdir()]
 

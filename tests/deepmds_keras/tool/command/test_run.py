@@ -15,7 +15,6 @@ from places import ROOT
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
-from deepmds_keras.__main__ import main
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.command import process
 from deepmds_keras.tool.detection import (
@@ -39,22 +38,17 @@ def landmarks(heads):
 
 
 @pytest.fixture
-def predict(capsys, tmp_path):
-    """Runs the command in this process: `predict(*arguments)` → status, stdout, errors and notes.
+def predict(command, tmp_path):
+    """Runs `deepmds predict`: `predict(*arguments)` → status, stdout, lines of errors and notes.
 
     Results lie in `tmp_path / "out"`, unless the arguments say otherwise.
     """
 
-    def predict(*arguments, jobs=1):
+    def predict(*arguments):
         out = [] if "--out" in arguments else ["--out", tmp_path / "out"]
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main([str(each) for each in ("predict", *arguments, *out, "--jobs", jobs)])
-        code, (output, errors) = ended.value.code, capsys.readouterr()
-        # Python prints a text that it is ended with, and the status is 1.
-        lines = [*errors.splitlines(), *([code] if isinstance(code, str) else [])]
-        listed = [line for line in lines if line.startswith(("error: ", "note: no effect"))]
-        return 1 if isinstance(code, str) else code, output, listed
+        status, output, errors = command("predict", *arguments, *out, "--jobs", 1)
+        listed = ("error: ", "note: no effect")
+        return status, output, [line for line in errors.splitlines() if line.startswith(listed)]
 
     return predict
 
@@ -177,11 +171,10 @@ def test_each_bad_source_gets_one_line_and_the_others_are_done(tmp_path, predict
         (["a.jpg", "--detector", "mtcnn"], "mtcnn"),
     ],
 )
-def test_wrong_arguments_are_named(capsys, arguments, message):
-    with pytest.raises(SystemExit) as ended:
-        main(["predict", *arguments])
-    assert ended.value.code == 2
-    assert message in capsys.readouterr().err.splitlines()[-1]
+def test_wrong_arguments_are_named(command, arguments, message):
+    status, _, errors = command("predict", *arguments)
+    assert status == 2
+    assert message in errors.splitlines()[-1]
 
 
 @pytest.mark.parametrize("n", [51, 68, 72, 478])
@@ -401,7 +394,7 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):
     assert written(tmp_path / "out") == ["a.csv", "a.png"]
 
 
-@pytest.mark.parametrize("place", ["write_output", "write_overlay"])
+@pytest.mark.parametrize("place", ["write_output", "overlay"])
 def test_a_stopped_run_leaves_no_half_of_a_source_and_goes_on(
     tmp_path, predict, landmarks, monkeypatch, place
 ):

@@ -6,7 +6,6 @@ from places import ROOT, SHARED
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, LandmarkLifter
-from deepmds_keras.__main__ import main
 from deepmds_keras.lifting import trainer
 from deepmds_keras.tool.command import train as module
 from deepmds_keras.tool.command.train import train
@@ -41,20 +40,19 @@ def untrained(monkeypatch):
 
 
 def test_the_command_writes_a_lifter_and_reports_beside_mean_and_ridge(
-    source, untrained, tmp_path, capsys
+    source, untrained, tmp_path, command
 ):
-    with pytest.raises(SystemExit) as ended:
-        main(["train", str(source), str(tmp_path / "new.npz"), "--pitch", "30", "--noise", "0.1"])
-    output = capsys.readouterr()
-    assert ended.value.code == 0, output.err
+    given = ("train", source, tmp_path / "new.npz", "--pitch", 30, "--noise", 0.1)
+    status, output, errors = command(*given)
+    assert status == 0, errors
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new.npz", "shapes.npy"]
     lifter = LandmarkLifter.load(tmp_path / "new.npz")
     assert (lifter.n_landmarks, lifter.noise, lifter.missing, lifter.steps) == (L, 0.1, 0.2, 4000)
-    head, levels, *rows = output.out.splitlines()
+    head, levels, *rows = output.splitlines()
     assert "9 landmarks, trained on 63 shapes. Error on 7 others" in head
     assert levels.split()[-2:] == ["0", "0.05"]
     assert [row[:18].strip() for row in rows] == ["mean shape", "ridge regression", "lifter"]
-    assert "step" in output.err and "note" not in output.err
+    assert "step" in errors and "note" not in errors
 
 
 def test_shapes_of_the_report_are_not_those_of_the_training(source, untrained, tmp_path):
@@ -117,11 +115,10 @@ def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (SHARED / "objects").is_dir(), reason="../shared/objects is absent")
-def test_the_page_on_objects_has_what_the_command_prints(tmp_path, capsys):
+def test_the_page_on_objects_has_what_the_command_prints(tmp_path, command):
     np.save(tmp_path / "chairs.npy", read_shapes(SHARED / "objects" / "chairs.npz"))
-    with pytest.raises(SystemExit):
-        main(["train", str(tmp_path / "chairs.npy"), str(tmp_path / "chair.npz")])
-    head, *rows = capsys.readouterr().out.splitlines()
+    _, output, _ = command("train", tmp_path / "chairs.npy", tmp_path / "chair.npz")
+    head, *rows = output.splitlines()
     page = (ROOT / "docs" / "objects.md").read_text(encoding="utf-8")
     first, *shown = page[page.index("chair.npz: ") :].splitlines()[: len(rows) + 1]
     assert head.endswith(first)

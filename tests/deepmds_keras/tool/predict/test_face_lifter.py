@@ -12,7 +12,7 @@ from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras import InputError, predict_landmarks, predict_photo
 from deepmds_keras.landmarks import convert
-from deepmds_keras.tool.detection import DETECTORS, Detector, to_ibug
+from deepmds_keras.tool.detection import DETECTORS, to_ibug
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
 
 N = 12
@@ -82,7 +82,7 @@ def test_an_image_without_pixels_is_refused_and_the_next_is_not(two_faces):
         assert lifter.predict(Image.new("RGB", (200, 200))) == []
 
 
-def test_threads_take_turns_at_a_detector(two_faces, monkeypatch):
+def test_threads_take_turns_at_a_detector(two_faces, add_detector):
     """dlib's crashes if two enter it, and all lifters of a process share it."""
     inside, together = [], []
 
@@ -93,8 +93,7 @@ def test_threads_take_turns_at_a_detector(two_faces, monkeypatch):
         inside.pop()
         return faces[0], np.full(len(faces[0]), 0.75)
 
-    row = Detector("ibug68", lambda _: find, lambda: True, "")
-    monkeypatch.setitem(DETECTORS, "slow", row)
+    add_detector("slow", find)
     alone = shapes(predict_photo(two_faces, detector="slow"))
     with ThreadPoolExecutor(4) as threads:
         lifters = (FaceLifter("slow").predict for _ in range(8))

@@ -65,14 +65,6 @@ LAYOUTS = {
     "with z": ("f.csv", table(np.hstack([ONE[0], DEPTH[0]]), "x,y,z"), ONE),
     "coordinates first": ("f.npy", FACES.swapaxes(1, 2), FACES),
     "coordinates first, depth": ("f.npy", np.dstack([FACES, DEPTH])[1].T, FACES[1:2]),
-    "message": ("f.json", json.dumps({"landmark": named(ONE)[0]}), ONE),
-    "messages": (
-        "f.json",
-        json.dumps({"multi_face_landmarks": [{"landmark": face} for face in named(FACES)]}),
-        FACES,
-    ),
-    "MediaPipe in Python": ("f.json", json.dumps({"face_landmarks": named(FACES)}), FACES),
-    "MediaPipe in JavaScript": ("f.json", json.dumps({"multiFaceLandmarks": named(FACES)}), FACES),
     "TensorFlow.js": ("f.json", json.dumps([{"box": {}, "keypoints": f} for f in named(ONE)]), ONE),
     "columns": ("f.csv", table(ONE[0], "x,y"), ONE),
     "comments, empty lines": ("f.csv", f'# a, "b" c\n\n{table(ONE[0], "x,y")}\n\n', ONE),
@@ -94,12 +86,17 @@ LAYOUTS = {
     "points of 300-W": ("f.pts", pts(ONE[0] + 0.5), ONE),
     "JSON": ("f.json", json.dumps(ONE[0].tolist()), ONE),
     "JSON of faces": ("f.json", json.dumps(FACES.tolist()), FACES),
-    "JSON with a key": ("f.json", json.dumps({"landmarks": ONE[0].tolist()}), ONE),
-    "JSON of records": (
-        "f.json",
-        json.dumps({"faces": [{"landmarks": f.tolist(), "name": "a"} for f in FACES]}),
-        FACES,
-    ),
+    **{
+        f"JSON with {faces}, {face}": (
+            "f.json",
+            json.dumps({faces: [{face: points, "name": "a"} for points in named(FACES)]}),
+            FACES,
+        )
+        for faces, face in (
+            *(("faces", "landmarks"), ("multi_face_landmarks", "landmark")),
+            *(("face_landmarks", "faceLandmarks"), ("multiFaceLandmarks", "keypoints")),
+        )
+    },
 }
 
 
@@ -124,9 +121,6 @@ def test_faces_called_like_missing_values_stay_apart(tmp_path):
     rows = [("null", *r[1:]) if r[0] == "face 1" else r for r in long_rows()]
     points = read_landmarks(written(tmp_path, "f.csv", table(rows, "face,number,x,y")))
     np.testing.assert_allclose(points, FACES, rtol=1e-12)
-
-
-MESH = np.random.default_rng(1).uniform(0.2, 0.7, (3, 468, 2))
 
 
 @pytest.mark.parametrize("n", [468, 478])
@@ -296,7 +290,6 @@ REFUSED = {
         "face 2 of 3, must .*landmark 6 of 68",
     ),
     "only gaps": ("f.npy", FACES * np.nan, "only gaps"),
-    "fractions of MediaPipe": ("f.npy", MESH, "or pass --image-size W H"),
     "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
     "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks per face. Received 5"),
     "no faces": ("f.npy", FACES[:0], "at least one face. Received none"),

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from deepmds_keras import InputError
-from deepmds_keras.__main__ import main
-from deepmds_keras.tool.detection import DETECTORS, Detector
 from deepmds_keras.tool.predict import videos
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
 from deepmds_keras.tool.predict.faces import FrameRef
@@ -55,7 +53,7 @@ def write_video(path, images, rotation=0, pixel=None):
 
 
 @pytest.fixture
-def squares(monkeypatch):
+def squares(add_detector):
     """A detector of white squares: of each the 68 points of `FACE`, from its upper left corner."""
 
     def find(image, before=None):
@@ -64,8 +62,7 @@ def squares(monkeypatch):
         faces = np.array([FACE + (x, 5) for x in starts]).reshape(-1, 68, 2)
         return faces, np.ones(len(faces))
 
-    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
-    monkeypatch.setitem(DETECTORS, "squares", row)
+    add_detector("squares", find)
 
 
 def scene(*places, ground=(90, 90, 90)):
@@ -152,7 +149,7 @@ def test_frames_are_mirrored_and_turned_by_the_display_matrix(tmp_path, x, y, sw
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatch, turn):
+def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, add_detector, turn):
     looked_at = []
 
     def find(image, before=None):
@@ -165,8 +162,7 @@ def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatc
         upright = image.shape[0] > image.shape[1] and x < SIDE / 2 and y < 2 * SIDE
         return face[None], np.array([0.95 if upright else 0.5])
 
-    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
-    monkeypatch.setitem(DETECTORS, "square", row)
+    add_detector("square", find)
     frame = np.full((4 * SIDE, SIDE, 3), 90, np.uint8)
     frame[40:50, 16:26] = 255
     frame = np.ascontiguousarray(np.rot90(frame, -turn))
@@ -180,7 +176,7 @@ def test_a_video_that_lies_without_saying_so_is_turned_once(tmp_path, monkeypatc
 @pytest.mark.parametrize("every", [1, 2, 3])
 @pytest.mark.parametrize("turn", [0, 1])
 def test_faces_are_looked_for_where_they_were_in_four_frames_in_a_row(
-    tmp_path, monkeypatch, every, turn
+    tmp_path, add_detector, every, turn
 ):
     looked_at = []
 
@@ -190,8 +186,7 @@ def test_faces_are_looked_for_where_they_were_in_four_frames_in_a_row(
         face = FACE + (len(looked_at), 0)
         return face[None], np.array([0.95 if upright else 0.5])
 
-    row = Detector("ibug68", lambda _: find, lambda: True, "nobody's")
-    monkeypatch.setitem(DETECTORS, "moving", row)
+    add_detector("moving", find)
     images = np.rot90(np.zeros((11, 2 * SIDE, SIDE, 3), np.uint8), turn, axes=(1, 2))
     path = write_video(tmp_path / "a.mp4", images)
     find_in_video(path, "a", detector="moving", every=every)
@@ -304,13 +299,12 @@ def test_angles_of_tracks_are_written_as_those_of_faces():
     assert line.endswith("yaw 0° to +12°")
 
 
-def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, capsys):
+def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, command):
     out = tmp_path / "out"
-    with pytest.raises(SystemExit) as ended:
-        main([*map(str, ("predict", clip, "--detector", "squares", "--jobs", 1, "--out", out,
-              "--format", "npz,json"))])  # fmt: skip
-    assert ended.value.code == 0
-    assert re.search(r"track 1: 0.0 to 1.2 s, .* 27 frames", capsys.readouterr().out)
+    given = ("predict", clip, "--detector", "squares", "--jobs", 1, "--out", out)
+    status, output, _ = command(*given, "--format", "npz,json")
+    assert status == 0
+    assert re.search(r"track 1: 0.0 to 1.2 s, .* 27 frames", output)
     with np.load(out / "clip.npz") as file:
         arrays = dict(file)
     frames = [i for i in range(30) if not 12 <= i < 15]
