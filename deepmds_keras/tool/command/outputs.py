@@ -59,13 +59,8 @@ def output_files(
     """Files of the faces of one source, each with the faces in it.
 
     `csv`, `json` and `npz` hold all faces in one file, `NAME.csv`, with gaps as NaN or null; in the
-    other formats every face has its own file, under the face's name.
-
-    Args:
-        folder: Folder of the results.
-        name: Name of the source.
-        faces: One or more, all in one scheme and unit.
-        formats: Some of `FORMATS` and `MESH_FORMATS`, whose order the files follow.
+    other formats every face has its own file, under the face's name. All faces are in one scheme
+    and unit. The files follow the order of the formats, some of `FORMATS` and `MESH_FORMATS`.
     """
     one_each = {face.name: [face] for face in faces if not face.is_gap}
     return {
@@ -76,12 +71,9 @@ def output_files(
 
 
 def write_output(path: Path, faces: Sequence[Face], model: Mapping) -> None:
-    """Write a file of `output_files`, whole or not at all.
+    """Write a file of `output_files`, whole or not at all; its suffix is the format.
 
-    Args:
-        path: File to write; its suffix is the format. Its folder is created if needed.
-        faces: Faces to write.
-        model: Model of the shapes, as for JSON: `"name"` and where its weights come from.
+    `model` is what `describe_model` says of it. The folder is created if needed.
 
     Raises:
         InputError, OSError: As for `atomic_write`.

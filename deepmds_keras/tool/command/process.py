@@ -42,13 +42,7 @@ _DRAWN_FACES = 24  # of one source, in a picture without a photo and in a page
 def process(
     source: Path, name: str, *, folder: Path, **settings
 ) -> tuple[list[str], list[str], object]:
-    """Write the files of a source into a folder.
-
-    Args:
-        source: A photo, a video or a file of landmarks.
-        name: Name of its results.
-        folder: Where to write.
-        settings: The other options of `deepmds predict`, by name.
+    """Write the files of a source into a folder, with the other options of `cli` by name.
 
     Returns:
         Names of the files, lines for the terminal, and what could not be used, or None.

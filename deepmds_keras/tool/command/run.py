@@ -53,14 +53,8 @@ def run(
 ) -> int:
     """Write the results of all sources; an unusable one gets a line on stderr.
 
-    Args:
-        sources: Names of photos, folders, videos and files of landmarks.
-        out: Folder of the results.
-        recursive: Whether to include the photos in subfolders.
-        overwrite: Whether to redo finished sources, and to replace existing files.
-        jobs: Number of processes; -1 is one per core.
-        stopped: Called after every source; whether to stop.
-        settings: The other options of `cli`, by name.
+    The options are those of `cli`, by name; `stopped` is called after every source and says whether
+    to stop.
 
     Returns:
         Number of sources that could not be used.

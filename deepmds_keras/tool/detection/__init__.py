@@ -80,11 +80,7 @@ def move(landmarks: np.ndarray, scheme: str, offsets: np.ndarray) -> np.ndarray:
 
 
 def upright_axes(landmarks: np.ndarray, scheme: str) -> tuple[np.ndarray, np.ndarray]:
-    """Axes and size of each face.
-
-    Args:
-        landmarks: `(n, L, 2)` as for `to_ibug`.
-        scheme: Scheme of the landmarks.
+    """Axes and size of each face, of landmarks `(n, L, 2)` as for `to_ibug`.
 
     Returns:
         `(n, 2, 2)` unit vectors, the first from the subject's right to the left, the second from

@@ -8,7 +8,7 @@ import hashlib
 import io
 import json
 import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import av
 import numpy as np
@@ -352,7 +352,7 @@ def test_the_policy_blocks_every_request(opened):
 
         do_POST = do_GET  # noqa: N815
 
-    server = HTTPServer(("127.0.0.1", 0), Server)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Server)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     blocked = opened().evaluate(
         """async (place) => {
