@@ -93,7 +93,7 @@ def csv_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     cells = ",".join([*[number] * 3, *std, *[number] * 4])
     names = map(_csv_cell, scheme.names)
     rows = [f"{n},{name},{cells}\n" for n, name in zip(scheme.numbers, names, strict=True)]
-    yield from (f"# {line}\n" for line in description(faces, model))
+    yield from (f"# {line}\n" for line in _description(faces, model))
     yield from (f"# {columns}: {AXES[key]}\n" for key, columns in _DESCRIBED.items())
     if faces[0].frame_ref is not None:
         yield f"# frame: {TIME}\n"
@@ -116,7 +116,7 @@ def _csv_cell(text: str) -> str:
 def json_text(faces: Sequence[Face], model: Mapping) -> Iterator[str]:
     """Everything known about the faces, one face per line."""
     scheme = load_scheme(faces[0].scheme)
-    described = common(faces, model) | {"landmark_numbers": scheme.numbers}
+    described = _common(faces, model) | {"landmark_numbers": scheme.numbers}
     described["landmark_names"] = scheme.names
     yield "{\n"
     yield from (f" {json.dumps(key)}: {json.dumps(value)},\n" for key, value in described.items())
@@ -173,7 +173,7 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
         **measured,
         landmark_numbers=np.array(scheme.numbers),
         landmark_names=np.array(scheme.names),
-        description=np.array(json.dumps(common(faces, model))),
+        description=np.array(json.dumps(_common(faces, model))),
     )
 
 
@@ -232,36 +232,44 @@ def import_trimesh() -> ModuleType:
     return trimesh
 
 
-def common(faces: Sequence[Face], model: Mapping) -> dict:
+def common(scheme: str, unit: str, detector: Mapping | None, model: Mapping) -> dict:
     """What the JSON of faces says of all of them."""
-    unit = faces[0].unit
     return {
         "generator": f"deepmds-keras {__version__}",
-        "model": dict(model),
-        "detector": faces[0].detector,
-        "scheme": faces[0].scheme,
+        "model": model,
+        "detector": detector,
+        "scheme": scheme,
         "unit": unit,
         "scale": SCALE[unit],
         "axes": AXES,
-        **({} if faces[0].frame_ref is None else {"frame": TIME}),
     }
 
 
-def description(faces: Sequence[Face], model: Mapping) -> list[str]:
-    """Lines of text; names are quoted as in JSON, so that they cannot begin another line."""
-    scheme, unit, detector = load_scheme(faces[0].scheme), faces[0].unit, faces[0].detector
+def description(known: Mapping) -> list[str]:
+    """`common` as lines; names are quoted as in JSON, so that they cannot begin another line."""
+    scheme, model, detector = load_scheme(known["scheme"]), known["model"], known["detector"]
     terms = [f"licence of the weights: {model['licence']}"] if "licence" in model else []
     if detector is not None:
         terms.append(f"landmarks found by {detector['name']}, licence: {detector['licence']}")
     return [
-        f"3D landmarks by deepmds-keras {__version__}, model {json.dumps(model['name'])}",
+        f"3D landmarks by {known['generator']}, model {json.dumps(model['name'])}",
         f"scheme: {scheme.name}, numbers {scheme.numbers[0]} to {scheme.numbers[-1]} in this "
         "order; right and left are the subject's",
-        f"unit of x, y, z: {unit} ({SCALE[unit]})",
+        f"unit of x, y, z: {known['unit']} ({known['scale']})",
         *terms,
         f"axes: {AXES['shape']}",
-        *(f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes),
     ]
+
+
+def _common(faces: Sequence[Face], model: Mapping) -> dict:
+    face = faces[0]
+    frame = {} if face.frame_ref is None else {"frame": TIME}
+    return common(face.scheme, face.unit, face.detector, model) | frame
+
+
+def _description(faces: Sequence[Face], model: Mapping) -> list[str]:
+    notes = (f"note on {json.dumps(face.name)}: {note}" for face in faces for note in face.notes)
+    return [*description(_common(faces, model)), *notes]
 
 
 def _frame(face: Face) -> dict[str, float]:
@@ -274,7 +282,7 @@ def _frame(face: Face) -> dict[str, float]:
 
 def _vertices(faces: Sequence[Face], model: Mapping, mesh: bool) -> tuple[np.ndarray, list[str]]:
     """Landmarks, or the head through them in their frame and unit, with describing lines."""
-    face, described = faces[0], description(faces, model)
+    face, described = faces[0], _description(faces, model)
     if not mesh:
         return face.xyz, described
     return fit_surfaces(face.xyz[None], face.scheme)[0], [_MESH, *described]

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
@@ -15,7 +14,6 @@ from deepmds_keras.lifting.traced import trace
 from deepmds_keras.tool.command.outputs import AXES, common, description
 from deepmds_keras.tool.detection import DETECTORS, describe_detector, measured
 from deepmds_keras.tool.html_parts import in_base64
-from deepmds_keras.tool.predict.faces import Face
 from deepmds_keras.tool.predict.models import LifterModel, describe_model
 
 _DETECTOR = "mediapipe"
@@ -41,19 +39,9 @@ def settings(lifter: LandmarkLifter, model: str) -> dict:
         )
     of = load_scheme(scheme)
     mean = lifter.weights_["mean"].T.astype(float)
-    face = Face(
-        name="",
-        source=None,
-        photo=None,
-        scheme=scheme,
-        landmarks=mean[:, :2] * (1, -1),
-        xyz=mean,
-        unit="normalised",
-        pose=head_pose(mean[:, :2], mean),
-        detector=describe_detector(_DETECTOR, None),
-    )
     # Without its folder: pages are passed on.
     described = describe_model(scheme, model) | {"name": Path(model).name}
+    known = common(scheme, "normalised", describe_detector(_DETECTOR, None), described)
     found = DETECTORS[_DETECTOR].scheme
     positions = np.repeat(np.arange(len(load_scheme(found)))[:, None], 2, axis=1)
     # The vector from eyes to mouth is a sum of landmarks, each times a number.
@@ -73,12 +61,12 @@ def settings(lifter: LandmarkLifter, model: str) -> dict:
         "around": mean.tolist(),
         "about": {
             "csv": [
-                *description([face], described),
+                *description(known),
                 f"std_x, std_y, std_z: {AXES['std']}",
                 f"image_x, image_y: {AXES['landmarks']}",
                 _FRAME,
             ],
-            "json": common([face], described)
+            "json": known
             | {"axes": axes, "frame": _FRAME}
             | {"landmark_numbers": of.numbers, "landmark_names": of.names},
         },
