@@ -160,7 +160,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--overwrite", action="store_true", help="replace existing results")
     options = parser.parse_args(arguments)
     if options.command == "predict" and options.detector is None:
-        options.detector = "mediapipe" if options.landmarker else default_detector()
+        options.detector = default_detector(options.landmarker)
     return options
 
 

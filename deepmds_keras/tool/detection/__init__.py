@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
@@ -43,8 +44,13 @@ class Detector:
     commercial: bool = True
 
 
-def default_detector() -> str:
-    """The first detector that is installed, or the first of all if none is."""
+def default_detector(landmarker: str | Path | None = None) -> str:
+    """The first detector that is installed, or the first of all if none is.
+
+    A landmarker is MediaPipe's.
+    """
+    if landmarker is not None:
+        return "mediapipe"
     return next((name for name, row in DETECTORS.items() if row.is_installed()), [*DETECTORS][0])
 
 

@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 from PIL import Image
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces, seem_fractions
 from deepmds_keras.landmarks.y_axis import check_y_axis
@@ -58,21 +58,14 @@ class FaceLifter:
         model: str | Path | None = None,
         interocular: float | None = None,
     ):
-        if detector not in (None, *DETECTORS):
-            raise InputError(
-                f"detector must be one of {', '.join(DETECTORS)}. Received {detector!r}."
-            )
+        if detector is not None:
+            check_choice(detector, "detector", DETECTORS)
         if interocular is not None:
             check_number(interocular, "interocular")
         self.landmarker = None if landmarker is None else str(landmarker)
         self.model = None if model is None else str(model)
         self.interocular = interocular
-        self._detector = "mediapipe" if landmarker and not detector else detector
-
-    @property
-    def detector(self) -> str:
-        """Name of the detector."""
-        return self._detector or default_detector()
+        self.detector = detector or default_detector(landmarker)
 
     def predict(
         self, image: str | Path | bytes | BinaryIO | Image.Image | np.ndarray
