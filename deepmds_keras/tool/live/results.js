@@ -11,25 +11,24 @@ function recorder(source, about, { names, numbers }) {
   const FIELDS = ["shape", "std", "landmarks"];
   const nameOf = ({ frame, track }) => `${source}-${frame}-${track}`;
   const digits = (value) => +value.toPrecision(7);
+  const rowsOf = (flat) => { // of each landmark
+    const width = flat.length / names.length;
+    return names.map((_, i) => Array.from(flat.subarray(i * width, (i + 1) * width), digits));
+  };
 
   function csvOf(record) {
     const { frame, time, track, smoothed } = record;
     const name = `"${nameOf(record).replaceAll('"', '""')}"`;
-    const start = [name, frame, digits(time), track, +smoothed].join(",");
+    const start = [name, frame, digits(time), track, +smoothed];
+    const [shape, std, landmarks] = FIELDS.map((field) => rowsOf(record[field]));
     return names.map((landmark, i) => {
-      const cells = FIELDS.flatMap((field) => {
-        const width = record[field].length / names.length;
-        return [...record[field].subarray(i * width, (i + 1) * width)].map(digits);
-      });
-      return `${start},${numbers[i]},${landmark},${cells.join(",")}\n`;
+      const row = [...start, numbers[i], landmark, ...shape[i], ...std[i], ...landmarks[i]];
+      return `${row.join(",")}\n`;
     }).join("");
   }
   function jsonOf(record) {
     const { frame, time, track, smoothed, pose } = record;
-    const arrays = FIELDS.map((field) => {
-      const flat = Array.from(record[field], digits), width = flat.length / names.length;
-      return [field, names.map((_, i) => flat.slice(i * width, (i + 1) * width))];
-    });
+    const arrays = FIELDS.map((field) => [field, rowsOf(record[field])]);
     return JSON.stringify({ name: nameOf(record), source, frame, time, track, smoothed, pose,
       ...Object.fromEntries(arrays) });
   }
