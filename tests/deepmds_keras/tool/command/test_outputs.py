@@ -20,6 +20,9 @@ from deepmds_keras.tool.predict.mesh import fit_surfaces, surface_triangles
 MODEL = {"name": "deepmds-bfm72", "trained_on": "20,000 faces of the open head"}
 TEXTS = [kind for kind in FORMATS if kind != "glb"]  # and arrays: without the extra
 ODD = 'ä "x",#1%s\n'
+# As they are called in JSON and NPZ, and in `Face`.
+FIELDS = {"shape": "xyz", "landmarks": "landmarks", "image_xyz": "landmarks_3d",
+          "residual": "residuals"}  # fmt: skip
 
 
 def make_face(name="a", scheme="bfm72", seed=0, unit="normalised", notes=(), std=False):
@@ -79,21 +82,15 @@ def test_json_and_archive_give_everything_back(tmp_path):
     for record, face in zip(content["faces"], faces, strict=True):
         assert record["name"] == face.name and record["notes"] == list(face.notes)
         assert record["source"] == record["photo"] == str(face.photo)
-        for key, value in {
-            "shape": face.xyz,
-            "landmarks": face.landmarks,
-            "image_xyz": face.landmarks_3d,
-            "residual": face.residuals,
-        }.items():
-            assert_close(record[key], value)
+        for key, field in FIELDS.items():
+            assert_close(record[key], getattr(face, field))
         assert record["std"] is None
         for key, value in face.pose.as_dict().items():
             assert_close(record["pose"][key], value)
     with np.load(archive, allow_pickle=False) as file:
         arrays = dict(file)
-    assert np.array_equal(arrays["shape"], np.float32([face.xyz for face in faces]))
-    assert np.array_equal(arrays["landmarks"], np.float32([face.landmarks for face in faces]))
-    assert np.array_equal(arrays["residual"], np.float32([face.residuals for face in faces]))
+    for key, field in FIELDS.items():
+        assert np.array_equal(arrays[key], np.float32([getattr(face, field) for face in faces]))
     assert arrays["face"].tolist() == [ODD, "b"]
     for key in faces[0].pose.as_dict():
         measured = arrays["pose_residual" if key == "residual" else key]
