@@ -13,7 +13,6 @@ from deepmds_keras.landmarks.scheme import (
     LandmarkScheme,
     read_own_scheme,
     read_scheme,
-    unnamed_scheme,
     versions,
 )
 from deepmds_keras.validation import as_numbers
@@ -142,7 +141,7 @@ def said_sizes(sizes: Collection[int] | None = None) -> str:
 
 
 _own_scheme = lru_cache(lambda path, _: read_own_scheme(path))
-_unnamed = cache(unnamed_scheme)
+_unnamed = cache(lambda name, n: read_scheme(name, FOLDER / name, range(1, n + 1)))
 
 
 @lru_cache

@@ -18,12 +18,13 @@ class LandmarkScheme:
     Attributes:
         name: As in `schemes.csv`: `"bfm72"`, the paper's 72 landmarks; `"ibug68"`, Multi-PIE /
             iBUG 300-W (Sagonas et al. 2013, doi:10.1109/ICCVW.2013.59); `"ibug51"`, the latter
-            without the jaw line; `"mediapipe"`, FaceMesh's 468 points, which have no names. Of
-            other objects the path of the table, or `"unnamed-14"` for any 14 landmarks.
+            without the jaw line; `"mediapipe"`, FaceMesh's 468 points. Of other
+            objects the path of the table, or `"unnamed-14"` for any 14 landmarks.
         numbers: `L` landmark numbers as their authors count them (18 to 68 for `ibug51`).
             Everything below counts from 0 in this order instead.
-        names: `L` unique anatomical names, or none; right and left are the subject's.
-        groups: `L` names of facial parts, such as `right_brow` or `outer_mouth`, or none.
+        names: `L` unique anatomical names; right and left are the subject's. Points without one
+            are `landmark_1`, after their number.
+        groups: `L` names of facial parts, such as `right_brow` or `outer_mouth`, or `""`.
         mirror: `(L,)` int, the landmark at the mirrored place; its own inverse.
         polylines: Lines that draw the face, each a tuple of landmarks.
         ibug68: 1-based iBUG landmark number → the landmark at the same point; empty if the
@@ -84,12 +85,13 @@ def read_scheme(
     """The scheme of some landmarks of a table.
 
     Args:
-        table: File of the landmarks, which need not exist; see `schemes.csv` for those beside it.
+        table: File of the landmarks; see `schemes.csv` for those beside it. None need exist.
         longer: Other accepted numbers of points.
         is_ibug: Whether the table is that of iBUG's 68 itself.
     """
     position = {number: i for i, number in enumerate(numbers)}
-    landmarks = [each for each in _rows(table) if int(each["number"]) in position]
+    unnamed = [{"number": f"{number}", "name": f"landmark_{number}"} for number in numbers]
+    landmarks = [each for each in _rows(table) or unnamed if int(each["number"]) in position]
     lines = [_line(each["landmarks"]) for each in _rows(table, "_polylines")]
     mirror = [position[int(each.get("mirror") or each["number"])] for each in landmarks]
     same = {int(each["ibug68"]): position[int(each["number"])] for each in _rows(table, "_ibug68")}
@@ -158,21 +160,6 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
                 f"{known[0]} to {known[-1]}. Received {brief(values, 40)}."
             )
     return read_scheme(str(path), path, range(numbers[0], numbers[-1] + 1))
-
-
-def unnamed_scheme(name: str, n_landmarks: int) -> LandmarkScheme:
-    """The scheme of landmarks of which nothing is known."""
-    numbers = tuple(range(1, n_landmarks + 1))
-    return LandmarkScheme(
-        name=name,
-        numbers=numbers,
-        names=tuple(f"landmark_{number}" for number in numbers),
-        groups=("",) * n_landmarks,
-        mirror=_shared(np.arange(n_landmarks)),
-        polylines=(),
-        ibug68={},
-        sizes=(n_landmarks,),
-    )
 
 
 def scheme_files(table: Path) -> list[Path]:

@@ -31,7 +31,7 @@ FIVE = {
 }
 
 
-@pytest.fixture(params=[name for name, scheme in load_schemes().items() if scheme.names])
+@pytest.fixture(params=[name for name, scheme in load_schemes().items() if scheme.polylines])
 def scheme(request):
     return load_scheme(request.param)
 

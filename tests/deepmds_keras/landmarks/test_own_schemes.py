@@ -80,10 +80,15 @@ def test_corners_of_the_eyes_are_found_by_their_points_of_ibug(stool):
     assert load_scheme("bfm72").eye_corners() == tuple(corners)
 
 
-def test_any_landmarks_have_a_scheme_without_names():
-    scheme = load_scheme(unnamed(14))
-    assert len(scheme) == 14 and scheme.names[13] == "landmark_14" and not scheme.is_face
-    assert scheme.polylines == () and scheme.mirror.tolist() == [*range(14)]
+@pytest.mark.parametrize(
+    ("name", "n", "last", "face"),
+    [(unnamed(14), 14, "landmark_14", False), ("mediapipe", 468, "landmark_467", True)],
+)
+def test_landmarks_without_names_are_named_by_their_numbers(name, n, last, face):
+    scheme = load_scheme(name)
+    assert len(scheme) == len(scheme.names) == len(scheme.groups) == n
+    assert scheme.names[-1] == last and scheme.is_face is face
+    assert scheme.polylines == () and scheme.mirror.tolist() == [*range(n)]
 
 
 @pytest.mark.parametrize(
