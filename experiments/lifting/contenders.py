@@ -8,12 +8,12 @@ translation and scale. Draws from it are indistinguishable by the view.
 """
 
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
-from deepmds_keras.baselines.closed_form import Aldrian, RidgeRegression
+from deepmds_keras.baselines.closed_form import Aldrian, MeanShape, RidgeRegression
 from deepmds_keras.baselines.map_fit import MapFit
+from deepmds_keras.baselines.mlp import MLP
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.geometry.units import normalise, rms_radius
@@ -35,86 +35,76 @@ _STEP = 1e-3  # of a coefficient, by which the view is differentiated
 _LEAST_SD_MM = 1e-3  # of exact landmarks
 
 
-class Contenders:
-    """The simpler methods of the protocol `hard`: from `Views` to shapes `(n, L, 3)`.
+def simple_methods(run: Run, condition: Condition, faces: Views) -> dict[str, np.ndarray]:
+    """Shapes `(n, L, 3)` of faces by the simpler methods of the protocol `hard`, by their ids.
 
-    Args:
-        condition: Condition of the training views, and of the noise that the fits assume.
+    The condition is that of the training views, and of the noise that the fits assume. In training
+    and test, missing coordinates are filled in first, except for the MAP fit.
     """
+    train = training_views(run, condition)
+    whole = training_views(run, replace(condition, missing=0.0))
+    model = landmark_model(run)
+    mean, basis = model.mean, model.identity_basis_times_sd
+    fitted = fit_regressions(
+        normalise(fill(train.views, whole.views)), normalise(train.shapes), mlp(run)
+    )
+    views = fill(faces.views, whole.views)
+    shapes = {method: fit.predict(normalise(views)) for method, fit in fitted.items()}
+    shapes["aldrian"] = fit_aldrian(mean, basis, views, _misfit(whole[:_MISFIT_FACES]))
+    known = moments(perspectives(train.cameras.field_of_view, mean))
+    with single_threaded():
+        shapes["map"] = MapFit(mean, basis, perspective=known).predict(faces.views, faces.sd_mm)
+    return shapes
 
-    def __init__(self, run: Run, condition: Condition):
-        self._run, self._landmarks = run, landmark_model(run)
-        self._train = training_views(run, condition)
-        self._whole = training_views(run, replace(condition, missing=0.0))
-        flat = self._whole.views.reshape(len(self._whole), -1)
-        self._mean, self._covariance = flat.mean(0), np.cov(flat, rowvar=False)
 
-    def mean_shape(self, faces: Views) -> np.ndarray:
-        """Mean of the training shapes."""
-        mean = normalise(self._train.shapes).mean(0)
-        return np.broadcast_to(mean, faces.shapes.shape)
+def fit_regressions(views: np.ndarray, shapes: np.ndarray, net: MLP) -> dict:
+    """Methods that learn from normalised views and shapes, by their ids; the MLP is untrained."""
+    methods = {
+        "mean_shape": MeanShape(),
+        "ridge": RidgeRegression(),
+        "ridge_roll_aligned": RidgeRegression(roll_aligned=True),
+        "mlp": net,
+    }
+    with single_threaded():  # the last bits depend on the threads
+        return {name: method.fit(views, shapes) for name, method in methods.items()}
 
-    def ridge(self, faces: Views) -> np.ndarray:
-        """Ridge regression; in training and test, missing coordinates are filled in first."""
-        return self._regress(RidgeRegression(), faces)
 
-    def ridge_roll_aligned(self, faces: Views) -> np.ndarray:
-        """The same on roll-aligned views."""
-        return self._regress(RidgeRegression(roll_aligned=True), faces)
+def fill(views: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Fill in missing coordinates of `(n, L, 2)` by a regression on the others.
 
-    def mlp(self, faces: Views) -> np.ndarray:
-        """The same with an MLP."""
-        return self._regress(mlp(self._run), faces)
+    It gives their conditional mean if views are Gaussian with the moments of `whole`, `(m, L, 2)`.
+    """
+    if np.isfinite(views).all():
+        return views
+    flat = whole.reshape(len(whole), -1)
+    mean, covariance = flat.mean(0), np.cov(flat, rowvar=False)
+    filled = []
+    for start in range(0, len(views), _CHUNK):
+        flat = views[start : start + _CHUNK].reshape(-1, len(mean))
+        known, places = np.isfinite(flat), range(len(mean))
+        offsets = np.where(known, flat - mean, 0)
+        # Missing coordinates get rows and columns of the unit matrix: no influence.
+        among = np.where(known[:, :, None] & known[:, None], covariance, 0)
+        among[:, places, places] += np.where(known, _SEEN_SD_MM**2, 1)
+        weights = np.linalg.solve(among, offsets[..., None])[..., 0]
+        filled.append(np.where(known, flat, mean + weights @ covariance))
+    return np.concatenate(filled).reshape(views.shape)
 
-    @cached_property
-    def _filled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Normalised training views, with missing landmarks filled in, and shapes."""
-        return normalise(self.fill(self._train.views)), normalise(self._train.shapes)
 
-    def _regress(self, model, faces: Views) -> np.ndarray:
-        model.fit(*self._filled)
-        return model.predict(normalise(self.fill(faces.views)))
+def _misfit(faces: Views) -> float:
+    """R.m.s. residual in mm of a coordinate when affine cameras are fitted to the true shapes.
 
-    def aldrian(self, faces: Views) -> np.ndarray:
-        """Aldrian and Smith's fit with known noise; missing coordinates are filled in first."""
-        model = self._landmarks.mean, self._landmarks.identity_basis_times_sd
-        return fit_aldrian(*model, self.fill(faces.views), self._misfit())
+    A method with such a camera must treat all of it as noise: landmark noise and perspective.
+    """
+    cameras = affine_cameras(faces.views, faces.shapes)
+    projected = faces.shapes @ np.swapaxes(cameras[..., :3], 1, 2) + cameras[:, None, :, 3]
+    return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
 
-    def map(self, faces: Views) -> np.ndarray:
-        """The most probable shapes, with the true face model and noise."""
-        mean, basis = self._landmarks.mean, self._landmarks.identity_basis_times_sd
-        known = moments(perspectives(self._train.cameras.field_of_view, mean))
-        with single_threaded():
-            return MapFit(mean, basis, perspective=known).predict(faces.views, faces.sd_mm)
 
-    def fill(self, views: np.ndarray) -> np.ndarray:
-        """Fill in missing coordinates of `(n, L, 2)` by a regression on the others.
-
-        It gives their conditional mean if views are Gaussian with the moments of training.
-        """
-        if np.isfinite(views).all():
-            return views
-        filled = []
-        for start in range(0, len(views), _CHUNK):
-            flat = views[start : start + _CHUNK].reshape(-1, len(self._mean))
-            known, places = np.isfinite(flat), range(len(self._mean))
-            offsets = np.where(known, flat - self._mean, 0)
-            # Missing coordinates get rows and columns of the unit matrix: no influence.
-            among = np.where(known[:, :, None] & known[:, None], self._covariance, 0)
-            among[:, places, places] += np.where(known, _SEEN_SD_MM**2, 1)
-            weights = np.linalg.solve(among, offsets[..., None])[..., 0]
-            filled.append(np.where(known, flat, self._mean + weights @ self._covariance))
-        return np.concatenate(filled).reshape(views.shape)
-
-    def _misfit(self) -> float:
-        """R.m.s. residual in mm of a coordinate when affine cameras are fitted to the true shapes.
-
-        A method with such a camera must treat all of it as noise: landmark noise and perspective.
-        """
-        faces = self._whole[:_MISFIT_FACES]
-        cameras = affine_cameras(faces.views, faces.shapes)
-        projected = faces.shapes @ np.swapaxes(cameras[..., :3], 1, 2) + cameras[:, None, :, 3]
-        return float(np.sqrt(np.mean((faces.views - projected) ** 2)))
+def aligned_mse(shapes: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """`(n,)` errors of shapes after alignment to the truth, in squared units of `normalise`."""
+    truth = normalise(truth)
+    return mse(align(shapes, truth), truth)
 
 
 def fit_aldrian(
@@ -139,11 +129,10 @@ def fit_aldrian_in_hindsight(
     """
     radius, some = rms_radius(views)[:, None], slice(_HINDSIGHT_FACES)
     known = np.isfinite(shapes[0, :, 0])  # the face model may lack landmarks
-    truth = normalise(shapes[some, known])
 
     def error(part: float) -> float:
         fitted = fit_aldrian(mean, basis, views[some], part * radius[some])[:, known]
-        return mse(align(fitted, truth), truth).mean()
+        return aligned_mse(fitted, shapes[some, known]).mean()
 
     return fit_aldrian(mean, basis, views, min(_HINDSIGHT_SD, key=error) * radius)
 
@@ -167,8 +156,8 @@ def lower_bound(run: Run, faces: Views, rng: np.random.Generator) -> np.ndarray:
         certainty = np.isfinite(part.views).all(-1) / sd[:, None]
         offsets = posterior_draws(jacobian, exact, certainty, rng)
         shapes = part.shapes[:, None] + np.tensordot(offsets, basis, 1)
-        truth = np.repeat(normalise(part.shapes), DRAWS, axis=0)
-        errors.append(mse(align(shapes.reshape(truth.shape), truth), truth))
+        truth = np.repeat(part.shapes, DRAWS, axis=0)
+        errors.append(aligned_mse(shapes.reshape(truth.shape), truth))
     return np.concatenate(errors).reshape(-1, DRAWS).mean(1)
 
 

@@ -6,13 +6,11 @@ Every condition is a column of the table. Learning methods are trained for each,
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import centre_and_scale, normalise
-from deepmds_keras.metrics import mse
+from deepmds_keras.geometry.units import centre_and_scale
 from experiments.figures.errors import Panel, error_lines
-from experiments.lifting.contenders import Contenders, lower_bound
+from experiments.lifting.contenders import aligned_mse, lower_bound, simple_methods
 from experiments.lifting.train import DEEP_MDS, LIFTING, SEEDED, hard_file, hard_seeds, load_network
-from experiments.lifting.views import CONDITIONS, MOST_MISSING, Condition, Views, hard_views
+from experiments.lifting.views import CONDITIONS, MOST_MISSING, Condition, hard_views
 from experiments.methods import title
 from experiments.progress import counted
 from experiments.run import Run
@@ -22,8 +20,6 @@ from experiments.tasks import unordered
 
 METRICS = ["mse", "times_lower_bound", "within_1_sd", "within_2_sd"]
 _UNIT = 1e-6
-_REGRESSIONS = ("ridge", "ridge_roll_aligned", "mlp")
-_FITS = ("aldrian", "map")
 _YAW_STEP = 10.0  # degrees
 _ABOUT = (
     "MSE: mean square over coordinates in 10⁻⁶ of the squared min-max unit, after Procrustes "
@@ -32,7 +28,7 @@ _ABOUT = (
 )
 _FILLED = "missing coordinates are put where a regression on those that are seen expects them"
 NOTES = {
-    **dict.fromkeys(_REGRESSIONS, f"trained for each column; {_FILLED}"),
+    **dict.fromkeys(("ridge", "ridge_roll_aligned", "mlp"), f"trained for each column; {_FILLED}"),
     "aldrian": "given the noise together with what its camera cannot express of the perspective; "
     f"{_FILLED}",
     "map": "given the noise, the face model and the prior of the perspective",
@@ -52,8 +48,7 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
         One row per face: `condition`, `method`, `seed`, `yaw` to either side in degrees, and
         `METRICS`, of which the last two are NaN except for lifting.
     """
-    parts = []
-    faces, contenders = hard_views(run, condition), Contenders(run, condition)
+    parts, faces = [], hard_views(run, condition)
     best = lower_bound(run, faces, np.random.default_rng([run.seed, Stream.HARD_BOUND]))
 
     def add(method: str, seed: int, errors: np.ndarray, **metrics: np.ndarray) -> None:
@@ -64,24 +59,19 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
         yaw = np.abs(faces.cameras.yaw)
         parts.append(rows.assign(condition=condition.id, method=method, seed=seed, yaw=yaw))
 
-    for method in ("mean_shape", *_REGRESSIONS, *_FITS):
-        add(method, run.seed, _errors(getattr(contenders, method)(faces), faces))
+    for method, shapes in simple_methods(run, condition, faces).items():
+        add(method, run.seed, aligned_mse(shapes, faces.shapes))
     if not condition.missing:
         net = load_network(hard_file(run, DEEP_MDS, condition, run.seed))
-        add(DEEP_MDS, run.seed, _errors(net.predict(faces.views), faces))
+        add(DEEP_MDS, run.seed, aligned_mse(net.predict(faces.views), faces.shapes))
     for seed in hard_seeds(run, condition):
         lifter = load_network(hard_file(run, LIFTING, condition, seed))
         shapes, sd = lifter.predict(faces.views, landmark_sd=faces.sd_mm, return_std=True)
         off = np.abs(shapes - centre_and_scale(faces.shapes)) / sd
         within = {f"within_{n}_sd": (off <= n).mean((1, 2)) for n in (1, 2)}
-        add(LIFTING, seed, _errors(shapes, faces), **within)
+        add(LIFTING, seed, aligned_mse(shapes, faces.shapes), **within)
     add("lower_bound", run.seed, best)
     return pd.concat(parts)
-
-
-def _errors(shapes: np.ndarray, faces: Views) -> np.ndarray:
-    truth = normalise(faces.shapes)
-    return mse(align(shapes, truth), truth)
 
 
 def summarise(errors: pd.DataFrame) -> pd.DataFrame:

@@ -12,16 +12,18 @@ from sklearn.linear_model import LinearRegression
 
 from data_gen.models.registry import TITLES, load_model, open_models
 from data_gen.views import FIELD_OF_VIEW, sample_photo_cameras, sample_photo_views
-from deepmds_keras.baselines.closed_form import MeanShape, RidgeRegression
 from deepmds_keras.baselines.eos_fit import EosFit
 from deepmds_keras.baselines.map_fit import MapFit, principal_components
-from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.geometry.views import perspectives, project
-from deepmds_keras.metrics import mse
 from experiments.figures.errors import Panel, error_lines
-from experiments.lifting.contenders import fit_aldrian, fit_aldrian_in_hindsight
-from experiments.lifting.surrey import Surrey
+from experiments.lifting.contenders import (
+    aligned_mse,
+    fit_aldrian,
+    fit_aldrian_in_hindsight,
+    fit_regressions,
+)
+from experiments.lifting.surrey import sample_surrey
 from experiments.lifting.train import (
     BOTH,
     TRANSFER_SCHEME,
@@ -62,21 +64,12 @@ class Trained:
     """
 
     def __init__(self, views, shapes, lifter, deep_mds, mlp):
-        faces = normalise(centre(views)), normalise(shapes)
         self._views, self._components = views, principal_components(shapes, _LEAST_SD_MM)
         self.lifter, self._deep_mds = lifter, deep_mds
         mean, basis = self._components
         prior = moments(perspectives(np.linspace(0, FIELD_OF_VIEW), mean))
         self._map = MapFit(mean, basis, perspective=prior)
-        self._regressions = {
-            "mean_shape": MeanShape(),
-            "ridge": RidgeRegression(),
-            "ridge_roll_aligned": RidgeRegression(roll_aligned=True),
-            "mlp": mlp,
-        }
-        with single_threaded():  # the last bits depend on the threads
-            for model in self._regressions.values():
-                model.fit(*faces)
+        self._regressions = fit_regressions(normalise(centre(views)), normalise(shapes), mlp)
 
     def predict(
         self, views: np.ndarray, sd: float | np.ndarray, truth: np.ndarray | None = None
@@ -140,7 +133,7 @@ def tested_faces(run: Run, tested: str, noise_mm: float) -> tuple[np.ndarray, np
     if tested != SURREY:
         model = load_model(tested, run.data, TRANSFER_SCHEME)
         return sample_photo_views(model, TRANSFER_SCHEME, n, rng, detector_sd=noise_mm)[:2]
-    shapes = Surrey(run.sfm).sample(n, rng)
+    shapes = sample_surrey(run.sfm, n, rng)
     known = np.isfinite(shapes[0, :, 0])
     cameras = sample_photo_cameras(n, rng)
     views = np.full((*shapes.shape[:2], 2), np.nan)
@@ -158,10 +151,9 @@ def measure(run: Run, faces: str, tested: str, noise_mm: float) -> pd.DataFrame:
     if tested == SURREY:
         predicted["eos"] = EosFit(run.sfm).predict(views)
     known = np.isfinite(shapes[0, :, 0])
-    truth = normalise(shapes[:, known])
     test = {"trained": faces, "tested": tested, "noise_mm": noise_mm}
     return pd.DataFrame(
-        test | {"method": method} | mean_error(mse(align(shape[:, known], truth), truth))
+        test | {"method": method} | mean_error(aligned_mse(shape[:, known], shapes[:, known]))
         for method, shape in predicted.items()
     )
 
