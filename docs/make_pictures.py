@@ -99,8 +99,10 @@ def numbered(
     colours = [_COLOURS[group.removeprefix("right_").removeprefix("left_")] for group in groups]
     text = {"size": _FONT, "ha": "center", "va": "center_baseline", "weight": "bold"}
     halo = [withStroke(linewidth=2, foreground="white")]
+    halves = _BOX[[len(label) - 1 for label in labels]] / 2
+    spots = place_numbers(points, halves)
     for point, spot, half, label, colour in zip(
-        points, place_numbers(points, labels), _halves(labels), labels, colours, strict=True
+        points, spots, halves, labels, colours, strict=True
     ):
         way = spot - point
         end = point + way * (1 - (half / np.abs(way).clip(1e-9)).min())
@@ -113,19 +115,18 @@ def numbered(
     return figure
 
 
-def place_numbers(points: np.ndarray, labels: Sequence[str]) -> np.ndarray:
+def place_numbers(points: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Where the numbers stand: near their landmarks, off each other and off every landmark.
 
     Each in turn takes the best of a ring of places, given those of the others, a few times over.
 
     Args:
         points: `(L, 2)` pixels.
-        labels: L texts of one to three characters.
+        half: `(L, 2)` half the width and height of each text.
 
     Returns:
         `(L, 2)` pixels, the middle of each text.
     """
-    half = _halves(labels)
     spots = points + _SPOTS[0]
     everyone = np.arange(len(points))
     for _ in range(_PASSES):
@@ -133,17 +134,13 @@ def place_numbers(points: np.ndarray, labels: Sequence[str]) -> np.ndarray:
         for i in everyone:
             others = everyone != i
             candidates = points[i] + _SPOTS
-            leaders = points[others] + _ALONG[:, None] * (spots[others] - points[others])
             leader = points[i] + _ALONG[:, None] * (candidates - points[i])
             reach = half[i] + half[others]
             crowding = (
                 np.prod((reach - np.abs(candidates[:, None] - spots[others])).clip(0), axis=2),
                 100.0 * _inside(points[i : i + 1], candidates[:, None], half[i] + 3),
                 100.0 * _inside(points[others], candidates[:, None], half[i] + _CLEAR),
-                50.0 * _inside(leaders.reshape(-1, 2), candidates[:, None], half[i]),
                 50.0 * _inside(leader[:, :, None], spots[others], half[others]).sum(0),
-                50.0 * _inside(leader[:, :, None], points[others], 4.0).sum(0),
-                100.0 * _crossing(points[i], candidates, points[others], spots[others]),
             )
             cost = np.linalg.norm(_SPOTS, axis=1) + sum(part.sum(-1) for part in crowding)
             spots[i] = candidates[cost.argmin()]
@@ -152,28 +149,9 @@ def place_numbers(points: np.ndarray, labels: Sequence[str]) -> np.ndarray:
     return spots
 
 
-def _halves(labels: Sequence[str]) -> np.ndarray:
-    """Half the width and height of each text, `(L, 2)` pixels."""
-    return _BOX[[len(label) - 1 for label in labels]] / 2
-
-
 def _inside(points: np.ndarray, middles: np.ndarray, half: np.ndarray | float) -> np.ndarray:
     """Mask of points in boxes, given by their middles and half sizes; shapes as broadcast."""
     return (np.abs(points - middles) < half).all(-1)
-
-
-def _crossing(
-    start: np.ndarray, ends: np.ndarray, starts: np.ndarray, others: np.ndarray
-) -> np.ndarray:
-    """Mask of lines from one start that cross other lines: `(K, 2)`, `(M, 2)` twice → `(K, M)`."""
-
-    def side(a, b, c):
-        u, v = b - a, c - a
-        return np.sign(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
-
-    ends = ends[:, None]
-    apart = side(start, ends, starts) != side(start, ends, others)
-    return apart & (side(starts, others, start) != side(starts, others, ends))
 
 
 @styled

@@ -19,6 +19,7 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.metrics import mse
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.weights import PRETRAINED
+from experiments.audit.shapes import bias_of
 from experiments.lifting.train import load_network
 from experiments.lifting.transfer import Trained
 from experiments.methods import title
@@ -130,8 +131,8 @@ def _errors(shapes: dict[str, np.ndarray], truth: np.ndarray) -> Iterator[dict]:
     """Error of each method, and the recovered fraction of a face's offset from the mean."""
     mean = align(shapes["mean_shape"], truth)
     for method, shape in shapes.items():
-        aligned, offsets = align(shape, truth), truth - mean
-        slope = ((aligned - mean) * offsets).sum() / (offsets**2).sum()
+        aligned = align(shape, truth)
+        slope = bias_of(aligned, mean, truth)["slope"]
         yield {"method": method, **mean_error(mse(aligned, truth)), "found_again": slope}
 
 

@@ -52,6 +52,7 @@ _NOTES = (
     "95 % intervals by bootstrap over the people: no order holds whose difference has 0 in it.",
 )
 _LIFTER = "landmark_lifter"
+_NOTHING = 1e-12  # a distance that is rounding
 
 
 def main(run: Run) -> dict:
@@ -148,11 +149,12 @@ def reliability(
     for half in (np.arange(n) % 2, np.arange(n) // (n // 2 + 1)):
         for tested in (half == 0, half == 1):
             size = np.sqrt(apart[~tested].var(0).mean() / apart.var(0).mean())
-            moved = {
-                name: move(of[tested], _SCHEME, _offset(name, apart[~tested], off[~tested]))
-                for name, of in faces.items()
-            }
-            first, second = (_predict(methods, moved[name], name, size) for name in faces)
+            predicted = []
+            for name, of in faces.items():
+                moved = move(of[tested], _SCHEME, _offset(name, apart[~tested], off[~tested]))
+                sd = size * sd_in_pixels(moved, detector_sd(name, _SCHEME))
+                predicted.append(methods.predict(moved * (1, -1), sd))
+            first, second = predicted
             for method in first:
                 distances = np.full((n, n), np.nan)
                 distances[np.ix_(tested, tested)] = _distances(first[method], second[method])
@@ -160,22 +162,18 @@ def reliability(
     pairs = {method: _mean_of_known(distances) for method, distances in found.items()}
     rng = np.random.default_rng([seed, Stream.PEOPLE])
     drawn = np.vstack([np.ones(n), rng.multinomial(n, np.full(n, 1 / n), _RESAMPLINGS)])
-    ratios = {method: _ratios(distances, drawn) for method, distances in pairs.items()}
+    measured = {method: _within_and_between(of, drawn) for method, of in pairs.items()}
+    ratios = {
+        method: np.where(others > _NOTHING, own / np.maximum(others, _NOTHING), np.nan)
+        for method, (own, others) in measured.items()
+    }
     rows = []
-    for method, distances in pairs.items():
-        within, between = _within_and_between(distances, drawn[:1])
+    for method, (own, others) in measured.items():
         row = {"method": method} | _interval(ratios[method], "ratio", "low", "high")
         less = ratios[method] - ratios[_LIFTER]
         row |= _interval(less, "less", "less_low", "less_high")
-        rows.append(row | {"within": within.item(), "between": between.item()})
+        rows.append(row | {"within": own[0].item(), "between": others[0].item()})
     return rows
-
-
-def _predict(
-    methods: Trained, landmarks: np.ndarray, detector: str, size: float
-) -> dict[str, np.ndarray]:
-    sd = size * sd_in_pixels(landmarks, detector_sd(detector, _SCHEME))
-    return methods.predict(landmarks * (1, -1), sd)
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -202,11 +200,6 @@ def _within_and_between(pairs: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarra
     within = drawn @ np.diag(pairs) / drawn.sum(1)
     of_others = np.einsum("bi,ij,bj->b", drawn, others, drawn)
     return within, of_others / np.einsum("bi,ij,bj->b", drawn, known.astype(float), drawn)
-
-
-def _ratios(pairs: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    within, between = _within_and_between(pairs, drawn)
-    return np.where(between > 1e-12, within / np.maximum(between, 1e-12), np.nan)
 
 
 def _interval(values: np.ndarray, *names: str) -> dict[str, float]:
