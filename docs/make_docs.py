@@ -83,12 +83,8 @@ class Results:
         return pd.DataFrame(sorted({*files}), columns=["name", "sha256"])
 
     def made_by(self, folder: str) -> list[dict]:
-        """Records of the steps behind a folder, with the processor and the inputs of each."""
+        """Records of the steps behind a folder, with the preset, processor and inputs of each."""
         return steps_of(read_manifest(self._folder / folder))
-
-    def preset_of(self, folder: str) -> dict:
-        """Sizes with which a folder was made."""
-        return read_manifest(self._folder / folder)["preset"]
 
     def rows(self, folder: str) -> pd.DataFrame:
         """Mean squared errors of a folder's table, by method."""

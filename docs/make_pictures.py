@@ -22,7 +22,7 @@ from data_gen.views import sample_expressive, sample_hard_cameras
 from deepmds_keras.files import write_bytes
 from deepmds_keras.geometry.units import centre, normalise
 from deepmds_keras.geometry.views import in_camera_frame
-from deepmds_keras.landmarks import convert, load_scheme
+from deepmds_keras.landmarks import LandmarkScheme, convert, load_scheme
 from experiments.figures.style import INK, styled
 from experiments.figures.wireframe import bare, draw_wireframe, front_view, side_view
 
@@ -69,16 +69,12 @@ def scheme_picture(name: str, labels: Sequence[str]) -> Figure:
     renderer = Renderer(head, _SIZE)
     image = renderer.draw(head.mean[None], head.mean[None], colours, frames, light)[0]
     renderer.close()
-    return numbered(image, frames.pixels(landmarks)[0], labels, scheme.groups, scheme.polylines)
+    return numbered(image, frames.pixels(landmarks)[0], labels, scheme)
 
 
 @styled
 def numbered(
-    image: np.ndarray,
-    points: np.ndarray,
-    labels: Sequence[str],
-    groups: Sequence[str],
-    polylines: Sequence[Sequence[int]],
+    image: np.ndarray, points: np.ndarray, labels: Sequence[str], scheme: LandmarkScheme
 ) -> Figure:
     """The landmarks on a picture of a face, a colour a facial part, as large as the picture.
 
@@ -86,8 +82,6 @@ def numbered(
         image: `(H, W, 3)` uint8.
         points: `(L, 2)` pixels, x right and y down from the left upper corner.
         labels: L short texts, the numbers, of up to three digits.
-        groups: L names of facial parts, as `LandmarkScheme.groups`.
-        polylines: Lines of 0-based landmarks.
     """
     height, width = image.shape[:2]
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
@@ -95,8 +89,9 @@ def numbered(
     axes.set_axis_off()
     pale = np.uint8(255 * _PALE + (1 - _PALE) * image) // _STEP * _STEP
     axes.imshow(pale, extent=(0, width, height, 0), interpolation="nearest")
-    draw_wireframe(axes, points, polylines, colour="white", linewidth=1.2, dot_area=0)
-    colours = [_COLOURS[group.removeprefix("right_").removeprefix("left_")] for group in groups]
+    draw_wireframe(axes, points, scheme.polylines, colour="white", linewidth=1.2, dot_area=0)
+    parts = [group.removeprefix("right_").removeprefix("left_") for group in scheme.groups]
+    colours = [_COLOURS[part] for part in parts]
     text = {"size": _FONT, "ha": "center", "va": "center_baseline", "weight": "bold"}
     halo = [withStroke(linewidth=2, foreground="white")]
     halves = _BOX[[len(label) - 1 for label in labels]] / 2

@@ -125,19 +125,19 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         for way, call in ways.items():
             n = slow.get(way, run.preset.bench_faces)
             yield "parts", part, way, n, partial(call, faces.views[:n])
-    views = faces.views[:fewer]
-    for way, call in predictors.items():
-        one_by_one = partial(lambda call: [call(view) for view in views], call)
-        yield "one face", "one face at a time", way, fewer, one_by_one
     inner = load_model(run.model, run.data, "ibug51")
     rng = np.random.default_rng([run.seed, Stream.BENCH])
     inner_views = sample_photo_views(inner, "ibug51", fewer, rng, detector_sd=0)[0]
-    fits = {"landmark_lifter": LandmarkLifter.pretrained("ibug51")} | (
-        {"eos": EosFit(run.sfm)} if run.sfm else {}
-    )
-    for way, fit in fits.items():
-        one_by_one = partial(lambda call: [call(view[None]) for view in inner_views], fit.predict)
-        yield "one face", "one face of 51 landmarks at a time", way, fewer, one_by_one
+    fits = {"landmark_lifter": LandmarkLifter.pretrained("ibug51").predict}
+    if run.sfm:
+        fits["eos"] = EosFit(run.sfm).predict
+    one_by_one = {
+        "one face at a time": (predictors, faces.views[:fewer]),
+        "one face of 51 landmarks at a time": (fits, inner_views[:, None]),
+    }
+    for part, (ways, views) in one_by_one.items():
+        for way, call in ways.items():
+            yield "one face", part, way, fewer, partial(lambda f, v: [*map(f, v)], call, views)
     n = run.preset.bench_steps
     for way in ("released", "deep_mds"):
         _, epoch = training(way, shapes[..., :2], shapes, n)

@@ -173,6 +173,12 @@ def mean_errors(errors: pd.DataFrame, x: str) -> pd.DataFrame:
     return errors.groupby(["method", x], sort=False)["mse"].agg(["mean", "sem"]).reset_index()
 
 
+def level(x: pd.Series, method: str, value: float) -> pd.DataFrame:
+    """Rows of a `Panel` that draw a line at a value, from the least x to the largest."""
+    ends = x.agg(["min", "max"]).rename(x.name).to_frame()
+    return ends.assign(method=method, mean=value, low=value, high=value)
+
+
 def error_per_pose(errors: pd.DataFrame, unit: float = 1e-4) -> Figure:
     """Mean error of a face against its pose.
 

@@ -63,7 +63,7 @@ def qualitative(
         unit: Power of ten in which errors are counted.
     """
     truth = next(iter(scores.values())).truth[faces]
-    centres = (truth.min(axis=1, keepdims=True) + truth.max(axis=1, keepdims=True)) / 2
+    centres = _middle(truth)
     true_fronts = front_view(truth - centres)
     fitted = [*map(_fit_without_rotation, frontal[faces], true_fronts)]
     drawn = [truth - centres, *(score.aligned[faces] - centres for score in scores.values())]
@@ -97,7 +97,7 @@ def qualitative(
         _write(view_axes, title_place, row_titles[row], rotation=90, va="center", size=7.5)
         if photos is None:
             scale = min((width, height) / np.ptp(views[face], axis=0))
-            view = scale * (views[face] - _centre(views[face]))
+            view = scale * (views[face] - _middle(views[face]))
             draw_wireframe(view_axes, view, scheme.polylines, colour=INK)
         else:
             image, pixels = photos[0][row], photos[1][row]
@@ -109,16 +109,16 @@ def qualitative(
         for points, ink in ((true_fronts[row], TRUTH_COLOUR), (fitted[row], INK)):
             draw_wireframe(frontal_axes, points, scheme.polylines, colour=ink)
 
-        true_shape = truth[row] - centres[row]
-        _draw_views(truth_axes, true_shape, scheme, TRUTH_COLOUR, top / 2)
+        true_shape, places = truth[row] - centres[row], ((0, top / 2), (0, -top / 2))
+        _draw_views(truth_axes, true_shape, scheme, TRUTH_COLOUR, places)
         _write(truth_axes, score_place, f"MSE ({power(unit)})", va="top")
         of_row = [score.mse[face] for score in scores.values()]
         for axes, (method, score) in zip(others, scores.items(), strict=True):
             if not score.detected[face]:
                 _write(axes, (0, 0), "N/A", va="center")
                 continue
-            _draw_views(axes, true_shape, scheme, TRUTH_COLOUR, top / 2)
-            _draw_views(axes, score.aligned[face] - centres[row], scheme, colour(method), top / 2)
+            _draw_views(axes, true_shape, scheme, TRUTH_COLOUR, places)
+            _draw_views(axes, score.aligned[face] - centres[row], scheme, colour(method), places)
             digits = f"{score.mse[face] / unit:#.3g}".rstrip(".")
             weight = "bold" if score.mse[face] == np.nanmin(of_row) else "normal"
             _write(axes, score_place, digits, va="top", weight=weight)
@@ -129,14 +129,17 @@ def _write(axes: Axes, place: tuple[float, float], text: str, **look) -> None:
     axes.text(*place, text, **{"ha": "center", "color": INK, "size": 7, **look})
 
 
-def _draw_views(axes: Axes, shape: np.ndarray, scheme: LandmarkScheme, ink: str, y: float) -> None:
-    """Draw a shape from the front and, below it, from the side."""
-    for view, shift in ((front_view, y), (side_view, -y)):
-        draw_wireframe(axes, view(shape) + (0, shift), scheme.polylines, colour=ink)
+def _draw_views(
+    axes: Axes, shape: np.ndarray, scheme: LandmarkScheme, ink: str, places: Sequence
+) -> None:
+    """Draw a shape from the front at the first of two places and from the side at the other."""
+    for view, place in zip((front_view, side_view), places, strict=True):
+        draw_wireframe(axes, view(shape) + place, scheme.polylines, colour=ink)
 
 
-def _centre(points: np.ndarray) -> np.ndarray:
-    return (points.min(axis=0) + points.max(axis=0)) / 2
+def _middle(points: np.ndarray) -> np.ndarray:
+    """Middle of the box around points `(..., L, d)`: `(..., 1, d)`."""
+    return (points.min(axis=-2, keepdims=True) + points.max(axis=-2, keepdims=True)) / 2
 
 
 def _fit_without_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -185,11 +188,8 @@ def gallery(
             if np.isnan(predicted[row]).any():
                 axes.text(0.5, 0.5, "N/A", ha="center", transform=axes.transAxes, color=INK)
                 continue
-            shape = predicted[row] - centre
-            for points, x in (
-                (front_view(shape), -(depth + pad) / 2), (side_view(shape), (width + pad) / 2)
-            ):  # fmt: skip
-                draw_wireframe(axes, points + (x, 0), scheme.polylines, colour=colour(method))
+            places = (-(depth + pad) / 2, 0), ((width + pad) / 2, 0)
+            _draw_views(axes, predicted[row] - centre, scheme, colour(method), places)
             bare(axes, (-across / 2, across / 2, -down / 2, down / 2))
     for axes, name in zip(panels[0], ("Photo", *map(title, shapes)), strict=True):
         axes.set_title(textwrap.fill(name, 16), color=INK, weight="bold", fontsize=6.5)

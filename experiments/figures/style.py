@@ -63,18 +63,15 @@ def method_legend(
     looks: Mapping[str, Look] = {},
     joined: bool = True,
 ) -> None:
-    """Add a legend of methods below the panels of a figure with a constrained layout.
+    """Add a legend of method ids below the panels of a figure with a constrained layout.
 
     Args:
-        methods: Ids in the order of the legend.
         more: Handles of further entries.
         looks: As for `look`.
         joined: Whether lines join the markers.
     """
-    handles = [
-        Line2D([], [], **drawn(each, joined), label=each.title)
-        for each in (look(method, looks) for method in methods)
-    ]
+    shown = [look(method, looks) for method in methods]
+    handles = [Line2D([], [], **drawn(each, joined), label=each.title) for each in shown]
     handles += more
     # A letter is less than four points wide, the handle and the gap to the next column forty.
     widest = max(len(handle.get_label()) for handle in handles)

@@ -34,14 +34,9 @@ def draw_wireframe(
     linewidth: float = 0.6,
     dot_area: float = 1.6,
 ) -> None:
-    """Draw one face into `axes`, in data units.
+    """Draw points `(L, 2)` of a face, in data units, and lines of 0-based landmarks.
 
-    Args:
-        axes: Needs an equal aspect for the face to keep its proportions.
-        points: `(L, 2)`, as given by `front_view` or `side_view`.
-        polylines: 0-based landmark numbers of every line, `scheme.polylines`.
-        linewidth: Width of the lines in points.
-        dot_area: Area of a dot in points squared; 0 leaves the dots out.
+    The width of lines is in points, the area of a dot in points squared; 0 leaves the dots out.
     """
     lines = [points[list(line)] for line in polylines]
     style = {"colors": colour, "linewidths": linewidth, "zorder": 2}
@@ -53,15 +48,7 @@ def draw_wireframe(
 def draw_error_map(
     axes: Axes, shape: np.ndarray, polylines: Polylines, errors: np.ndarray, colours: ScalarMappable
 ) -> None:
-    """Draw a face from the front, each landmark coloured by its error.
-
-    Args:
-        axes: Limited to the face.
-        shape: `(L, 3)` in any unit, where the landmarks are drawn.
-        polylines: As for `draw_wireframe`.
-        errors: `(L,)`.
-        colours: Map from errors to colours.
-    """
+    """Draw a face `(L, 3)` from the front, each landmark coloured by its error, of `(L,)`."""
     points = front_view(shape)
     pad = 0.05 * np.ptp(points[:, 1])
     (left, bottom), (right, top) = points.min(0) - pad, points.max(0) + pad

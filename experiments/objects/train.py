@@ -59,15 +59,12 @@ def predicted(
         )
         fit(model, train.views, train.shapes)
         return model.predict(test.views), {"frontal_share": frontal_share(model, train, test)}
-    steps = -(-n_steps // MLP.epochs)
-    model = {
-        "mean_shape": MeanShape(),
-        "ridge": RidgeRegression(),
-        "mlp": MLP(n_landmarks, units=_UNITS, steps_per_epoch=steps, seed=seed),
-    }[method]
     if method == "mlp":
+        steps = -(-n_steps // MLP.epochs)
+        model = MLP(n_landmarks, units=_UNITS, steps_per_epoch=steps, seed=seed)
         fit(model, train.views, train.shapes)
     else:
+        model = MeanShape() if method == "mean_shape" else RidgeRegression()
         model.fit(train.views, train.shapes)
     return model.predict(test.views), {}
 

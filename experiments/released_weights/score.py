@@ -18,7 +18,7 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.geometry.units import normalise
-from experiments.figures.errors import Panel, error_lines
+from experiments.figures.errors import Panel, error_lines, level
 from experiments.figures.style import INK, Look, colour, marker
 from experiments.inputs import Faces, as_seen
 from experiments.progress import counted
@@ -26,7 +26,7 @@ from experiments.released_weights.bfm_mean import SCHEME, about_mean, authors_fi
 from experiments.released_weights.train import trained_file, trainings
 from experiments.run import AUTHORS_FILES, SECOND_NET, Run
 from experiments.scoring.numbers import power, rounded
-from experiments.scoring.scores import Scores, score
+from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
 
@@ -120,23 +120,19 @@ def measure(
         "deep_mds_constant": outputs["released"][:_CONSTANTS],
         "random_face": others if scale else mean[None],
     }
-    errors = {name: _errors(score(shapes, test)) for name, shapes in outputs.items()}
-    errors |= {
-        name: np.array([_errors(_constant(shape, test)).mean(0) for shape in shapes])
-        for name, shapes in constants.items()
-    }
-    errors["mean_shape"] = _errors(_constant(mean, test))
+    errors = {name: _errors(shapes, test) for name, shapes in outputs.items()}
+    for name, shapes in constants.items():
+        errors[name] = np.array([_errors(shape, test).mean(0) for shape in shapes])
+    errors["mean_shape"] = _errors(mean, test)
     for answer, (mse, depth_corr) in ((answer, columns.T) for answer, columns in errors.items()):
         low, high = _interval(mse, rng)
         row = {"sd_of": sd_of, "views": views, "scale": scale, "answer": answer}
         yield row | {"mse": mse.mean(), "low": low, "high": high, "depth_corr": depth_corr.mean()}
 
 
-def _constant(shape: np.ndarray, test: Faces) -> Scores:
-    return score(np.broadcast_to(shape, test.shapes.shape), test)
-
-
-def _errors(scores: Scores) -> np.ndarray:
+def _errors(shapes: np.ndarray, test: Faces) -> np.ndarray:
+    """`(n, 2)` squared error and depth correlation of shapes `(n, L, 3)`, or of one for all."""
+    scores = score(np.broadcast_to(shapes, test.shapes.shape), test)
     return np.stack([scores.mse, scores.depth_corr], 1)
 
 
@@ -167,13 +163,8 @@ def draw_released(released: pd.DataFrame) -> Figure:
     panels = []
     for (sd_of, views), rows in released.groupby(["sd_of", "views"], sort=False):
         rows = rows.rename(columns={"answer": "method", "mse": "mean"})
-        ends = rows["scale"].agg(["min", "max"])
-        lines = [
-            {"method": name, "scale": scale, "mean": mse, "low": mse, "high": mse}
-            for name, mse in PRINTED.items()
-            for scale in ends
-        ]
-        rows = pd.concat([rows, pd.DataFrame(lines)])
+        lines = [level(rows["scale"], name, mse) for name, mse in PRINTED.items()]
+        rows = pd.concat([rows, *lines])
         title = f"S.d. of {TITLES[sd_of]}, {VIEWS[views]}"
         panels.append(Panel(rows, "scale", "Scale of the s.d.", title))
     return error_lines(panels, looks=_LOOKS, interval="95 % interval", n_columns=2, log_y=False)

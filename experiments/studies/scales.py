@@ -3,7 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.errors import Panel, error_lines
+from experiments.figures.errors import Panel, error_lines, level
 from experiments.figures.style import INK, Look
 from experiments.methods import title
 from experiments.run import Run
@@ -67,8 +67,7 @@ def draw(table: pd.DataFrame) -> Figure:
     names = {"mse": "mean", "mse_lowest": "low", "mse_highest": "high"}
     rows = table[table["method"] != _NOT_DRAWN].rename(columns=names)
     mse = published("bfm").query("metric == 'mse'").set_index("method")["paper_mean"]["deep_mds"]
-    printed = dict.fromkeys(("mean", "low", "high"), mse) | {"method": _PRINTED}
-    line = pd.DataFrame({"scale": table["scale"].agg(["min", "max"])}).assign(**printed)
+    line = level(rows["scale"], _PRINTED, mse)
     label = "Scale of the s.d. of 3DDFA's fits"
     looks = {_PRINTED: Look(f"published: Deep-MDS, {mse / _UNIT:.1f}", INK, "", (0, (4, 2)))}
     panel = Panel(pd.concat([rows, line]), "scale", label)

@@ -16,7 +16,7 @@ _COLUMNS = {
 
 
 def main(run: Run) -> dict:
-    parts = [pd.DataFrame(read_arrays(shard.file)[0]) for shard in shards(run)]
+    parts = [pd.DataFrame(read_arrays(file)[0]) for file in shards(run)]
     values = pd.concat(parts, ignore_index=True)
     values.columns = values.columns.str.split("/", expand=True)
     statistics = values.agg(["count", "mean", "std", "sem", "max"])

@@ -5,7 +5,6 @@ and one with more faces keeps the existing shards. The module is light to import
 read the names of the parts.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,25 +25,12 @@ _METRICS = ("mse", "depth_corr", "mirrored")
 _SHARDS = 10  # in a part
 
 
-@dataclass(frozen=True)
-class Shard:
-    """Some of the faces.
-
-    Attributes:
-        file: Their errors: `method/metric` to `(size,)`.
-    """
-
-    number: int
-    size: int
-    file: Path
-
-
-def shards(run: Run) -> list[Shard]:
-    """All shards of a run."""
-    n, step = run.streamed_faces, run.preset.faces_per_file
-    sizes = [min(step, n - start) for start in range(0, n, step)]
+def shards(run: Run) -> dict[Path, range]:
+    """All shards of a run: files of errors, `method/metric` to `(n,)`, and their faces."""
+    faces, step = range(run.streamed_faces), run.preset.faces_per_file
+    parts = [faces[start : start + step] for start in faces[::step]]
     folder = run.work / "stream"
-    return [Shard(k, size, folder / f"{k:05}-{size}.npz") for k, size in enumerate(sizes)]
+    return {folder / f"{k:05}-{len(part)}.npz": part for k, part in enumerate(parts)}
 
 
 def stream_parts(run: Run) -> list[str]:
@@ -57,26 +43,27 @@ def main(run: Run, part: str) -> None:
     step = run.preset.faces_per_file
     networks = checkpoint_files(run.networks, *DEEP_MDS["deep_mds"]).values()
     resumable(run.work / "stream", [run.work / "train.npz", *networks], faces=step)
-    start, end = map(int, part.split("-"))
-    todo = [shard for shard in shards(run) if start <= shard.number * step < end]
-    missing = [shard for shard in todo if not shard.file.exists()]
+    faces = range(*map(int, part.split("-")))
+    todo = {file: some for file, some in shards(run).items() if some.start in faces}
+    missing = {file: some for file, some in todo.items() if not file.exists()}
     model, methods = face_model(run), {m: load(run, m) for m in METHODS}
     methods["deep_mds"].set_params(solver="numba", n_jobs=1)
-    left = sum(shard.size for shard in missing)
-    with Progress("face", end - start, end - start - left) as bar:
-        for shard in missing:
-            write_shard(run, shard, model, methods)
-            bar.update(shard.size)
+    left = sum(map(len, missing.values()))
+    with Progress("face", len(faces), len(faces) - left) as bar:
+        for file, some in missing.items():
+            write_shard(run, file, some, model, methods)
+            bar.update(len(some))
 
 
-def write_shard(run: Run, shard: Shard, model: MorphableModel, methods: dict) -> None:
+def write_shard(run: Run, file: Path, faces: range, model: MorphableModel, methods: dict) -> None:
     """Write the errors of every method on the faces of a shard."""
     from experiments.scoring.scores import score  # slow to load, by pandas
 
-    rng = np.random.default_rng([run.seed, Stream.STREAMED_FACES, shard.number])
-    dataset = make_dataset(model, shard.size, rng, scheme=run.scheme, protocol=run.protocol)
-    faces, errors = as_seen(dataset), {}
+    number = faces.start // run.preset.faces_per_file
+    rng = np.random.default_rng([run.seed, Stream.STREAMED_FACES, number])
+    dataset = make_dataset(model, len(faces), rng, scheme=run.scheme, protocol=run.protocol)
+    test, errors = as_seen(dataset), {}
     for name, method in methods.items():
-        scores = score(predict(method, faces.views), faces)
+        scores = score(predict(method, test.views), test)
         errors |= {f"{name}/{metric}": getattr(scores, metric) for metric in _METRICS}
-    write_arrays(shard.file, errors, {"shard": shard.number}, compressed=False)
+    write_arrays(file, errors, {"shard": number}, compressed=False)

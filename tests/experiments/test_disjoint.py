@@ -43,9 +43,9 @@ def streamed():
     stream_make_dataset = stream_part.make_dataset
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stream_part, "make_dataset", make_dataset)
-        for shard in stream_part.shards(RUN)[:2]:
+        for file, faces in [*stream_part.shards(RUN).items()][:2]:
             with pytest.raises(InterruptedError):
-                stream_part.write_shard(RUN, shard, face_model(RUN), {})
+                stream_part.write_shard(RUN, file, faces, face_model(RUN), {})
     return drawn
 
 

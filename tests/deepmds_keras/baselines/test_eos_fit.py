@@ -7,7 +7,7 @@ from places import SHARED
 from deepmds_keras import InputError, align
 from deepmds_keras.baselines.eos_fit import NUMBERS, EosFit, surrey_files
 from deepmds_keras.geometry.views import project, sample_perspective_cameras
-from experiments.lifting.surrey import Surrey
+from experiments.lifting.surrey import sample_surrey
 
 SFM = SHARED / "sfm"
 
@@ -22,7 +22,7 @@ def test_the_fit_finds_faces_of_its_own_model_wherever_and_however_large_they_ar
     pytest.importorskip("eos", reason="eos-py has no wheel here")
     known = [number - 18 for number in NUMBERS]
     rng = np.random.default_rng(0)
-    shapes = Surrey(SFM).sample(20, rng)[:, known]
+    shapes = sample_surrey(SFM, 20, rng)[:, known]
     cameras = sample_perspective_cameras(20, rng, yaw=40, pitch=10, roll=10, field_of_view=(5, 10))
     views = np.full((20, 51, 2), np.nan)
     views[:, known] = project(shapes, cameras)

@@ -92,16 +92,6 @@ def test_from_above_an_azimuth_is_a_roll_and_an_elevation_a_pitch(angles, azimut
     np.testing.assert_allclose(viewmtx(azimuth, elevation)[:3, :3], rotation, atol=1e-12)
 
 
-def test_angle_turns_and_scales_nothing_before_the_division():
-    for angle in (1, 60):
-        matrix = viewmtx(20, 70, angle)
-        np.testing.assert_array_equal(matrix[:2, :3], viewmtx(20, 70)[:2, :3])
-        assert np.abs(matrix[3, :3]).max() > 1e-3
-    np.testing.assert_array_equal(viewmtx(20, 70)[3], [0, 0, 0, 1])
-    near, far = (viewmtx(0, 90, 40) @ [0.9, 0.5, z, 1] for z in (1.0, 0.0))
-    assert near[0] / near[3] > far[0] / far[3] > 0  # divided, what is near is larger
-
-
 def test_solvers_agree_on_what_the_shipped_networks_predict(networks, faces):
     """The same stress-1, and up to alignment the same shapes, to rounding."""
     matrices = np.abs(networks.dissimilarities(faces.views))

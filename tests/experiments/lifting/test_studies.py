@@ -111,13 +111,19 @@ def test_mini_batches_are_of_one_face_or_of_all(shuffled, monkeypatch):
     from experiments.studies import pair_training
 
     shape = np.random.default_rng(0).random((6, 3))
-    shapes, epochs = np.arange(1, 21)[:, None, None] * shape, []
-    monkeypatch.setattr(
-        pair_training, "train_by_epoch", lambda _, batches, *more: epochs.append([*batches(0)["x"]])
-    )
-    net = pair_training.PairNet(build_dissimilarity_net(), Recipe(1, 20), 0, shuffled)
-    net.fit(shapes[..., :2], shapes[..., :2], shapes)
-    distances = np.array([batch[1].ravel() for batch in epochs[0]])
+    shapes, trainings = np.arange(1, 21)[:, None, None] * shape, []
+
+    def train_by_epoch(model, batches, *more):
+        epochs = [[pairs[1].ravel() for pairs in batches(epoch)["x"]] for epoch in (0, 1)]
+        trainings.append(np.array(epochs))
+
+    monkeypatch.setattr(pair_training, "train_by_epoch", train_by_epoch)
+    for seed in (0, 0, 1):
+        net = pair_training.PairNet(build_dissimilarity_net(), Recipe(1, 20), seed, shuffled)
+        net.fit(shapes[..., :2], shapes[..., :2], shapes)
+    (distances, second), again, other = trainings
+    assert (again == [distances, second]).all()
+    assert (distances != second).any() and (distances != other[0]).any()
     ratios = distances[:, :, None] / pdist(shape)  # at its own pair the number of the face
     off = np.abs(ratios - ratios.round())
     faces = np.take_along_axis(ratios, off.argmin(2)[..., None], 2)[..., 0].round()

@@ -95,16 +95,6 @@ def test_draws_have_the_posterior_covariance_of_a_linear_gaussian_toy():
     np.testing.assert_allclose(draws.mean(0), 0, atol=0.01)
 
 
-def test_what_is_missing_is_as_if_it_was_never_there():
-    rng = np.random.default_rng(0)
-    jacobian, view = rng.standard_normal((2, 4, 9, 2)), rng.standard_normal((2, 9, 2))
-    view[:, 6:] = view[:, :6].mean(1, keepdims=True)  # both are then centred alike
-    certainty = np.repeat([[1.0] * 6 + [0.0] * 3], 2, axis=0)
-    whole = posterior_draws(jacobian, view, certainty, np.random.default_rng(1))
-    rest = jacobian[:, :, :6], view[:, :6], certainty[:, :6]
-    np.testing.assert_allclose(whole, posterior_draws(*rest, np.random.default_rng(1)), rtol=1e-6)
-
-
 def test_the_limit_grows_with_noise_and_with_missing_landmarks_and_is_below_all():
     names = "hard_0", "hard_1", "hard_3", "hard_1_missing_30", "hard_1_missing_50"
     best = {n: lower_bound(RUN, faces_of(n)[:30], np.random.default_rng(0)).mean() for n in names}

@@ -9,13 +9,11 @@ import runs
 
 from deepmds_keras import normalise
 from deepmds_keras.networks import count_trainable
-from deepmds_keras.training import Recipe
 from experiments.inputs import Faces
 from experiments.presets import FULL, SMOKE, TINY
 from experiments.records import write_json
 from experiments.run import Run
 from experiments.studies import ablation
-from experiments.studies.pair_training import PairNet
 from experiments.studies.seeds import seed_statistics
 from experiments.studies.variant import VARIANTS, ablation_trainings, build_net, scores_file
 
@@ -31,27 +29,6 @@ def test_every_variant_is_trained_from_every_seed_and_has_its_own_file():
     assert all(int(size) < FULL.train_faces and seed == 3 for size, seed in fewer)
     assert len(trainings) - len(fewer) == (len(VARIANTS) - 2) * FULL.ablation_seeds
     assert len({scores_file(run, *training) for training in trainings}) == len(trainings)
-
-
-@pytest.mark.slow
-def test_shuffled_mini_batches_hold_pairs_of_many_faces():
-    """If one face differs from all others, mini-batches of one face show it in their losses."""
-    rng = np.random.default_rng(0)
-    shapes = np.repeat(normalise(rng.random((1, 12, 3))), 8, axis=0)
-    views = np.float32(shapes[..., :2])
-    shapes[0] *= 4
-    recipe = Recipe(8, 1, learning_rate=0.0)  # each epoch is one mini-batch, nothing is learnt
-    same, shuffled, again, other = (
-        np.array(
-            PairNet(build_net(None, seed), recipe, seed, mixed)
-            .fit(views, views, shapes)
-            .history_["train"]
-        )
-        for mixed, seed in ((False, 0), (True, 0), (True, 0), (True, 1))
-    )
-    assert same.max() > 4 * np.median(same)
-    assert shuffled.max() < 3 * np.median(shuffled)
-    assert (shuffled == again).all() and (shuffled != other).any()
 
 
 def test_net_without_the_skip_connection_has_fewer_parameters():
