@@ -138,11 +138,9 @@ def reliability(
         seed: Of the bootstrap.
 
     Returns:
-        Rows of `method, ratio, low, high, less, less_low, less_high, within, between`: mean squared
-        distance between the two shapes of a face after alignment, over that between shapes of
-        different faces from different detectors; 0 if the detectors agree perfectly, 1 if a shape
-        says nothing about a person. `less` is the ratio less that of the lifter. Intervals are of
-        95 %, by bootstrap over the people. The unit is that of `normalise`, squared.
+        Rows of `method, ratio, low, high, less, less_low, less_high, within, between`: the ratio of
+        `_NOTES` with its interval, the ratio less that of the lifter, and the two distances after
+        alignment, in squared units of `normalise`.
     """
     apart, found = differences(faces), {}
     n = len(apart)

@@ -1,7 +1,6 @@
 """The compared ways do the same, and their times are those of the same faces."""
 
 from dataclasses import fields
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -44,15 +43,6 @@ def test_faces_one_by_one_are_those_of_a_batch(model, faces):
     landmarks, views = released.make_faces(model, faces, len(faces), "bfm72")
     np.testing.assert_allclose(landmarks, faces.landmarks, atol=1e-4)
     np.testing.assert_allclose(views, faces.views, atol=1e-4)
-
-
-def test_loops_over_pairs_give_the_pair_features(faces):
-    n_landmarks = faces.views.shape[1]
-    features = released.pair_features(faces.views[0], product(range(n_landmarks), repeat=2))
-    square = features.reshape(n_landmarks, n_landmarks, -1)
-    batch = proximities.pair_features(faces.views[0], "paper")
-    np.testing.assert_allclose(square[np.triu_indices(n_landmarks, 1)], batch, rtol=1e-6)
-    np.testing.assert_array_equal(square, square.swapaxes(0, 1))
 
 
 def test_released_training_batches_are_the_features_and_distances_of_each_face(faces):
