@@ -85,6 +85,9 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
         rng = np.random.default_rng([run.seed, Stream.BENCH])
         return make_dataset(model, n, rng, scheme=SCHEME, protocol=run.protocol)
 
+    def one_by_one(predict: Callable, views: np.ndarray) -> list:
+        return [predict(view) for view in views]
+
     faces = draw_faces(run.preset.bench_faces)
     shapes, pairs = normalise(faces.landmarks), [*product(range(N_LANDMARKS), repeat=2)]
     solvers = ("sklearn", "numba")
@@ -131,13 +134,13 @@ def tasks(run: Run) -> Iterator[tuple[str, str, str, int, Callable]]:
     fits = {"landmark_lifter": LandmarkLifter.pretrained("ibug51").predict}
     if run.sfm:
         fits["eos"] = EosFit(run.sfm).predict
-    one_by_one = {
+    single = {
         "one face at a time": (predictors, faces.views[:fewer]),
         "one face of 51 landmarks at a time": (fits, inner_views[:, None]),
     }
-    for part, (ways, views) in one_by_one.items():
+    for part, (ways, views) in single.items():
         for way, call in ways.items():
-            yield "one face", part, way, fewer, partial(lambda f, v: [*map(f, v)], call, views)
+            yield "one face", part, way, fewer, partial(one_by_one, call, views)
     n = run.preset.bench_steps
     for way in ("released", "deep_mds"):
         _, epoch = training(way, shapes[..., :2], shapes, n)
