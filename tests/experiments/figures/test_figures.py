@@ -361,10 +361,8 @@ def test_qualitative_shows_the_best_score_and_what_was_not_found():
 
 def test_no_face_is_cut_off():
     rng = np.random.default_rng(0)
-    wild = faces(rng, 1)[0] / 200 * (1, 1.3, 1.2)
-    truth = faces(rng, 1) / 200
-    scores = {"deep_mds": Scores(truth, truth, np.full(1, 200.0), np.zeros(1))}
-    object.__setattr__(scores["deep_mds"], "aligned", wild[None])
+    wild, truth = faces(rng, 1) / 200 * (1, 1.3, 1.2), faces(rng, 1) / 200
+    scores = {"deep_mds": Scores(wild, truth, np.full(1, 200.0), np.zeros(1))}
     figure = qualitative(truth[..., :2], truth[..., :2], scores, np.arange(1), ["view"], BFM72)
     for axes in figure.axes:
         (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
