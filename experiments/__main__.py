@@ -180,11 +180,6 @@ def _silent_stderr() -> Iterator[None]:
         os.close(null)
 
 
-def this_process() -> str:
-    """Name of this process, for `PARENT`: its number and machine."""
-    return f"{os.getpid()}@{platform.node()}"
-
-
 def end_with_parent() -> None:
     """End this process when that of `make` ends, for whatever reason.
 

@@ -19,7 +19,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.units import centre, normalise, unit
 from deepmds_keras.geometry.views import Cameras, in_camera_frame
-from experiments.records import load_record
+from experiments.records import read_record
 from experiments.run import Run
 
 # Photos of the FLAME track: RingNet's size, with room for the whole face.
@@ -127,7 +127,7 @@ def load_images(run: Run, part: str) -> ImageFiles:
         InputError: A file is missing or was changed.
     """
     files = image_files(run, part)
-    files.check(load_record(run, IMAGE_STEPS[run.track, part])["checksums"][part])
+    files.check(read_record(run.record_file(IMAGE_STEPS[run.track, part]))["checksums"][part])
     return files
 
 

@@ -6,6 +6,7 @@ It checks the variables, waits for other commands on the same model, and starts 
 
 import json
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -21,7 +22,7 @@ from filelock import FileLock, Timeout
 from data_gen.models.registry import MODELS, model_files
 from deepmds_keras.errors import InputError
 from deepmds_keras.tool.detection.mediapipe_landmarks import has_mediapipe
-from experiments.__main__ import PARENT, one_line_errors, this_process
+from experiments.__main__ import PARENT, one_line_errors
 from experiments.given import check_given
 from experiments.run import left_out, run_of_variables
 
@@ -149,7 +150,7 @@ def _planned(command: list[str]) -> str:
 
 def _run(command: list[str], made_by: str) -> None:
     """Run Snakemake in a separate session, so that Ctrl-C ends all of it within seconds."""
-    variables = {PARENT: this_process(), "EXPERIMENTS_COMMAND": made_by}
+    variables = {PARENT: f"{os.getpid()}@{platform.node()}", "EXPERIMENTS_COMMAND": made_by}
     process = subprocess.Popen(command, env=os.environ | variables, start_new_session=True)
 
     def stop(signal_number: int, _) -> None:

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from deepmds_keras.baselines.images import IMAGE_SIZE
-from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.units import normalise
+from deepmds_keras.errors import InputError, check_choice
 from experiments import recipes
-from experiments.inputs import CROP_SIZE, Faces, load_landmark_model
+from experiments.inputs import CROP_SIZE, load_landmark_model
 from experiments.method import Method
 from experiments.run import AUTHORS_FILES, Run
 
@@ -296,7 +295,7 @@ _ROWS = (
         description="the method with a decaying learning rate, on landmarks with noise like a "
         "detector's",
         build=partial(recipes.deep_mds, variant="paper", schedule="cosine"),
-        data=recipes.faces_with_noise, checkpoint=recipes.networks_with_noise,
+        data=recipes.faces_with_noise, checkpoint=lambda run: run.networks / "with-noise",
         restore=recipes.restore_deep_mds, note=_noise_note,
         colour="#B34700", marker="h", drawn=False,
     ),
@@ -334,8 +333,7 @@ def method_of(method_id: str) -> Method:
     Raises:
         InputError: There is no such method.
     """
-    if method_id not in METHODS:
-        raise InputError(f"method must be one of {', '.join(METHODS)}. Received {method_id!r}.")
+    check_choice(method_id, "method", METHODS)
     return METHODS[method_id]
 
 
@@ -399,10 +397,8 @@ def train(run: Run, method_id: str):
     method = method_of(method_id)
     checkpoint = method.checkpoint(run)
     model = recipes.fit(method.build(run), *method.data(run), checkpoint=checkpoint)
-    if (
-        method_id == "landmark_lifter"
-    ):  # the checkpoint of which holds the last weights, not the best
-        model.save(recipes.landmark_lifter_file(run))
+    if method_id == "landmark_lifter":  # whose checkpoint holds the last weights, not the best
+        model.save(run.network_file(method_id))
     return model
 
 
@@ -450,11 +446,6 @@ def constant_answers(shapes: np.ndarray) -> np.ndarray:
     The two faces are half the test set apart, so that they show different people.
     """
     return np.roll(shapes, len(shapes) // 2, axis=0)
-
-
-def views_for(method: Method, test: Faces) -> np.ndarray:
-    """Input views of a method for the test faces, `(n, L, 2)`."""
-    return normalise(test.shapes[..., :2]) if method.inputs == "frontal views" else test.views
 
 
 def notes(run: Run, detected: Mapping[str, np.ndarray]) -> dict[str, str]:

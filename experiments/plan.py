@@ -141,9 +141,6 @@ class Plan:
         methods = (method for method in methods if method.switch not in self._left_out)
         return [method.id for method in methods if images or not method.sees_images]
 
-    def landmark_methods(self, track: str) -> list[str]:
-        return self.compared(track, images=False)
-
     def trains_on_images(self, track: str) -> bool:
         """Whether a network that sees images is trained, which takes longer than all others."""
         return {*self.compared(track)} & {

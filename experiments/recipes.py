@@ -198,11 +198,6 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
     return model.restore(checkpoint, load_faces(run, "train").shapes)
 
 
-def networks_with_noise(run: Run) -> Path:
-    """Folder of the networks trained on landmarks with noise."""
-    return run.networks / "with-noise"
-
-
 def deep_mds_weights(run: Run):
     """The authors' released networks."""
     from deepmds_keras.deep_mds import DeepMDS
@@ -237,13 +232,9 @@ def landmark_lifter(run: Run):
     )
 
 
-def landmark_lifter_file(run: Run) -> Path:
-    """The best weights of the lifting network; its checkpoint holds the last ones."""
-    return run.network_file("landmark_lifter")
-
-
 def load_landmark_lifter(run: Run, model, checkpoint: Path):
-    lifter = type(model).load(landmark_lifter_file(run))
+    """Load the best weights; the checkpoint holds the last ones."""
+    lifter = type(model).load(run.network_file("landmark_lifter"))
     if run.track == "flame":  # a detector's errors exceed those of good landmarks
         lifter.default_sd_ = LANDMARK_NOISE / 2
     return lifter

@@ -27,8 +27,6 @@ from deepmds_keras.files import sha256_of, write_bytes
 if TYPE_CHECKING:
     import pandas as pd
 
-    from experiments.run import Run
-
 MANIFEST = "manifest.json"
 _ROOT = Path(__file__).parents[1]
 PUBLISHED = _ROOT / "results" / "published"  # what the paper prints and claims
@@ -99,15 +97,6 @@ def read_record(path: Path) -> dict:
             f"{path} must be an unchanged record. Received other text; delete it and run again."
         )
     return record
-
-
-def load_record(run: Run, name: str) -> dict:
-    """Read the record of a step of a run.
-
-    Raises:
-        InputError: The step was not run, or its record is damaged.
-    """
-    return read_record(run.record_file(name))
 
 
 def writers(message: str, folder: Path) -> list[Path]:

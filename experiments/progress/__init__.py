@@ -9,7 +9,7 @@ from typing import Self
 
 from tqdm import tqdm
 
-# Of the process of `make`, whose steps print side by side.
+# Variable with the number and the machine of `make`, whose steps print side by side.
 PARENT = "EXPERIMENTS_PARENT"
 _EVERY = 30.0  # seconds between two lines
 # tqdm's lock is a semaphore, of which Python complains where a process with a bar is killed.

@@ -7,9 +7,9 @@ from experiments.plan import TABLES, seed_of, track_of
 # The table of the methods that see landmarks, without times: printed before what takes longest.
 rule preview:
     input:
-        lambda w: plan.predictions(track_of(w), plan.landmark_methods(track_of(w)), seed_of(w))
+        lambda w: plan.predictions(track_of(w), plan.compared(track_of(w), images=False), seed_of(w))
     output: "{work}/records/preview.json"
-    params: track=track_of, seed=seed_of, methods=lambda w: plan.landmark_methods(track_of(w))
+    params: track=track_of, seed=seed_of, methods=lambda w: plan.compared(track_of(w), images=False)
     priority: 30
     shell: step("tracks.preview {params.methods}", "{params.track}", "{params.seed}")
 

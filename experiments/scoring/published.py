@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import pandas as pd
 
-from deepmds_keras.errors import InputError
+from deepmds_keras.errors import check_choice
 from experiments.records import PUBLISHED
 
 _FILE = PUBLISHED / "published.csv"
@@ -94,10 +94,7 @@ def _transcription() -> pd.DataFrame:
 
 
 def _rows(experiment: str) -> pd.DataFrame:
-    if experiment not in SOURCES:
-        raise InputError(
-            f"experiment must be one of {', '.join(SOURCES)}. Received {experiment!r}."
-        )
+    check_choice(experiment, "experiment", SOURCES)
     rows = _transcription()
     return rows[rows["table"].isin(SOURCES[experiment])]
 

@@ -14,7 +14,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_arrays
 from deepmds_keras.geometry.alignment import align, is_mirrored
 from experiments.inputs import Faces
-from experiments.records import load_record
+from experiments.records import read_record
 from experiments.run import Run
 from experiments.scoring.metrics import METRICS, Metric
 from experiments.streams import Stream
@@ -28,7 +28,8 @@ def load_predictions(
     Raises:
         InputError: The file of a method is missing or damaged.
     """
-    times = load_record(run, "times")["times"] if run.record_file("times").exists() else {}
+    measured = run.record_file("times")
+    times = read_record(measured)["times"] if measured.exists() else {}
     predictions = {method: load_prediction(run, method) for method in methods}
     return {
         method: (arrays, description | times.get(method, {}))
@@ -49,10 +50,11 @@ def metrics_by_seed(run: Run) -> pd.DataFrame | None:
     """
     if run.seeds is None:
         return None
+    runs = (replace(run, seed=seed) for seed in range(run.seed, run.seed + run.n_seeds))
     rows = [
-        (method, seed, metric, value)
-        for seed in range(run.seed, run.seed + run.n_seeds)
-        for method, metric, value in load_record(replace(run, seed=seed), "seed")["rows"]
+        (method, of_seed.seed, metric, value)
+        for of_seed in runs
+        for method, metric, value in read_record(of_seed.record_file("seed"))["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
 

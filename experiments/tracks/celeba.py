@@ -17,14 +17,9 @@ from experiments.tracks.results import Evaluation, evaluate_both, median_face, w
 _YAWS = (-18.0, 0.0, 18.0)  # degrees: a face about each is shown
 
 
-def load_photos(run: Run) -> dict[str, np.ndarray]:
-    """Table of the photos, as `datasets.photos` writes it."""
-    return read_arrays(run.work / "photos.npz")[0]
-
-
 def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
     """Score the predictions against the fit to the photos, and the true landmarks if known."""
-    return evaluate_both(run, methods, load_photos(run), "model_fit")
+    return evaluate_both(run, methods, read_arrays(run.work / "photos.npz")[0], "model_fit")
 
 
 def shown_faces(test: Faces, mse: np.ndarray) -> np.ndarray:
@@ -36,7 +31,7 @@ def shown_faces(test: Faces, mse: np.ndarray) -> np.ndarray:
 
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:
     """Write the figures; if the true landmarks are known, that of the fit shows its errors."""
-    run, test, table = evaluation.run, evaluation.test, load_photos(evaluation.run)
+    run, test = evaluation.run, evaluation.test
     faces = shown_faces(test, evaluation.scores["deep_mds"].mse)
     titles = [f"yaw {turned(yaw)}" for yaw in test.cameras.yaw[faces]]
     evaluation.draw_faces("celeba", faces, titles, photos=True)
@@ -48,6 +43,7 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
         for method in ("model_fit", "mean_shape")
         if method in errors
     }
+    table, _ = read_arrays(run.work / "photos.npz")
     numbers = np.flatnonzero(table["status"] == USED)[faces]
     images = [next(photos(run, range(k, k + 1)))[1] for k in numbers]
     detected, fitted = table["detected"][faces], table["pixels"][faces]

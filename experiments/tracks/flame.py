@@ -25,14 +25,9 @@ from experiments.tracks.results import (
 _SHOWN_FACES = 4
 
 
-def load_scans(run: Run) -> dict[str, np.ndarray]:
-    """Table of the scans, as `datasets.scans` writes it."""
-    return read_arrays(run.work / "scans.npz")[0]
-
-
 def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
     """Score the predictions against landmarks found on scans, and the true ones if known."""
-    scans = load_scans(run)
+    scans, _ = read_arrays(run.work / "scans.npz")
     return evaluate_both(run, methods, scans, "scan_landmarks", {"model_fit": scans["fitted"]})
 
 
@@ -45,7 +40,7 @@ def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> N
         of_images["ringnet"] = {"train": history["train"]}
     evaluation.save(learning_curves(load_histories(run), of_images), "learning_curves")
 
-    scans = load_scans(run)
+    scans, _ = read_arrays(run.work / "scans.npz")
     conditions = scans["condition"]
     faces = shown_faces(conditions, evaluation.scores)
     titles = [conditions[k].replace("_", " ") for k in faces]

@@ -7,9 +7,10 @@ from PIL import Image
 
 from data_gen.datasets.image_files import ImageFiles
 from deepmds_keras.files import write_arrays
+from deepmds_keras.geometry.units import normalise
 from experiments.inputs import load_faces, load_images
 from experiments.method import Method
-from experiments.methods import load, method_of, predict, views_for
+from experiments.methods import load, method_of, predict
 from experiments.progress import Progress
 from experiments.run import Run
 from experiments.tasks import single_threaded
@@ -26,7 +27,8 @@ def inputs_for(run: Run, method: Method) -> np.ndarray | ImageFiles:
         InputError: A file is missing or was changed.
     """
     if not method.sees_images:
-        return views_for(method, load_faces(run, "test"))
+        test = load_faces(run, "test")
+        return normalise(test.shapes[..., :2]) if method.inputs == "frontal views" else test.views
     images = load_images(run, "test")
     return images if method.image_size in (None, images.size) else shrunk(images, method.image_size)
 

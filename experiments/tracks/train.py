@@ -3,7 +3,7 @@
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES
 from experiments.method import Method
 from experiments.methods import method_of, train
-from experiments.records import load_record, resumable
+from experiments.records import read_record, resumable
 from experiments.run import Run
 
 
@@ -26,7 +26,7 @@ def keep_checkpoints(run: Run, method: Method) -> None:
         resumable(run.networks, [run.work / "train.npz"])
         return
     part = TRAINING_IMAGES[run.track]
-    images = load_record(run, IMAGE_STEPS[run.track, part])["checksums"][part]
+    images = read_record(run.record_file(IMAGE_STEPS[run.track, part]))["checksums"][part]
     folder = method.checkpoint(run).parent
     resumable(folder, [run.work / "landmark_model.npz"], images=images)
 

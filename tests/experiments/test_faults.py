@@ -24,7 +24,7 @@ from deepmds_keras.files import read_arrays
 from experiments.__main__ import PARENT
 from experiments.inputs import image_files
 from experiments.presets import TINY
-from experiments.records import load_record, read_record
+from experiments.records import read_record
 from experiments.run import Run
 
 KILLS = int(os.environ.get("KILLS", 4))
@@ -173,7 +173,7 @@ def readers(run):
 
     def images(path):
         files = image_files(run, path.parent.name)
-        files.check(load_record(run, "images")["checksums"][path.parent.name])
+        files.check(read_record(run.record_file("images"))["checksums"][path.parent.name])
         return files[:], files.landmarks(range(len(files)))
 
     for path in sorted(run.work.rglob("[!.]*.*")):

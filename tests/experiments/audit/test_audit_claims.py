@@ -133,20 +133,6 @@ def test_the_authors_protocol_has_conditions_of_its_own_where_it_makes_a_differe
     assert f"**{claims.SUPPORTED} ({claims.INDICATIVE})**" in page
 
 
-def test_a_second_place_that_some_seeds_miss_is_undecided(copied):
-    """On ICT faces six of ten seeds are below the authors' fit of Aldrian & Smith."""
-    rank = judged(copied[1], "authors").loc["bfm-rank"]
-    assert (rank["verdict"], rank["low"], rank["high"]) == (claims.UNDECIDED, 2, 3)
-
-
-def test_another_ringnet_does_not_decide_on_the_published_one(copied):
-    claim = judged(copied[0]).loc["casia-comparable"]
-    assert (claim["verdict"], claim["number"]) == (
-        claims.NOT_TESTABLE,
-        "casia_over_ringnet_licensed",
-    )
-
-
 def test_what_was_not_run_is_not_testable(copied):
     run = copied[0]
     shutil.rmtree(run.experiment_results("seeds"))

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import norm
 
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.classical_scaling import pairwise_distances
 from deepmds_keras.geometry.units import normalise
 from experiments.audit import shapes
 from experiments.scoring.scores import Scores
@@ -29,32 +28,17 @@ def measured(predicted, mean, truth):
     )
 
 
-@pytest.mark.parametrize("part", [0.25, 0.9, 1.3])
-def test_slope_is_the_recovered_part_of_the_offset(rng, part):
+# Noise of 0.035 is as large as the offsets. What is the same in every face is no bias either.
+@pytest.mark.parametrize("noise, size, within", [(0, (1, 1), 0.01), (0.035, (L, 3), 0.03),
+                                                 (0.035, (N, L, 3), 0.03)])  # fmt: skip
+@pytest.mark.parametrize("part", [0, 0.25, 1, 1.3])
+def test_slope_is_the_recovered_part_of_the_offset_whatever_the_noise(
+    rng, part, noise, size, within
+):
     mean, truth = faces(rng)
-    bias = measured(mean + part * (truth - mean), mean, truth)
-    assert bias["slope"] == pytest.approx(part, abs=0.01)
-
-
-def test_mean_shape_recovers_nothing_and_the_truth_all(rng):
-    mean, truth = faces(rng)
-    constant = align(np.broadcast_to(mean, truth.shape), truth)
-    assert shapes.bias_of(constant, constant, truth)["slope"] == 0
-    assert measured(truth, mean, truth)["slope"] == pytest.approx(1)
-
-
-def test_noise_as_large_as_the_offsets_is_no_bias_and_hides_none(rng):
-    mean, truth = faces(rng)
-    noise = rng.normal(0, 0.035, truth.shape)  # as large as the offsets
-    bias = measured(truth + noise, mean, truth)
-    assert bias["slope"] == pytest.approx(1, abs=0.03)
-    assert measured(mean + noise, mean, truth)["slope"] == pytest.approx(0, abs=0.05)
-
-
-def test_same_error_in_every_face_is_not_towards_the_mean(rng):
-    mean, truth = faces(rng)
-    bias = measured(truth + rng.normal(0, 0.03, (L, 3)), mean, truth)
-    assert bias["slope"] == pytest.approx(1, abs=0.02)
+    predicted = mean + part * (truth - mean) + rng.normal(0, noise, size)
+    bias = measured(predicted, mean, truth)
+    assert bias["slope"] == pytest.approx(part, abs=within)
 
 
 def test_standard_error_is_the_spread_over_samples_of_faces(rng):
@@ -100,12 +84,6 @@ def test_distances_of_d_dimensions_have_rank_d(evidence):
     assert (table["centred"] == table["dimensions"]).all()
 
 
-def test_points_in_a_plane_have_rank_2_and_few_points_less_than_their_number(rng):
-    for points, rank in ((rng.standard_normal((20, 3)) * (1, 1, 0), 2), (np.eye(5, 10), 4)):
-        matrix = shapes.doubly_centred(pairwise_distances(points[None]))
-        assert np.linalg.matrix_rank(matrix, rtol=1e-9) == rank
-
-
 def test_answers_without_depth_have_a_share_of_the_depth_correlation(evidence, monkeypatch):
     mean_shape = np.broadcast_to(evidence.shapes.mean(0), evidence.shapes.shape)
     monkeypatch.setattr(shapes, "load_prediction", lambda *_: ({"shapes": mean_shape}, {}))
@@ -124,9 +102,3 @@ def test_samplings_find_differences_between_exchangeable_methods_and_faces_seldo
     assert rates["10"] == pytest.approx(2 * norm.sf(1.96 / (1 + 10 / 9) ** 0.5), abs=0.06)
     assert rates["50"] > rates["10"] + 0.1
     assert rates["faces"] < 0.09
-
-
-def test_samplings_of_a_test_set_without_end_would_keep_to_the_level():
-    difference = np.random.default_rng(1).standard_normal(20_000)
-    rates = shapes.false_positives(difference, [10], 100, np.random.default_rng(2), simulations=200)
-    assert rates["10"] < 0.1
