@@ -329,5 +329,4 @@ def git(*arguments: str, folder: Path = _ROOT) -> str:
 
 def _checksum(record: dict) -> str:
     """sha256 of the content of a record, whatever its layout."""
-    text = json.dumps(json.loads(json.dumps(record)), sort_keys=True)  # keys of a file are strings
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

@@ -183,9 +183,9 @@ class Parser(argparse.ArgumentParser):
 OPTIONS = {option.name: option for option in fields(Run) if option.metadata}
 # Variables of `make` that leave steps out, and their values; of RINGNET also a prefix of files.
 _SWITCHES = {"MOBILEFACE": ("yes", *MOBILEFACES, "no"), "RINGNET": None, "MEDIAPIPE": ("yes", "no")}
-_EXISTING = ("data", "coma", "casia", "celeba", "tf_flame", "sfm", "real", "objects", "casia_index")
+EXISTING = ("data", "coma", "casia", "celeba", "tf_flame", "sfm", "real", "objects", "casia_index")
 # The last are a folder and a prefix of files, of which `check_given` knows what they must hold.
-_PATHS = (*_EXISTING, "authors", "ringnet")
+_PATHS = (*EXISTING, "authors", "ringnet")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -217,7 +217,7 @@ def run_of(values: dict) -> Run:
     given = {name: values[name] for name in OPTIONS} | {"preset": PRESETS[values["preset"]]}
     given |= {name: values[name] or None for name in _PATHS}
     _check_numbers(given)
-    for name in _EXISTING:
+    for name in EXISTING:
         if given[name] and not Path(given[name]).exists():
             raise InputError(
                 f"{name.upper()} must be a file or folder. {given[name]} does not exist."

@@ -15,7 +15,6 @@ import sys
 import tempfile
 import threading
 import traceback
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -43,16 +42,9 @@ _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload([*_LIBRARIES])
 
 
-@dataclass(frozen=True)
-class Done:
-    """A step that has ended, as `subprocess.CompletedProcess`; negative of a signal's number."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-def run(step: str, folder: Path, *arguments: str, command: str = "") -> Done:
+def run(
+    step: str, folder: Path, *arguments: str, command: str = ""
+) -> subprocess.CompletedProcess[str]:
     """Run a step with `build` and `results` in a folder, at the preset `tiny` if none is named.
 
     Its record says that it was run by the command, if there is one.
@@ -64,14 +56,14 @@ def run(step: str, folder: Path, *arguments: str, command: str = "") -> Done:
     if step in RENDERING:
         called = [sys.executable, "-c", "import sys, runs; runs.call(sys.argv[1:])", *words]
         environment |= {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
-        done = subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True)
-        return Done(done.returncode, done.stdout, done.stderr)
+        return subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True)
     with tempfile.TemporaryDirectory(prefix="step-") as texts:
         paths = [Path(texts, name) for name in ("stdout", "stderr")]
         process = _context.Process(target=_fork, args=(words, folder, paths, environment))
         process.start()
         process.join()
-        return Done(process.exitcode, *(path.read_text("utf-8") for path in paths))
+        printed = (path.read_text("utf-8") for path in paths)
+        return subprocess.CompletedProcess(words, process.exitcode, *printed)
 
 
 def succeed(step: str, folder: Path, *arguments: str, command: str = "") -> str:
@@ -112,13 +104,6 @@ def command(target: str, folder: Path, *variables: str, **options) -> subprocess
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     options = pipes | {"cwd": folder, "env": ENVIRONMENT, "start_new_session": True} | options
     return subprocess.Popen(words, **options)
-
-
-def ended(process: subprocess.Popen) -> Done:
-    """Wait for a command that is to succeed."""
-    output, errors = process.communicate()
-    assert process.returncode == 0, errors
-    return Done(0, output, errors)
 
 
 def results(folder: Path, name: str, preset: str = PRESET) -> Path:

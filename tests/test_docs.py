@@ -3,8 +3,8 @@
 import ast
 import contextlib
 import hashlib
-import importlib
 import inspect
+import pkgutil
 import re
 import shutil
 import subprocess
@@ -172,17 +172,7 @@ def test_every_path_and_every_name_in_code_is_there(page):
         if re.fullmatch(rf"({packages}|docs|tests|{results})/[\w./-]*", code):
             assert (ROOT / code).exists(), code
         if re.fullmatch(rf"({packages})(\.\w+)+", code):
-            assert resolves(code), code
-
-
-def resolves(name):
-    """Whether a dotted name is a module, or something in one."""
-    try:
-        importlib.import_module(name)
-    except ModuleNotFoundError:
-        module, _, attribute = name.rpartition(".")
-        return hasattr(importlib.import_module(module), attribute)
-    return True
+            pkgutil.resolve_name(code)  # fails if it is neither a module nor something in one
 
 
 @each_page

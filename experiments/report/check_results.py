@@ -17,10 +17,11 @@ import pandas as pd
 
 from deepmds_keras.errors import InputError
 from experiments.records import commits_of, git, manifests, read_manifest
+from experiments.run import EXISTING
 
 _ROOT = Path(__file__).parents[2]
 _TREES = _ROOT / "build" / "check-results"
-_FILES = ("DATA", "AUTHORS", "SFM", "REAL", "OBJECTS", "COMA", "CASIA", "CELEBA", "TF_FLAME")
+_FILES = {name.upper() for name in (*EXISTING, "authors")}
 _TIMES = ("ms_per_face", "seconds", "memory")  # in names of columns and metrics that differ
 
 
@@ -100,7 +101,7 @@ def _make(tree: Path, command: str) -> str | None:
     variables = dict(word.split("=", 1) for word in given) | {"PRESET": "smoke"}
     if "SEEDS" in variables:
         variables["SEEDS"] = "2"
-    for name in {*_FILES} & {*variables}:
+    for name in _FILES & variables.keys():
         path = (_ROOT / variables[name]).resolve()
         if not path.exists():
             raise InputError(f"{name}={variables[name]} not found")

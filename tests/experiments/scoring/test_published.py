@@ -6,7 +6,6 @@ from decimal import Decimal
 import pandas as pd
 import pytest
 
-from deepmds_keras.errors import InputError
 from experiments.methods import METHODS
 from experiments.records import PUBLISHED
 from experiments.scoring.metrics import METRICS
@@ -67,11 +66,6 @@ def test_what_is_no_number_is_printed_only_and_doubtful_ones_carry_a_note():
     assert "mediapipe" not in {*published("parameters")["method"]}
     assert printed("parameters", "n_parameters")["mediapipe"] == "Not found"
     assert printed("parameters", "time_complexity")["aldrian"] == "O(n^4)"
-
-
-def test_an_unknown_experiment_is_refused():
-    with pytest.raises(InputError, match=r"must be one of bfm, .* Received 'lfw'"):
-        published("lfw")
 
 
 def test_numbers_are_shown_with_the_digits_that_are_printed(rows):

@@ -113,13 +113,6 @@ def test_check_needs_a_committed_table_and_a_fresh_one(run, tmp_path):
         check(run)
 
 
-def test_check_refuses_a_small_run(run):
-    small = replace(run, preset=SMOKE)
-    write(small, ERRORS)
-    with pytest.raises(InputError, match="PRESET must be full: .* Received smoke"):
-        check(small)
-
-
 def test_notes_name_methods_whose_titles_have_commas_apart():
     notes = dict.fromkeys(("zhao_authors", "mean_shape"), "left out")
     table = summarise(metrics_of(ERRORS), "bfm", notes, subset_size=2)
