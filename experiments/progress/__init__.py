@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from typing import Self
+from contextlib import AbstractContextManager
 
 from tqdm import tqdm
 
@@ -16,7 +16,7 @@ _EVERY = 30.0  # seconds between two lines
 tqdm.set_lock(threading.RLock())
 
 
-class Progress:
+class Progress(AbstractContextManager):
     """How much of a step, or of a part of it, is done, and how long the rest will take.
 
     Args:
@@ -38,9 +38,6 @@ class Progress:
             total=total, initial=done, desc=self._named(what), delay=2,
             disable=not sys.stderr.isatty() or PARENT in os.environ,
         )  # fmt: skip
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_) -> None:
         self.close()

@@ -118,7 +118,7 @@ def compare(before: Path, now: Path) -> str | None:
     """The first table that differs, times apart, or None."""
     names = {path.name for folder in (before, now) for path in folder.glob("*.csv")}
     for name in sorted(names):
-        tables = [_digits(folder / name) for folder in (before, now)]
+        tables = [digits(folder / name) for folder in (before, now)]
         if tables[0] is None or tables[1] is None:
             return f"{name} is {'gone' if tables[1] is None else 'new'}"
         if list(tables[0]) != list(tables[1]) or len(tables[0]) != len(tables[1]):
@@ -129,7 +129,7 @@ def compare(before: Path, now: Path) -> str | None:
     return None
 
 
-def _digits(path: Path) -> pd.DataFrame | None:
+def digits(path: Path) -> pd.DataFrame | None:
     """Cells of a table as text, without times."""
     if not path.is_file():
         return None

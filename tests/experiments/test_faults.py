@@ -3,7 +3,6 @@
 `KILLS=6 FUZZ=10` (`make nightly`) kills more often and changes ten times as many bytes.
 """
 
-import csv
 import os
 import pickle
 import resource
@@ -26,6 +25,7 @@ from experiments.__main__ import PARENT
 from experiments.inputs import image_files
 from experiments.presets import TINY
 from experiments.records import read_record
+from experiments.report.check_results import digits
 from experiments.run import Run
 
 KILLS = int(os.environ.get("KILLS", 4))
@@ -76,18 +76,9 @@ def disk():
 
 
 def tables(folder):
-    """Every CSV of the results, cell by cell, without what tells how long something took."""
-    cells = {}
-    for path in sorted((folder / "results").rglob("*.csv")):
-        with open(path, encoding="utf-8", newline="") as file:
-            header, *rows = csv.reader(file)
-        columns = [k for k, name in enumerate(header) if "ms_per_face" not in name]
-        cells[path.relative_to(folder)] = [
-            [row[k] for k in columns]
-            for row in (header, *rows)
-            if not any("ms_per_face" in cell for cell in row[:2])
-        ]
-    return cells
+    """Every CSV of the results, without what tells how long something took."""
+    paths = sorted((folder / "results").rglob("*.csv"))
+    return {path.relative_to(folder): digits(path).to_csv() for path in paths}
 
 
 @pytest.mark.slow
