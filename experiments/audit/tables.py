@@ -39,9 +39,7 @@ class Tables:
             table = table[table[column].isin(np.atleast_1d(wanted))]
         return table[of].to_numpy() if len(table) else np.array([np.nan])
 
-    def samplings(
-        self, method: str | list[str], experiment: str = "bfm", metric: str = "mse"
-    ) -> np.ndarray:
+    def samplings(self, method: str, experiment: str = "bfm", metric: str = "mse") -> np.ndarray:
         """A method's means over random samplings of the test faces."""
         return self.values(experiment, "metrics", "value", method=method, metric=metric)
 

@@ -19,7 +19,7 @@ from experiments.records import (
 from experiments.run import Run
 from experiments.scoring.metrics import METRICS, metrics_of
 from experiments.scoring.published import published
-from experiments.scoring.typesetting import latex, n_landmarks_of, text
+from experiments.scoring.typesetting import latex, text
 from experiments.scoring.verdict import verdict
 
 _KEYS = ["method", "metric"]
@@ -38,7 +38,7 @@ def summarise(
     notes: Mapping[str, str],
     *,
     subset_size: int,
-    n_landmarks: int | None = None,
+    n_landmarks: int,
     paper_rows: Mapping[str, str] = {},
     seeds: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
@@ -49,7 +49,7 @@ def summarise(
         experiment: `"bfm"`, `"celeba"` or `"flame"`: the paper's table to compare with.
         notes: Method → what a reader must know about it; for one that was not run, why not.
         subset_size: Test faces in a subset.
-        n_landmarks: Of a face; None for as many as the experiment has in the paper.
+        n_landmarks: Of a face.
         paper_rows: Method of the paper → the method with which its numbers are compared, if
             different from `METHODS`.
         seeds: `method`, `metric`, `seed`, `value` over all test faces of each seed, for methods
@@ -84,7 +84,7 @@ def summarise(
         _note(metric, row, method in run, notes.get(method))
         for (method, metric), row in table.iterrows()
     ]
-    table["n_landmarks"] = n_landmarks or n_landmarks_of(experiment)
+    table["n_landmarks"] = n_landmarks
     sizes = ("n_subsets", "subset_size", "n_landmarks")
     table = table[["mean", "std", *_PAPER, *sizes, "note"]].reset_index()
     return table if seeds is None else table.join(_over_seeds(seeds), on=_KEYS)

@@ -123,11 +123,6 @@ def n_landmarks(table: pd.DataFrame, experiment: str) -> int:
     """Landmarks of a face in a table; those that were committed before do not say it."""
     if "n_landmarks" in table:
         return int(table["n_landmarks"].iloc[0])
-    return n_landmarks_of(experiment)
-
-
-def n_landmarks_of(experiment: str) -> int:
-    """Landmarks of a face in an experiment of the paper."""
     return len(load_scheme(SCHEMES[experiment]))
 
 

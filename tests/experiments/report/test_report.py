@@ -50,7 +50,8 @@ def run(tmp_path):
     ]
     metrics = pd.DataFrame(rows, columns=["method", "metric", "subset", "value"])
     per_face = {"mse": {"deep_mds": np.arange(1.0, 20), "ridge": np.arange(19.0)}}
-    of = {"experiment": "bfm", "subset_size": 10, "notes": {"mobileface": "<b> | left out"}}
+    of = {"experiment": "bfm", "subset_size": 10, "n_landmarks": 72}
+    of["notes"] = {"mobileface": "<b> | left out"}
     for seed in (0, 1):
         folder = dataclasses.replace(run, seed=seed).experiment_results("bfm")
         write_tables(folder, metrics, per_face=per_face, **of)

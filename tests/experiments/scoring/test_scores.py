@@ -55,9 +55,8 @@ def run(tmp_path):
 
 def table_of(run, metrics, scores):
     folder = run.experiment_results("bfm")
-    write_tables(
-        folder, metrics, experiment="bfm", subset_size=9, notes={}, per_face=per_face(scores)
-    )
+    options = {"experiment": "bfm", "subset_size": 9, "n_landmarks": L, "notes": {}}
+    write_tables(folder, metrics, per_face=per_face(scores), **options)
     return pd.read_csv(folder / "table.csv")
 
 

@@ -16,6 +16,7 @@ from experiments.scoring.numbers import as_quoted, plus_minus, scientific
 from experiments.scoring.tables import print_tables, summarise, write_tables
 from experiments.scoring.typesetting import latex, text
 
+SIZES = {"subset_size": 500, "n_landmarks": 72}
 NOTES = {"mobileface": "needs images: not part of this experiment yet"}
 
 
@@ -33,7 +34,7 @@ def metrics():
 
 @pytest.fixture
 def table(metrics):
-    return summarise(metrics, "bfm", NOTES, subset_size=500)
+    return summarise(metrics, "bfm", NOTES, **SIZES)
 
 
 def line(string, start):
@@ -43,9 +44,7 @@ def line(string, start):
 def test_csv_to_the_letter(metrics, tmp_path):
     faces = np.arange(1.0, 21)
     per_face = {"mse": {"ridge": faces, "deep_mds": 2 * faces}}
-    write_tables(
-        tmp_path, metrics, experiment="bfm", subset_size=500, notes=NOTES, per_face=per_face
-    )
+    write_tables(tmp_path, metrics, experiment="bfm", notes=NOTES, per_face=per_face, **SIZES)
     lines = (tmp_path / "table.csv").read_text().splitlines()
     head = "method,metric,mean,std,paper_mean,paper_std,n_subsets,subset_size,n_landmarks,note"
     assert lines[0] == head
@@ -118,7 +117,7 @@ def test_a_plain_table_keeps_names_counts_and_what_is_missing():
 def test_errors_have_the_unit_and_the_digits_of_the_papers_table(
     metrics, experiment, head, ours, paper
 ):
-    table = summarise(metrics, experiment, {}, subset_size=500)
+    table = summarise(metrics, experiment, {}, **SIZES)
     for output, escaped in ((text(table, experiment), str), (latex(table, experiment), tex)):
         assert escaped(head) in output
         assert escaped(f" {ours} ± ") in line(output, "Deep-MDS ")
@@ -128,7 +127,7 @@ def test_errors_have_the_unit_and_the_digits_of_the_papers_table(
 def test_several_seeds_have_columns_and_a_range(metrics):
     rows = [("deep_mds", seed, "mse", value) for seed, value in enumerate((1e-4, 1.3e-4, 0.9e-4))]
     seeds = pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
-    table = summarise(metrics, "bfm", NOTES, subset_size=500, seeds=seeds)
+    table = summarise(metrics, "bfm", NOTES, **SIZES, seeds=seeds)
     cells = table.set_index(["method", "metric"])[["n_seeds", "median", "lowest", "highest"]]
     assert cells.loc["deep_mds", "mse"].tolist() == [3, 1e-4, 0.9e-4, 1.3e-4]
     assert cells.loc["ridge", "mse"].isna().all()
@@ -184,9 +183,9 @@ def test_numbers_are_rounded_where_their_spread_begins(shown, expected):
 
 def test_unknown_methods_and_experiments_are_refused(metrics):
     with pytest.raises(InputError, match=r"method must be one of .* Received 'mystery'"):
-        summarise(metrics.replace("ridge", "mystery"), "bfm", {}, subset_size=5)
+        summarise(metrics.replace("ridge", "mystery"), "bfm", {}, **SIZES)
     with pytest.raises(InputError, match=r"experiment must be one of bfm, .* Received 'lfw'"):
-        summarise(metrics, "lfw", {}, subset_size=5)
+        summarise(metrics, "lfw", {}, **SIZES)
 
 
 def test_parameters_are_counted_from_the_networks(metrics):

@@ -36,7 +36,7 @@ def seeds_of(errors, n=10):
 
 
 def table_of(errors, seeds=None):
-    return summarise(metrics_of(errors), "bfm", {}, subset_size=2, seeds=seeds)
+    return summarise(metrics_of(errors), "bfm", {}, subset_size=2, n_landmarks=72, seeds=seeds)
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_check_needs_a_committed_table_and_a_fresh_one(run, tmp_path):
 
 def test_notes_name_methods_whose_titles_have_commas_apart():
     notes = dict.fromkeys(("zhao_authors", "mean_shape"), "left out")
-    table = summarise(metrics_of(ERRORS), "bfm", notes, subset_size=2)
+    table = summarise(metrics_of(ERRORS), "bfm", notes, subset_size=2, n_landmarks=72)
     assert "Mean shape; Zhao et al., authors' training: left out." in remarks(table, "bfm", "latex")
 
 
