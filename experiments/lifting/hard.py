@@ -67,11 +67,16 @@ def measure(run: Run, condition: Condition) -> pd.DataFrame:
     for seed in hard_seeds(run, condition):
         lifter = load_network(hard_file(run, LIFTING, condition, seed))
         shapes, sd = lifter.predict(faces.views, landmark_sd=faces.sd_mm, return_std=True)
-        off = np.abs(shapes - centre_and_scale(faces.shapes)) / sd
-        within = {f"within_{n}_sd": (off <= n).mean((1, 2)) for n in (1, 2)}
+        within = coverage(shapes, sd, centre_and_scale(faces.shapes))
         add(LIFTING, seed, aligned_mse(shapes, faces.shapes), **within)
     add("lower_bound", run.seed, best)
     return pd.concat(parts)
+
+
+def coverage(shapes: np.ndarray, sd: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:
+    """Share of the coordinates of each face that are within one and two of their s.d. `(n,)`."""
+    off = np.abs(shapes - truth) / sd
+    return {f"within_{n}_sd": (off <= n).mean((1, 2)) for n in (1, 2)}
 
 
 def summarise(errors: pd.DataFrame) -> pd.DataFrame:

@@ -26,6 +26,7 @@ from experiments.released_weights.bfm_mean import SCHEME, about_mean, authors_fi
 from experiments.released_weights.train import trained_file, trainings
 from experiments.run import AUTHORS_FILES, SECOND_NET, Run
 from experiments.scoring.numbers import power, rounded
+from experiments.scoring.published import published_mse
 from experiments.scoring.scores import score
 from experiments.streams import Stream
 from experiments.studies.study_results import write_results
@@ -33,7 +34,7 @@ from experiments.studies.study_results import write_results
 SCALES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.75, 2.0)
 VIEWS = {"released": "views of the released code", "paper": "views as in the text"}
 NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": SECOND_NET}
-PRINTED = {"printed": 1.4e-4, "printed_trivial": 2.9e-4}
+_PUBLISHED = {"deep_mds": ("Deep-MDS", (4, 2)), "deep_mds_constant": ("trivial case", (1, 1))}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {
     "released": Look("authors' networks", colour("deep_mds"), marker("deep_mds")),
@@ -41,8 +42,6 @@ _LOOKS = {
     "deep_mds_constant": Look(_CONSTANT, colour("zhao"), "^"),
     "random_face": Look("a random face, for all views", "#117733", "v"),
     "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
-    "printed": Look("published: Deep-MDS, 1.4", INK, "", (0, (4, 2))),
-    "printed_trivial": Look("published: trivial case, 2.9", INK, "", (0, (1, 1))),
 }
 _CONSTANTS = 25  # outputs, and faces, over which the error of one answer to all views is averaged
 _UNIT = 1e-4
@@ -160,14 +159,18 @@ def cells(released: pd.DataFrame) -> pd.DataFrame:
 
 def draw_released(released: pd.DataFrame) -> Figure:
     """Errors of all answers by the scale of the s.d., one panel per model and kind of views."""
-    panels = []
+    panels, published, looks = [], {}, dict(_LOOKS)
+    for method, (name, dashes) in _PUBLISHED.items():
+        published[name] = published_mse(method)
+        label = f"published: {name}, {published[name] / _UNIT:.1f}"
+        looks[name] = Look(label, INK, "", (0, dashes))
     for (sd_of, views), rows in released.groupby(["sd_of", "views"], sort=False):
         rows = rows.rename(columns={"answer": "method", "mse": "mean"})
-        lines = [level(rows["scale"], name, mse) for name, mse in PRINTED.items()]
+        lines = [level(rows["scale"], name, mse) for name, mse in published.items()]
         rows = pd.concat([rows, *lines])
         title = f"S.d. of {TITLES[sd_of]}, {VIEWS[views]}"
         panels.append(Panel(rows, "scale", "Scale of the s.d.", title))
-    return error_lines(panels, looks=_LOOKS, interval="95 % interval", n_columns=2, log_y=False)
+    return error_lines(panels, looks=looks, interval="95 % interval", n_columns=2, log_y=False)
 
 
 def draw_trained(trained: pd.DataFrame) -> Figure:

@@ -37,6 +37,7 @@ rule released_networks:
         record("bfm", "released_weights"),
         results(plan.shared("released-weights"), "released.csv", "trained.csv", "table.tex")
         if IS_OPEN else results("released-weights", "released.csv", "table.tex"),
+    params: published=plan.published
     threads: workflow.cores
     shell: step("released_weights.score", uses=["data", "authors"])
 

@@ -39,6 +39,12 @@ def published(experiment: str) -> pd.DataFrame:
     return pd.concat([rows[["method", "metric"]], numbers, notes], axis=1)
 
 
+def published_mse(method: str) -> float:
+    """What the paper prints as the error of a method on the BFM, in plain units."""
+    errors = published("bfm").query("metric == 'mse'").set_index("method")
+    return errors["paper_mean"][method]
+
+
 def paper_table(experiment: str) -> pd.DataFrame:
     """Cells of the paper's own table: `table, row, column, method, metric, printed`.
 

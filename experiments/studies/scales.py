@@ -8,7 +8,7 @@ from experiments.figures.style import INK, Look
 from experiments.methods import title
 from experiments.run import Run
 from experiments.scoring.numbers import between
-from experiments.scoring.published import published
+from experiments.scoring.published import published_mse
 from experiments.studies.scale import scores_file, trainings
 from experiments.studies.study_results import write_results
 
@@ -66,7 +66,7 @@ def draw(table: pd.DataFrame) -> Figure:
     """Errors against the scale, with the error that the paper prints for Deep-MDS as a line."""
     names = {"mse": "mean", "mse_lowest": "low", "mse_highest": "high"}
     rows = table[table["method"] != _NOT_DRAWN].rename(columns=names)
-    mse = published("bfm").query("metric == 'mse'").set_index("method")["paper_mean"]["deep_mds"]
+    mse = published_mse("deep_mds")
     line = level(rows["scale"], _PRINTED, mse)
     label = "Scale of the s.d. of 3DDFA's fits"
     looks = {_PRINTED: Look(f"published: Deep-MDS, {mse / _UNIT:.1f}", INK, "", (0, (4, 2)))}

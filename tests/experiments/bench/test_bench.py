@@ -1,6 +1,6 @@
 """The compared ways do the same, and their times are those of the same faces."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.embedding import embed
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
-from deepmds_keras.geometry.views import Cameras, rotations
+from deepmds_keras.geometry.views import Cameras, project, rotations
 from deepmds_keras.training import Recipe, train_dissimilarity_net
 from experiments.bench import released_code as released
 from experiments.bench.bench import training, with_ratios
@@ -80,6 +80,15 @@ def test_from_above_an_azimuth_is_a_roll_and_an_elevation_a_pitch(angles, azimut
     values |= {name: np.array([angle]) for name, angle in angles.items()}
     rotation = rotations(Cameras(**values))[0]
     np.testing.assert_allclose(viewmtx(azimuth, elevation)[:3, :3], rotation, atol=1e-12)
+
+
+def test_released_views_without_perspective_are_ours(faces):
+    """Up to position, size and turn in the image: ours have other axes."""
+    cameras = replace(faces.cameras, field_of_view=np.zeros(len(faces)))
+    orthographic = replace(cameras, projection=np.zeros(len(faces), int))
+    expected = project(faces.landmarks, orthographic)
+    views = align(released.released_views(faces.landmarks, cameras), expected, reflection=False)
+    np.testing.assert_allclose(views, expected, atol=1e-4)
 
 
 def test_solvers_agree_on_what_the_shipped_networks_predict(networks, faces):

@@ -61,6 +61,15 @@ def test_tables_have_a_mean_over_seeds_and_a_reason_for_what_is_empty(errors):
     assert cells.loc["Deep-MDS, cosine schedule"].tolist() == 4 * ["1,000"] + 3 * ["–"]
 
 
+def test_normal_errors_are_within_their_sd_as_often_as_tables_say():
+    rng = np.random.default_rng(0)
+    sd = rng.uniform(0.5, 3, (4, 5000, 3))
+    truth = rng.standard_normal(sd.shape)
+    within = hard.coverage(truth + sd * rng.standard_normal(sd.shape), sd, truth)
+    np.testing.assert_allclose(within["within_1_sd"], 0.6827, atol=0.02)
+    np.testing.assert_allclose(within["within_2_sd"], 0.9545, atol=0.01)
+
+
 def test_every_condition_has_its_network_and_one_has_three_seeds():
     names = lifting_networks(Run("openhead", FULL), "hard")
     assert len({*names}) == len(names) == 4 + 5 + 2
