@@ -15,7 +15,7 @@ from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.streams import Stream
-from deepmds_keras.validation import check_points
+from deepmds_keras.validation import as_numbers, find_faults
 
 _HELD_OUT = 10  # one in so many shapes is left for the report
 _VIEWS = 20_000  # to train on, at least: twice as many gain nothing
@@ -103,7 +103,14 @@ def _read_shapes(path: Path) -> np.ndarray:
             f"{path} must hold shapes (n, L, 3) with {LEAST_VISIBLE} landmarks or more. "
             f"Received {shapes.shape}."
         )
-    shapes = np.unique(check_points(shapes, f"{path}:", 3), axis=0)
+    shapes = as_numbers(shapes, f"{path}:")
+    faults = find_faults(shapes)
+    for shape, fault in faults.items():
+        raise InputError(
+            f"{path}, shape {shape + 1} of {len(shapes)}, {fault}. "
+            f"Shapes to leave out or mend: {len(faults)}."
+        )
+    shapes = np.unique(shapes, axis=0)
     if len(shapes) < _HELD_OUT:
         raise InputError(
             f"{path} must hold {_HELD_OUT} different shapes or more, some for the report. "
