@@ -10,6 +10,7 @@ import runs
 from deepmds_keras.networks import build_autoencoder, forward
 from experiments.studies.seed import recalibrate_batchnorm
 from experiments.studies.seeds import seed_statistics
+from experiments.studies.study_results import statistics_cells
 
 
 def test_recalibrated_statistics_are_those_of_the_given_faces():
@@ -32,6 +33,17 @@ def test_spread_is_over_the_seeds_of_a_method():
     ours = table.loc["deep_mds", ["median", "mean", "std", "min", "max", "count"]]
     assert ours.tolist() == [2, 4, pytest.approx(19**0.5), 1, 9, 3]
     assert table.index.tolist() == ["deep_mds", "deep_mds_cosine"]
+
+
+def test_readers_see_words_units_and_whole_counts():
+    rows = [("ridge", "mse", 1.5e-5, 1200), ("ridge", "autoencoder_mse_train", 2e-4, 3)]
+    table = pd.DataFrame(rows, columns=["method", "metric", "standard_error", "count"])
+    cells = statistics_cells(table).reset_index()
+    assert cells.to_numpy().tolist() == [
+        ["Ridge regression", "MSE (10⁻⁴)", "0.15", "1,200"],
+        ["Ridge regression", "autoencoder's MSE, training mode (10⁻⁴)", "2", "3"],
+    ]
+    assert [*cells] == ["method", "metric", "standard error", "count"]
 
 
 @pytest.mark.slow
