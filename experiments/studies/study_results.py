@@ -14,18 +14,21 @@ from experiments.methods import title
 from experiments.records import new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.latex import tabular
-from experiments.scoring.numbers import plus_minus, scientific
+from experiments.scoring.metrics import METRICS
+from experiments.scoring.numbers import plus_minus, power, scientific
 
 _NOTHING = 1e-12  # an error that is rounding
-_HEADS = {  # of metrics, for readers, with the unit
-    "mse": ("MSE (10⁻⁴)", 1e-4),
-    "mse_mm2": ("MSE (mm²)", 1),
-    "depth_corr": ("depth correlation", 1),
-    "reflection_rate": ("share mirrored", 1),
-    "mirrored": ("share mirrored", 1),
-    "autoencoder_mse_train": ("autoencoder's MSE, training mode (10⁻⁴)", 1e-4),
-    "autoencoder_mse_inference": ("autoencoder's MSE, inference mode (10⁻⁴)", 1e-4),
-    "autoencoder_mse_reestimated": ("autoencoder's MSE, recomputed statistics (10⁻⁴)", 1e-4),
+_UNIT = 1e-4  # in which these are shown
+_IN_UNIT = {
+    "mse": METRICS["mse"].head,
+    "autoencoder_mse_train": "autoencoder's MSE, training mode",
+    "autoencoder_mse_inference": "autoencoder's MSE, inference mode",
+    "autoencoder_mse_reestimated": "autoencoder's MSE, recomputed statistics",
+}
+_HEADS = {
+    **{metric.id: metric.head for metric in METRICS.values()},
+    "mirrored": METRICS["reflection_rate"].head,  # of one face
+    **{metric: f"{head} ({power(_UNIT)})" for metric, head in _IN_UNIT.items()},
 }
 
 
@@ -75,10 +78,9 @@ def grid(table: pd.DataFrame, rows: str | list[str], columns: str, unit: float) 
 
 def statistics_cells(table: pd.DataFrame) -> pd.DataFrame:
     """Texts with five digits for statistics by `method` and `metric`; counts are whole."""
-    heads = {metric: _HEADS.get(metric, (metric, 1)) for metric in table["metric"]}
     rows = table.assign(method=table["method"].map(title)).set_index(["method", "metric"])
-    units = [heads[metric][1] for _, metric in rows.index]
+    units = [_UNIT if metric in _IN_UNIT else 1 for _, metric in rows.index]
     counts = rows.select_dtypes("integer").map("{:,}".format)
     cells = rows.drop(columns=counts).div(units, axis=0).map(scientific, digits=5)
-    cells = cells.join(counts)[[*rows]].rename(lambda metric: heads[metric][0], level="metric")
+    cells = cells.join(counts)[[*rows]].rename(_HEADS, level="metric")
     return cells.rename(columns=lambda name: name.replace("_", " "))
