@@ -70,6 +70,10 @@ def _noise_note(run: Run, detected: np.ndarray) -> str:
     )
 
 
+def _map_learnt_note(run: Run, detected: np.ndarray) -> str:
+    return "not in the paper; told the noise of a detector, as LandmarkLifter is"
+
+
 def _landmark_lifter_note(run: Run, detected: np.ndarray) -> str:
     note = f"not in the paper; trained for {run.preset.lifting_steps:,} steps of 128 faces"
     noise = _noise_note(run, detected)
@@ -196,8 +200,9 @@ _ROWS = (
         colour="#3D2B00", marker="v", drawn=False, complexity="O(t (n^3 + n k))",
     ),
     Method(
-        id="map_learnt", title="MAP fit, learnt components",
+        id="map_learnt", title="MAP fit, learnt components", tracks=("flame",),
         description="the same fit, of the principal components of the training shapes",
+        build=recipes.LearntMapFit, one_by_one=True, note=_map_learnt_note,
         colour="#3D2B00", marker="^", drawn=False,
     ),
     Method(

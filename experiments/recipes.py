@@ -33,6 +33,7 @@ LANDMARK_NOISE = 0.2
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
 _MLP_EPOCHS = 20
 _LEAST_PERSPECTIVE_SD = 1e-3  # where all views are orthographic
+_LEAST_COMPONENT_SD = 0.003  # of normalised shapes: what is below it moves no landmark visibly
 # Of the authors' release, by track.
 ZHAO_FILES = dict.fromkeys(("bfm", "celeba"), ("deep_PAMI_occ_5000.h5",))
 ZHAO_FILES |= {"flame": ("deep_PAMI_depth_FLAME.h5",)}
@@ -145,6 +146,26 @@ def map_fit(run: Run):
     mean, basis = load_landmark_model(run)
     cameras = load_faces(run, "train").cameras
     return MapFit(mean, basis, perspective=moments(perspectives(cameras.field_of_view, mean)))
+
+
+class LearntMapFit:
+    """Fit of the principal components of training faces, told the noise of a detector.
+
+    It assumes what LandmarkLifter assumes, see `load_landmark_lifter`.
+    """
+
+    def __init__(self, run: Run):
+        from deepmds_keras.baselines.map_fit import MapFit, principal_components
+        from deepmds_keras.geometry.views import perspectives
+
+        train = load_faces(run, "train")
+        mean, basis = principal_components(train.shapes, _LEAST_COMPONENT_SD)
+        prior = moments(perspectives(train.cameras.field_of_view, mean))
+        self._fit = MapFit(mean, basis, perspective=prior)
+        self.n_parameters = mean.size + basis.size
+
+    def predict(self, views: np.ndarray) -> np.ndarray:
+        return self._fit.predict(views, LANDMARK_NOISE / 2 * rms_radius(views))
 
 
 def moments(perspectives: np.ndarray) -> tuple[float, float]:
