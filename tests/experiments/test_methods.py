@@ -1,11 +1,13 @@
 """The registry of the methods: loading one never trains, and it is run where its row says."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deepmds_keras import InputError, align, normalise
+from deepmds_keras.baselines.map_fit import MapFit, principal_components
 from deepmds_keras.geometry.units import rms_radius
 from experiments import recipes
 from experiments.inputs import load_faces
@@ -64,6 +66,24 @@ def test_errors_in_training_are_drawn_for_each_face_where_a_detector_finds_those
     errors = (align(moved, views) - views).std((1, 2)) / rms_radius(views)
     assert errors.mean() == pytest.approx(recipes.LANDMARK_NOISE / 2, rel=0.05)
     assert errors.std() == pytest.approx(recipes.LANDMARK_NOISE / 12**0.5, rel=0.1)
+
+
+def test_the_fit_of_learnt_components_expects_the_noise_of_a_detector(monkeypatch):
+    """Told none, it takes the noise for the face."""
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(size=(51, 3)), 0.02 * rng.normal(size=(60, 51, 3))
+    shapes = mean + np.tensordot(rng.normal(size=(600, 60)), basis, 1)
+    train, test = shapes[:500], shapes[500:]
+    cameras = SimpleNamespace(field_of_view=np.zeros(500))
+    faces = SimpleNamespace(shapes=train, cameras=cameras)
+    monkeypatch.setattr(recipes, "load_faces", lambda run, part: faces)
+    sd = recipes.LANDMARK_NOISE / 2 * rms_radius(test[..., :2])
+    views = test[..., :2] + sd[:, None, None] * rng.normal(size=(100, 51, 2))
+    untold = MapFit(*principal_components(train, 1e-3)).predict(views)
+    told = recipes.LearntMapFit(Run(preset=TINY, track="flame")).predict(views)
+    constant = np.broadcast_to(train.mean(0), test.shape)
+    error = [((align(found, test) - test) ** 2).mean() for found in (told, untold, constant)]
+    assert error[0] < 0.5 * min(error[1:])
 
 
 def test_methods_that_share_a_network_are_trained_one_after_the_other():
