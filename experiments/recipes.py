@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 # The authors train Zhao's net on the first 3,000 of their faces, seen from the front.
 _ZHAO_AUTHORS_FACES = 3000
 # Largest s.d. of the noise in training that stands for a detector's, in r.m.s. radii of a view.
-# Half of it, which the lifting network then expects, is 5 % of the interocular distance.
 LANDMARK_NOISE = 0.2
+# What methods that are told the noise of a detector expect: 5 % of the interocular distance.
+DETECTOR_SD = LANDMARK_NOISE / 2
 # MobileFace's learning rate by schedule. With a cosine, 0.002 and 30,000 steps come within 5 % of
 # the error of the 100,000 constant steps at 0.001 in the authors' code; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
@@ -140,32 +141,29 @@ def aldrian_authors(run: Run):
 
 def map_fit(run: Run):
     """The fit that knows the face model, and how far away the cameras of the training views are."""
-    from deepmds_keras.baselines.map_fit import MapFit
-    from deepmds_keras.geometry.views import perspectives
-
-    mean, basis = load_landmark_model(run)
-    cameras = load_faces(run, "train").cameras
-    return MapFit(mean, basis, perspective=moments(perspectives(cameras.field_of_view, mean)))
+    return _map_fit(*load_landmark_model(run), load_faces(run, "train").cameras)
 
 
 class LearntMapFit:
-    """Fit of the principal components of training faces, told the noise of a detector.
-
-    It assumes what LandmarkLifter assumes, see `load_landmark_lifter`.
-    """
+    """Fit of the principal components of the training faces, told the noise of a detector."""
 
     def __init__(self, run: Run):
-        from deepmds_keras.baselines.map_fit import MapFit, principal_components
-        from deepmds_keras.geometry.views import perspectives
+        from deepmds_keras.baselines.map_fit import principal_components
 
         train = load_faces(run, "train")
         mean, basis = principal_components(train.shapes, _LEAST_COMPONENT_SD)
-        prior = moments(perspectives(train.cameras.field_of_view, mean))
-        self._fit = MapFit(mean, basis, perspective=prior)
+        self._fit = _map_fit(mean, basis, train.cameras)
         self.n_parameters = mean.size + basis.size
 
     def predict(self, views: np.ndarray) -> np.ndarray:
-        return self._fit.predict(views, LANDMARK_NOISE / 2 * rms_radius(views))
+        return self._fit.predict(views, DETECTOR_SD * rms_radius(views))
+
+
+def _map_fit(mean: np.ndarray, basis: np.ndarray, cameras):
+    from deepmds_keras.baselines.map_fit import MapFit
+    from deepmds_keras.geometry.views import perspectives
+
+    return MapFit(mean, basis, perspective=moments(perspectives(cameras.field_of_view, mean)))
 
 
 def moments(perspectives: np.ndarray) -> tuple[float, float]:
@@ -257,7 +255,7 @@ def load_landmark_lifter(run: Run, model, checkpoint: Path):
     """Load the best weights; the checkpoint holds the last ones."""
     lifter = type(model).load(run.network_file("landmark_lifter"))
     if run.track == "flame":  # a detector's errors exceed those of good landmarks
-        lifter.default_sd_ = LANDMARK_NOISE / 2
+        lifter.default_sd_ = DETECTOR_SD
     return lifter
 
 

@@ -77,7 +77,7 @@ def test_the_fit_of_learnt_components_expects_the_noise_of_a_detector(monkeypatc
     cameras = SimpleNamespace(field_of_view=np.zeros(500))
     faces = SimpleNamespace(shapes=train, cameras=cameras)
     monkeypatch.setattr(recipes, "load_faces", lambda run, part: faces)
-    sd = recipes.LANDMARK_NOISE / 2 * rms_radius(test[..., :2])
+    sd = recipes.DETECTOR_SD * rms_radius(test[..., :2])
     views = test[..., :2] + sd[:, None, None] * rng.normal(size=(100, 51, 2))
     untold = MapFit(*principal_components(train, 1e-3)).predict(views)
     told = recipes.LearntMapFit(Run(preset=TINY, track="flame")).predict(views)
