@@ -135,7 +135,10 @@ def check_face_model(mean, basis_times_sd) -> tuple[np.ndarray, np.ndarray]:
         InputError: As for `check_basis`, or a mean that is unusable or flat, of which no camera is
             known.
     """
-    mean = check_points(mean, "mean", 3)[0]
+    means = check_points(mean, "mean", 3)
+    if len(means) > 1:
+        raise InputError(f"mean must be one face, (landmarks, 3). Received {len(means)} faces.")
+    mean = means[0]
     extents = np.linalg.svd(mean - mean.mean(0), compute_uv=False)
     if extents[2] < _FLAT * extents[0]:
         raise InputError("mean must not be flat. Received landmarks in one plane.")
@@ -149,7 +152,8 @@ def check_basis(basis, name: str, n_landmarks: int) -> np.ndarray:
         InputError: Another shape, no component, or NaN, infinity or masked numbers.
     """
     basis = as_numbers(basis, name)
-    if basis.shape != (max(len(basis), 1), n_landmarks, 3) or not np.isfinite(basis).all():
+    usable = basis.ndim == 3 and len(basis) and basis.shape[1:] == (n_landmarks, 3)
+    if not usable or not np.isfinite(basis).all():
         raise InputError(
             f"{name} must be finite, of shape (components >= 1, {n_landmarks}, 3). "
             f"Received shape {basis.shape}."

@@ -19,7 +19,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from data_gen.models.registry import TITLES
 from deepmds_keras import __version__
 from deepmds_keras.files import sha256_of, write_bytes
-from deepmds_keras.landmarks import FOLDER
+from deepmds_keras.landmarks import DETECTOR_ERRORS
 from docs.latex import Grid, in_latex
 from experiments.lifting.variants import STEPS
 from experiments.methods import METHODS, title
@@ -77,7 +77,7 @@ class Results:
             file
             for folder in folders
             for path in (self._folder / folder).rglob("manifest.json")
-            for step in read_manifest(path.parent).get("steps", ())
+            for step in steps_of(read_manifest(path.parent))
             for file in step.get("inputs", {}).items()
         ]
         return pd.DataFrame(sorted({*files}), columns=["name", "sha256"])
@@ -250,7 +250,7 @@ def _significant(value: float, digits: int = 2) -> str:
     """So many significant digits, zeros included."""
     if pd.isna(value):
         return NOTHING
-    if value < 1e-6 or value >= 1000:
+    if value < 1e-6 or value >= 10**digits - 0.5:
         return f"{value:,.0f}"
     if value < 1e-3:
         return np.format_float_positional(value, precision=1, unique=False, fractional=False)
@@ -290,7 +290,7 @@ def pages(results: Results) -> dict[str, str]:
         "steps": STEPS,
         "preset": FULL,
         "version": __version__,
-        "detectors_sha256": sha256_of([FOLDER / "detectors.csv"]),
+        "detectors_sha256": sha256_of([DETECTOR_ERRORS]),
     }
     article = in_latex(environment)
     texts = {}

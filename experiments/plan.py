@@ -12,7 +12,7 @@ from pathlib import Path
 from data_gen.models.registry import OPEN, model_files, open_model_files
 from deepmds_keras.baselines.eos_fit import surrey_files
 from deepmds_keras.files import sha256_of
-from deepmds_keras.landmarks import FOLDER
+from deepmds_keras.landmarks import DETECTOR_ERRORS
 from deepmds_keras.weights import PRETRAINED
 from experiments.inputs import IMAGE_STEPS, TRAINING_IMAGES, embedding_file
 from experiments.methods import METHODS, methods_of
@@ -29,7 +29,6 @@ TABLES = (
     "figures/summary.png",
 )
 # What steps read of the package that other steps may have written.
-DETECTORS = FOLDER / "detectors.csv"
 _ALWAYS = ("model", "bfm_scale", "preset", "protocol")
 
 
@@ -78,7 +77,7 @@ class Plan:
         self.tf_flame = _matching(f"{glob.escape(run.tf_flame)}/*.*") if run.tf_flame else []
         self.surrey = surrey_files(run.sfm) if run.sfm else []
         self.published = sha256_of(sorted(PUBLISHED.glob("*.csv")))
-        self.shipped = [*sorted(PRETRAINED.glob("*.npz")), DETECTORS]
+        self.shipped = [*sorted(PRETRAINED.glob("*.npz")), DETECTOR_ERRORS]
         self.begun = run.build / run.model / "begun"
         if not self.begun.exists():
             write_text(self.begun, f"{datetime.datetime.now(datetime.UTC).isoformat()}\n")
@@ -143,9 +142,8 @@ class Plan:
 
     def trains_on_images(self, track: str) -> bool:
         """Whether a network that sees images is trained, which takes longer than all others."""
-        return {*self.compared(track)} & {
-            m.id for m in METHODS.values() if m.sees_images and m.data
-        }
+        methods = (METHODS[method] for method in self.compared(track))
+        return any(method.sees_images and method.data for method in methods)
 
     def predictions(self, track: str, methods: Iterable[str], seed: int | None = None) -> list[str]:
         """Records of methods' predictions."""

@@ -32,7 +32,6 @@ DETECTOR_SD = LANDMARK_NOISE / 2
 # MobileFace's learning rate by schedule. With a cosine, 0.002 and 30,000 steps come within 5 % of
 # the error of the 100,000 constant steps at 0.001 in the authors' code; 0.001 and 20,000 do not.
 MOBILEFACE_RATES = {"cosine": 2e-3, "constant": 1e-3}
-_MLP_EPOCHS = 20
 _LEAST_PERSPECTIVE_SD = 1e-3  # where all views are orthographic
 _LEAST_COMPONENT_SD = 0.003  # of normalised shapes: what is below it moves no landmark visibly
 # Of the authors' release, by track.
@@ -141,7 +140,8 @@ def aldrian_authors(run: Run):
 
 def map_fit(run: Run):
     """The fit that knows the face model, and how far away the cameras of the training views are."""
-    return _map_fit(*load_landmark_model(run), load_faces(run, "train").cameras)
+    fields_of_view = load_faces(run, "train").cameras.field_of_view
+    return map_fit_of(*load_landmark_model(run), fields_of_view)
 
 
 class LearntMapFit:
@@ -152,23 +152,21 @@ class LearntMapFit:
 
         train = load_faces(run, "train")
         mean, basis = principal_components(train.shapes, _LEAST_COMPONENT_SD)
-        self._fit = _map_fit(mean, basis, train.cameras)
+        self._fit = map_fit_of(mean, basis, train.cameras.field_of_view)
         self.n_parameters = mean.size + basis.size
 
     def predict(self, views: np.ndarray) -> np.ndarray:
         return self._fit.predict(views, DETECTOR_SD * rms_radius(views))
 
 
-def _map_fit(mean: np.ndarray, basis: np.ndarray, cameras):
+def map_fit_of(mean: np.ndarray, basis: np.ndarray, fields_of_view: np.ndarray):
+    """The fit of a face model whose prior of the perspective is that of cameras."""
     from deepmds_keras.baselines.map_fit import MapFit
     from deepmds_keras.geometry.views import perspectives
 
-    return MapFit(mean, basis, perspective=moments(perspectives(cameras.field_of_view, mean)))
-
-
-def moments(perspectives: np.ndarray) -> tuple[float, float]:
-    """Mean and s.d. of perspectives, a prior of `MapFit`."""
-    return float(perspectives.mean()), max(float(perspectives.std()), _LEAST_PERSPECTIVE_SD)
+    known = perspectives(fields_of_view, mean)
+    prior = float(known.mean()), max(float(known.std()), _LEAST_PERSPECTIVE_SD)
+    return MapFit(mean, basis, perspective=prior)
 
 
 class MediaPipe:
@@ -226,7 +224,7 @@ def deep_mds_weights(run: Run):
     return model.set_params(n_jobs=run.jobs, solver="sklearn")
 
 
-def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int = 0) -> list[keras.Model]:
+def deep_mds_networks(variant: str, n_landmarks: int, n_coefficients: int) -> list[keras.Model]:
     """Build both networks, to count their parameters."""
     from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 
@@ -263,9 +261,9 @@ def mlp(run: Run, n_landmarks: int | None = None):
     """The MLP, for the run's landmarks trained for as many steps as `landmark_lifter`."""
     from deepmds_keras.baselines.mlp import MLP
 
-    steps = -(-run.preset.lifting_steps // _MLP_EPOCHS)
+    steps = -(-run.preset.lifting_steps // MLP.epochs)
     n_landmarks = n_landmarks or len(load_scheme(run.scheme))
-    return MLP(n_landmarks, epochs=_MLP_EPOCHS, steps_per_epoch=steps, seed=run.seed)
+    return MLP(n_landmarks, steps_per_epoch=steps, seed=run.seed)
 
 
 def zhao(run: Run, *, as_authors: bool = False):

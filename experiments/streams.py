@@ -5,10 +5,7 @@ from enum import IntEnum, unique
 
 @unique
 class Stream(IntEnum):
-    """Number after the seed; numbers of files, subjects or photos may follow it.
-
-    They start at 101, since `deepmds_keras.weights` uses those below 100 for training.
-    """
+    """Number after the seed; numbers of files, subjects or photos may follow it."""
 
     TRAIN_FACES = 101
     TEST_FACES = 102

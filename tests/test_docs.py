@@ -39,6 +39,7 @@ from docs import make_docs
 from docs.make_docs import Results, pages
 from experiments.presets import FULL, PRESETS
 from experiments.recipes import MOBILEFACE_FILES, MOBILEFACE_RATES, ZHAO_FILES
+from experiments.records import write_json
 from experiments.run import AUTHORS_FILES, EVALUATORS
 
 FOLDER = committed().resolve()
@@ -125,6 +126,19 @@ def test_a_run_of_one_seed_is_written_into_the_pages_and_named(changed):
     one, results = changed(lambda table: table.drop(columns=["n_seeds", *_OF_SEEDS]))
     assert results.of_one_seed == {"openhead/bfm"}
     assert "ridge regression" in one["README.md"]
+
+
+def test_files_that_all_steps_of_a_folder_read_are_listed_too(tmp_path):
+    manifest = {"inputs": {"a.npz": "12"}, "steps": [{}, {}]}
+    write_json(tmp_path / "folder" / "manifest.json", manifest)
+    assert [*Results(tmp_path).files_read("folder")["name"]] == ["a.npz"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.4567, "0.46"), (99.4, "99"), (99.7, "100"), (123.4, "123")]
+)
+def test_digits_never_become_an_exponent(value, text):
+    assert make_docs._significant(value) == text
 
 
 def test_a_sentence_that_is_no_longer_true_is_named(changed, monkeypatch, tmp_path):

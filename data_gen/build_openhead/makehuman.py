@@ -50,14 +50,11 @@ class MakeHumanAssets:
         face_uv: `(F, 4)` int, texture coordinate of each corner.
         mirror: `(V,)` int, the vertex on the other side.
 
-    Args:
-        base_sha256: What base.obj must hash to; None takes any.
-
     Raises:
         InputError: Not a zip, a file is missing from it, or base.obj is another one.
     """
 
-    def __init__(self, wheel: Path, base_sha256: str | None = BASE_OBJ_SHA256):
+    def __init__(self, wheel: Path):
         self._path = wheel
         try:
             self._zip = zipfile.ZipFile(wheel)
@@ -65,9 +62,9 @@ class MakeHumanAssets:
             raise InputError(f"{wheel} must be the wheel {WHEEL}. Received: {error}.") from None
         text = self._read(ASSETS + "3dobjs/base.obj")
         digest = hashlib.sha256(text).hexdigest()
-        if base_sha256 not in (None, digest):
+        if digest != BASE_OBJ_SHA256:
             raise InputError(
-                f"{wheel}: base.obj must have the sha256 {base_sha256}. Received {digest}."
+                f"{wheel}: base.obj must have the sha256 {BASE_OBJ_SHA256}. Received {digest}."
             )
         rows, groups = {"v": [], "vt": [], "f": [], "g": [""]}, []
         for line in text.decode("utf-8").splitlines():

@@ -18,6 +18,7 @@ from deepmds_keras.landmarks.scheme import (
 from deepmds_keras.validation import as_numbers
 
 FOLDER = Path(__file__).parent
+DETECTOR_ERRORS = FOLDER / "detectors.csv"
 _UNNAMED = "unnamed-"
 
 

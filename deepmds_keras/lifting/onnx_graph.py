@@ -10,7 +10,7 @@ import numpy as np
 TYPES = {"f": 1, "b": 9}  # of ONNX, for kinds of NumPy
 _REDUCTIONS = {"sum": "ReduceSum", "mean": "ReduceMean"}
 _ELEMENTWISE = {
-    **{"exp": "Exp", "log": "Log", "sqrt": "Sqrt", "tanh": "Tanh", "abs": "Abs"},
+    **{"exp": "Exp", "log": "Log", "sqrt": "Sqrt", "tanh": "Tanh"},
     **{"maximum": "Max", "clip": "Clip", "isnan": "IsNaN"},
 }
 

@@ -20,10 +20,9 @@ from experiments.run import Run
 from experiments.scoring.intervals import ONE_TRAINING, Estimate
 from experiments.scoring.numbers import power, scientific
 from experiments.scoring.old_names import read_table
+from experiments.scoring.verdict import PROTOCOLS
 
 CLAIMS = PUBLISHED / "claims.csv"
-# By which a claim is judged: id → words.
-PROTOCOLS = {"authors": "by the authors' protocol", "faithful": "with faithful baselines"}
 _DRAWN = ("mean_shape", "zhao", "aldrian", "deep_mds", "landmark_lifter")
 _PAGE = Path(__file__).with_name("claims.md.j2")
 

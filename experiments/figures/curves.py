@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from experiments.figures.errors import Panel, error_lines, plain_log_ticks
-from experiments.figures.style import INK, Look, colour, styled
+from experiments.figures.style import INK, Look, look, styled
 from experiments.methods import title
 
 FIRST_EPOCH = 3  # earlier losses would hide all later differences
@@ -59,7 +59,7 @@ def learning_curves(
         (name, label, unit, records), first = panel, 1
         for method, record in records.items():
             for mode, losses in record.items():
-                style = {"color": colour(method), "ls": _MODES[mode][0], "lw": 1.1}
+                style = {"color": look(method).colour, "ls": _MODES[mode][0], "lw": 1.1}
                 first = min(FIRST_EPOCH, max(1, len(losses) - 1))
                 epochs = range(first, len(losses) + 1)
                 axes.plot(epochs, np.divide(losses[first - 1 :], unit), **style)
@@ -67,7 +67,7 @@ def learning_curves(
         axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         axes.grid(axis="y")
         plain_log_ticks(axes.yaxis)
-    methods = [{"color": colour(m), "label": title(m)} for m in [*histories, *of_images]]
+    methods = [{"color": look(m).colour, "label": title(m)} for m in [*histories, *of_images]]
     modes = [{"color": INK, "ls": s, "label": f"training faces, {m}"} for s, m in _MODES.values()]
     for looks, place in ((methods, "upper"), (modes, "lower")):
         handles = [Line2D([], [], **look) for look in looks]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deepmds_keras.landmarks import LandmarkScheme
-from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
+from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, look, styled
 from experiments.figures.wireframe import (
     bare,
     draw_error_map,
@@ -150,7 +150,7 @@ def fits(
         bins = np.linspace(0, np.quantile(np.concatenate([*distances.values()]), 0.995), 50)
         for method, values in distances.items():
             label = f"{title(method)}: median {np.median(values):.1f} mm"
-            axes.hist(values, bins, histtype="step", color=colour(method), label=label)
+            axes.hist(values, bins, histtype="step", color=look(method).colour, label=label)
         axes.set_xlabel("Root mean square distance from the true landmarks (mm)")
         axes.set_ylabel("Test faces")
         axes.margins(y=0.4)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deepmds_keras.landmarks import LandmarkScheme
-from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, colour, styled
+from experiments.figures.style import DETECTED_COLOUR, INK, TRUTH_COLOUR, look, styled
 from experiments.figures.wireframe import (
     bare,
     draw_photo,
@@ -118,7 +118,9 @@ def qualitative(
                 _write(axes, (0, 0), "N/A", va="center")
                 continue
             _draw_views(axes, true_shape, scheme, TRUTH_COLOUR, places)
-            _draw_views(axes, score.aligned[face] - centres[row], scheme, colour(method), places)
+            _draw_views(
+                axes, score.aligned[face] - centres[row], scheme, look(method).colour, places
+            )
             digits = f"{score.mse[face] / unit:#.3g}".rstrip(".")
             weight = "bold" if score.mse[face] == np.nanmin(of_row) else "normal"
             _write(axes, score_place, digits, va="top", weight=weight)
@@ -189,7 +191,7 @@ def gallery(
                 axes.text(0.5, 0.5, "N/A", ha="center", transform=axes.transAxes, color=INK)
                 continue
             places = (-(depth + pad) / 2, 0), ((width + pad) / 2, 0)
-            _draw_views(axes, predicted[row] - centre, scheme, colour(method), places)
+            _draw_views(axes, predicted[row] - centre, scheme, look(method).colour, places)
             bare(axes, (-across / 2, across / 2, -down / 2, down / 2))
     for axes, name in zip(panels[0], ("Photo", *map(title, shapes)), strict=True):
         axes.set_title(textwrap.fill(name, 16), color=INK, weight="bold", fontsize=6.5)

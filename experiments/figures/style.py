@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from deepmds_keras.files import write_bytes
-from experiments.methods import METHODS, method_of
+from experiments.methods import method_of
 
 # Decorates a function to draw in this style, whatever the settings of its caller.
 styled = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"))
@@ -44,16 +44,6 @@ def look(method: str, looks: Mapping[str, Look] = {}) -> Look:
         return looks[method]
     row = method_of(method)
     return Look(row.title, row.colour, row.marker, row.dashes)
-
-
-def colour(method: str) -> str:
-    """Colour of a method id, the same in every figure."""
-    return METHODS[method].colour if method in METHODS else INK
-
-
-def marker(method: str) -> str:
-    """Marker of a method id, so that no figure depends on colour alone."""
-    return METHODS[method].marker if method in METHODS else "o"
 
 
 def method_legend(

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.figures.errors import plain_log_ticks
-from experiments.figures.style import INK, colour, marker, styled
+from experiments.figures.style import INK, look, styled
 from experiments.methods import title
 from experiments.scoring.numbers import power
 
@@ -60,12 +60,13 @@ def summary(table: pd.DataFrame, n_landmarks: int, unit: float = _MSE_UNIT) -> F
 def _draw_rows(axes: Axes, rows: pd.DataFrame) -> None:
     """Draw a row per method: ours filled, with s.d. or range over seeds; the published hollow."""
     for y, row in enumerate(rows.itertuples()):
-        style = {"color": colour(row.Index), "marker": marker(row.Index), "linestyle": "none"}
+        drawn = look(row.Index)
+        style = {"color": drawn.colour, "marker": drawn.marker, "linestyle": "none"}
         axes.plot(row.paper_mean, y, **style, ms=6.5, mfc="none", mew=0.9)
         if np.isnan(row.median):
             axes.errorbar(row.mean, y, xerr=row.std, **style, ms=4.5, mew=0, elinewidth=1)
         else:
-            axes.plot([row.lowest, row.highest], [y, y], color=colour(row.Index), lw=3, alpha=0.45)
+            axes.plot([row.lowest, row.highest], [y, y], color=drawn.colour, lw=3, alpha=0.45)
             axes.plot(row.median, y, **style, ms=4.5, mew=0)
         if np.isnan(row.mean) and np.isnan(row.median):
             place = {"transform": axes.get_yaxis_transform(), "va": "center", "ha": "right"}
@@ -94,7 +95,8 @@ def errors_by_seed(table: pd.DataFrame) -> Figure:
     axes.plot(range(len(runs.columns)), runs.T, color="#CCCCCC", lw=0.6, zorder=1)
     labels = []
     for x, (method, values) in enumerate(runs.items()):
-        style = {"marker": marker(method), "color": colour(method), "ls": "none", "ms": 5}
+        drawn = look(method)
+        style = {"marker": drawn.marker, "color": drawn.colour, "ls": "none", "ms": 5}
         axes.plot(np.full(len(values), x), values, **style, mec="white", mew=0.5)
         axes.plot([x - 0.16, x + 0.16], [values.median()] * 2, color=INK, zorder=3)
         name = textwrap.fill(title(method), 18)

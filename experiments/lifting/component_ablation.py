@@ -19,7 +19,7 @@ from deepmds_keras.geometry.classical_scaling import pairwise_distances
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.proximities import pair_features
 from experiments.figures.errors import Panel, error_lines
-from experiments.figures.style import INK, Look, colour, marker
+from experiments.figures.style import INK, Look, look
 from experiments.inputs import Faces, load_faces
 from experiments.lifting.contenders import lower_bound
 from experiments.lifting.train import LIFTING
@@ -44,8 +44,8 @@ _DRAWN = {
     "lower_bound": "lower bound",  # true distances have no error, which no logarithm shows
 }  # fmt: skip
 EMBEDDINGS = {
-    "non_metric": Look("Non-metric MDS", colour("deep_mds"), marker("deep_mds"), ""),
-    "metric": Look("Metric MDS", colour("zhao"), marker("zhao"), ""),
+    "non_metric": Look("Non-metric MDS", look("deep_mds").colour, look("deep_mds").marker, ""),
+    "metric": Look("Metric MDS", look("zhao").colour, look("zhao").marker, ""),
     "none": Look("Without MDS", INK, "s", ""),
 }
 _UNIT = 1e-6

@@ -12,22 +12,20 @@ from dataclasses import replace
 import numpy as np
 
 from deepmds_keras.baselines.closed_form import Aldrian, MeanShape, RidgeRegression
-from deepmds_keras.baselines.map_fit import MapFit
 from deepmds_keras.baselines.mlp import MLP
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.geometry.units import normalise, rms_radius
-from deepmds_keras.geometry.views import perspectives, project
+from deepmds_keras.geometry.views import project
 from deepmds_keras.metrics import mse
 from experiments.lifting.views import Condition, Views, landmark_model, training_views
-from experiments.recipes import mlp, moments
+from experiments.recipes import map_fit_of, mlp
 from experiments.run import Run
 from experiments.tasks import single_threaded
 
 _CHUNK = 500  # faces whose views are filled together
 _SEEN_SD_MM = 0.1  # noise of the visible coordinates in the regression of missing ones
 _MISFIT_FACES = 1000
-_LEAST_VIEW_NOISE = 3.5e-3  # Aldrian's default
 _HINDSIGHT_SD, _HINDSIGHT_FACES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12), 500  # in radii
 DRAWS = 8  # from the posterior of a face
 _FACES = 20  # at a time, each with a view for every coefficient
@@ -51,9 +49,9 @@ def simple_methods(run: Run, condition: Condition, faces: Views) -> dict[str, np
     views = fill(faces.views, whole.views)
     shapes = {method: fit.predict(normalise(views)) for method, fit in fitted.items()}
     shapes["aldrian"] = fit_aldrian(mean, basis, views, _misfit(whole[:_MISFIT_FACES]))
-    known = moments(perspectives(train.cameras.field_of_view, mean))
+    fit = map_fit_of(mean, basis, train.cameras.field_of_view)
     with single_threaded():
-        shapes["map"] = MapFit(mean, basis, perspective=known).predict(faces.views, faces.sd_mm)
+        shapes["map"] = fit.predict(faces.views, faces.sd_mm)
     return shapes
 
 
@@ -117,7 +115,7 @@ def fit_aldrian(
     """
     noise = np.mean(sd) / np.ptp(views, axis=1).max(1).mean()
     # Below its default, the first, wrong cameras would be fitted too closely.
-    return Aldrian(mean, basis, view_noise=max(_LEAST_VIEW_NOISE, noise)).predict(views)
+    return Aldrian(mean, basis, view_noise=max(Aldrian.view_noise, noise)).predict(views)
 
 
 def fit_aldrian_in_hindsight(

@@ -13,9 +13,9 @@ from sklearn.linear_model import LinearRegression
 from data_gen.models.registry import TITLES, load_model, open_models
 from data_gen.views import FIELD_OF_VIEW, sample_photo_cameras, sample_photo_views
 from deepmds_keras.baselines.eos_fit import EosFit
-from deepmds_keras.baselines.map_fit import MapFit, principal_components
+from deepmds_keras.baselines.map_fit import principal_components
 from deepmds_keras.geometry.units import centre, normalise, rms_radius
-from deepmds_keras.geometry.views import perspectives, project
+from deepmds_keras.geometry.views import project
 from experiments.figures.errors import Panel, error_lines
 from experiments.lifting.contenders import (
     aligned_mse,
@@ -35,7 +35,7 @@ from experiments.lifting.train import (
 )
 from experiments.methods import title
 from experiments.progress import counted
-from experiments.recipes import mlp, moments
+from experiments.recipes import map_fit_of, mlp
 from experiments.run import Run
 from experiments.scoring.numbers import power
 from experiments.streams import Stream
@@ -67,8 +67,7 @@ class Trained:
         self._views, self._components = views, principal_components(shapes, _LEAST_SD_MM)
         self.lifter, self._deep_mds = lifter, deep_mds
         mean, basis = self._components
-        prior = moments(perspectives(np.linspace(0, FIELD_OF_VIEW), mean))
-        self._map = MapFit(mean, basis, perspective=prior)
+        self._map = map_fit_of(mean, basis, np.linspace(0, FIELD_OF_VIEW))
         self._regressions = fit_regressions(normalise(centre(views)), normalise(shapes), mlp)
 
     def predict(

@@ -14,7 +14,7 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
-from deepmds_keras.landmarks import FOLDER, load_scheme
+from deepmds_keras.landmarks import DETECTOR_ERRORS, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.detection import detector_sd, measured, move
 from experiments.lifting.transfer import Trained
@@ -56,8 +56,6 @@ _NOTHING = 1e-12  # a distance that is rounding
 
 
 def main(run: Run) -> dict:
-    if run.real is None:
-        raise InputError("REAL must be an npz file of arrays dlib and mediapipe. Received nothing.")
     arrays = read_npz(run.real)
     if not {"dlib", "mediapipe"} <= {*arrays}:
         raise InputError(f"{run.real} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
@@ -67,7 +65,7 @@ def main(run: Run) -> dict:
     methods = trained_beside(run, _SCHEME, *shipped)
     # First of all, since everything below reads the s.d. in it.
     if run.preset.name == "full" and not open_models(run.data)[1]:
-        write_csv(FOLDER / "detectors.csv", detector_table(run, faces, methods.lifter))
+        write_csv(DETECTOR_ERRORS, detector_table(run, faces, methods.lifter))
         measured.cache_clear()
     found = of_detectors(methods.lifter, faces)
     table = pd.DataFrame(reliability(methods, faces, found[_KEPT, "detector"], run.seed))

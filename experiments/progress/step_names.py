@@ -28,12 +28,16 @@ _WORDS = {
     "hard": "measure lifting on hard views",
     "component_ablation": "measure Deep-MDS part by part",
     "transfer": "measure on faces of another model",
+    "surface": "measure heads fitted to landmarks",
     "portraits": "render photos and find the faces in them",
     "pretrained": "measure the shipped weights",
+    "real": "measure on real faces",
     "bench": "time each part and the authors' code",
+    "footprint": "measure the installed package",
     "bfm_mean": "read the Basel mean from the authors' weights",
     "released_weights": "measure the authors' weights",
     "audit": "decide the claims",
+    "claims": "gather the claims of both face models",
     "report": "write the report",
 }
 # Of steps that are done for several things, which follow.

@@ -19,7 +19,7 @@ from data_gen.models.registry import OPEN, TITLES, load_model, open_models
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.geometry.units import normalise
 from experiments.figures.errors import Panel, error_lines, level
-from experiments.figures.style import INK, Look, colour, marker
+from experiments.figures.style import INK, Look, look
 from experiments.inputs import Faces, as_seen
 from experiments.progress import counted
 from experiments.released_weights.bfm_mean import SCHEME, about_mean, authors_file, read_mean
@@ -37,11 +37,11 @@ NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": SECOND_NET}
 _PUBLISHED = {"deep_mds": ("Deep-MDS", (4, 2)), "deep_mds_constant": ("trivial case", (1, 1))}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {
-    "released": Look("authors' networks", colour("deep_mds"), marker("deep_mds")),
-    "released_2": Look("the same, second dissimilarity net", colour("deep_mds_released"), "p"),
-    "deep_mds_constant": Look(_CONSTANT, colour("zhao"), "^"),
+    "released": Look("authors' networks", look("deep_mds").colour, look("deep_mds").marker),
+    "released_2": Look("the same, second dissimilarity net", look("deep_mds_released").colour, "p"),
+    "deep_mds_constant": Look(_CONSTANT, look("zhao").colour, "^"),
     "random_face": Look("a random face, for all views", "#117733", "v"),
-    "mean_shape": Look("mean shape", colour("mean_shape"), marker("mean_shape")),
+    "mean_shape": Look("mean shape", look("mean_shape").colour, look("mean_shape").marker),
 }
 _CONSTANTS = 25  # outputs, and faces, over which the error of one answer to all views is averaged
 _UNIT = 1e-4

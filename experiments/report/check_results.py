@@ -40,7 +40,7 @@ class Made:
 
 def main() -> None:
     """Print a line for each folder; exit with status 1 if one would come out otherwise now."""
-    last = git("rev-parse", "HEAD", folder=_ROOT)
+    last = git("rev-parse", "--short=12", "HEAD", folder=_ROOT)
     stale = False
     for made in find_results(_ROOT / "results"):
         answers = [check(made, commit, last) for commit in made.commits] or ["of unknown commits"]
@@ -63,13 +63,13 @@ def find_results(results: Path) -> list[Made]:
 def check(made: Made, commit: str, last: str) -> str:
     """What a small run says of results of a commit."""
     if commit == last:
-        return f"{commit[:12]}, the last commit: the same digits"
+        return f"{commit}, the last commit: the same digits"
     try:
         before, now = (small_run(made, each) for each in (commit, last))
         difference = compare(before, now)
     except InputError as error:
         difference = f"not checked: {error}"
-    return f"{commit[:12]}: {difference or 'the same digits'}"
+    return f"{commit}: {difference or 'the same digits'}"
 
 
 def small_run(made: Made, commit: str) -> Path:
@@ -78,15 +78,18 @@ def small_run(made: Made, commit: str) -> Path:
     Raises:
         InputError: That code has no such command, a file is missing, or it failed.
     """
-    tree = _TREES / commit[:12]
+    tree = _TREES / commit
     if not tree.is_dir():
-        git("worktree", "add", "--force", "--detach", str(tree), commit, folder=_ROOT)
+        try:
+            git("worktree", "add", "--force", "--detach", str(tree), commit, folder=_ROOT)
+        except subprocess.CalledProcessError:
+            raise InputError(f"{commit} is no commit of this clone") from None
     if not made.command.startswith("make ") or not (tree / "experiments" / "make.py").is_file():
-        raise InputError(f"{commit[:12]} has no command that runs `{made.command}` at a small size")
+        raise InputError(f"{commit} has no command that runs `{made.command}` at a small size")
     fault = _make(tree, made.command)
     folder = tree / "results" / "smoke" / made.folder
     if fault is not None or not folder.is_dir():
-        raise InputError(f"`{made.command}` failed at {commit[:12]}: {fault or 'no results'}")
+        raise InputError(f"`{made.command}` failed at {commit}: {fault or 'no results'}")
     return folder
 
 

@@ -172,7 +172,7 @@ def _steps(result: Result) -> pd.DataFrame:
     """Time, memory and commit of the steps behind a result, and counts of scans and photos."""
     return pd.DataFrame(
         {
-            "Step": step.get("step") or step["stage"],
+            "Step": step["step"],
             "Took": duration(step["seconds"]),
             "Memory of a process (MB)": _text(step["peak_memory_mb"]),
             "Commit": step["commit"] or "unknown",

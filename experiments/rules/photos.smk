@@ -1,6 +1,6 @@
 """The weights that ship with the package, on rendered photos and on real ones."""
 
-from experiments.plan import DETECTORS
+from deepmds_keras.landmarks import DETECTOR_ERRORS
 from experiments.pretrained.train import NETWORKS
 
 
@@ -21,7 +21,7 @@ rule photo_network:
 # It also replaces the weights of the package, at full size and if both open models are there.
 rule pretrained_weights:
     input:
-        plan.begun, plan.open, plan.surrey, DETECTORS, record("bfm", "portraits"),
+        plan.begun, plan.open, plan.surrey, DETECTOR_ERRORS, record("bfm", "portraits"),
         [record("bfm", f"pretrained-{network}") for network in NETWORKS],
     output:
         record("bfm", "pretrained"),

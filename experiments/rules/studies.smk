@@ -82,7 +82,7 @@ rule stream_table:
 
 rule object:
     input: lambda w: object_file(RUN.objects or "", w.object)
-    output: f"{work('bfm')}/records/object-{{object}}-{{seed}}.json"
+    output: f"{work('bfm')}/records/object-{{object}}-seed{{seed}}.json"
     resources: mem_mb=2500
     shell: step("objects.train {wildcards.object} {wildcards.seed}", uses=["objects"])
 
@@ -90,7 +90,7 @@ rule object:
 rule objects_table:
     input:
         plan.begun,
-        [record("bfm", f"object-{name}-{seed}") for name in OBJECTS for seed in RUN.few_seeds],
+        [record("bfm", f"object-{name}-seed{seed}") for name in OBJECTS for seed in RUN.few_seeds],
     output:
         record("bfm", "objects"),
         results(plan.shared("objects"), "table.csv", "metrics.csv", "table.tex", "figures/errors.png"),

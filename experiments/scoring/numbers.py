@@ -30,7 +30,7 @@ def rounded(value: float, decimals: int | None = None) -> str:
     """Number with that many decimals, or to three significant digits, but at least to the units."""
     if math.isnan(value):
         return NOTHING
-    if decimals is None and abs(value) < 1000:
+    if decimals is None and abs(value) < 999.5:
         return minus(f"{value:.3g}")
     return minus(f"{value:,.{decimals or 0}f}")
 

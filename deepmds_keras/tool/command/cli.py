@@ -156,7 +156,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--eos", metavar="DIR",
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
-        help="folder of the results (default: deepmds-evaluation)")  # fmt: skip
+        help="folder of the results (default: %(default)s)")  # fmt: skip
     add("--overwrite", action="store_true", help="replace existing results")
     options = parser.parse_args(arguments)
     if options.command == "predict" and options.detector is None:
@@ -232,13 +232,14 @@ def printable(text: str) -> str:
 
 
 def _formats(text: str) -> tuple[str, ...]:
-    formats = tuple(dict.fromkeys(part.strip() for part in text.lower().split(",")))
+    formats = [part.strip() for part in text.lower().split(",")]
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise argparse.ArgumentTypeError(
             f"must be some of {', '.join(FORMATS)}, with commas between. Received {unknown[0]!r}."
         )
-    return formats
+    # In one order, so that the same formats resume a run however they were typed.
+    return tuple(name for name in FORMATS if name in formats)
 
 
 def _smooth(text: str) -> float | str:

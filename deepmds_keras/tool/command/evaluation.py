@@ -40,7 +40,7 @@ def evaluate(
     image_size: tuple[float, float] | None = None,
     model: str | None = None,
     eos: str | Path | None = None,
-    out: str | Path = "deepmds-evaluation",
+    out: str | Path,
     overwrite: bool = False,
 ) -> list[dict]:
     """Score lifting on true 3D landmarks, against the mean shape and eos; print and write a table.

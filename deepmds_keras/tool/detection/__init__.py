@@ -13,7 +13,7 @@ import numpy as np
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_table
 from deepmds_keras.geometry.units import rms_radius
-from deepmds_keras.landmarks import FOLDER, convert, load_scheme
+from deepmds_keras.landmarks import DETECTOR_ERRORS, convert, load_scheme
 from deepmds_keras.landmarks.y_axis import eyes_to_mouth
 from deepmds_keras.tool.detection import dlib_landmarks, mediapipe_landmarks
 
@@ -112,7 +112,7 @@ def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
 @cache
 def measured(detector: str | None, scheme: str) -> np.ndarray | None:
     """`(L, 3)` of the table: offsets x and y, standard deviation."""
-    table = read_table(FOLDER / "detectors.csv")
+    table = read_table(DETECTOR_ERRORS)
     rows = {
         int(row["landmark"]): [float(row[name]) for name in ("dx", "dy", "sd")]
         for row in table

@@ -32,7 +32,7 @@ function commonDims(arrays) {
 }
 
 const ELEMENTWISE = {
-  Abs: Math.abs, Exp: Math.exp, Log: Math.log, Sqrt: Math.sqrt, Tanh: Math.tanh, Neg: (a) => -a,
+  Exp: Math.exp, Log: Math.log, Sqrt: Math.sqrt, Tanh: Math.tanh, Neg: (a) => -a,
   Add: (a, b) => a + b, Sub: (a, b) => a - b, Mul: (a, b) => a * b, Div: (a, b) => a / b,
   Max: (a, b) => (a > b ? a : b), Clip: (a, low, high) => Math.min(Math.max(a, low), high),
   And: (a, b) => a && b, Or: (a, b) => a || b, Not: (a) => +!a, IsNaN: (a) => +Number.isNaN(a),

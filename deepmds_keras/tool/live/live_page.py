@@ -11,6 +11,7 @@ from deepmds_keras import __version__
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import write_bytes
 from deepmds_keras.tool.command.onnx_export import open_lifter
+from deepmds_keras.tool.detection.mediapipe_landmarks import LANDMARKER
 from deepmds_keras.tool.html_parts import (
     STYLE,
     WIREFRAME,
@@ -21,7 +22,6 @@ from deepmds_keras.tool.html_parts import (
 from deepmds_keras.tool.live.settings import settings
 from deepmds_keras.tool.live.tasks_vision import read_tasks_vision
 
-FACE_LANDMARKER = Path(__file__).parents[1] / "detection" / "face_landmarker.task"
 _FOLDER = Path(__file__).parent
 _SCRIPTS = ("graph.js", "faces.js", "results.js", "live.js")
 _ALLOWED = {
@@ -58,7 +58,7 @@ def write_live_page(
         "style": STYLE + _text("live.css"),
         "notices": html.escape(_text("notices.txt")),
         "settings": json_in_html(known),
-        "model": _packed(FACE_LANDMARKER.read_bytes()),
+        "model": _packed(LANDMARKER.read_bytes()),
         "wasm": _packed(package["wasm/vision_wasm_internal.wasm"]),
         "loader": package["wasm/vision_wasm_internal.js"].decode(),
         "bundle": f"{bundle}\nself.FaceLandmarker = {exported[1]};\n",

@@ -157,7 +157,8 @@ class FaceLifter:
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
         notes = dict.fromkeys(range(n), Z_UNUSED) if faces.shape[2] > 2 else {}
         for i, fault in odd.items():
-            notes[i] = f"seems to stand otherwise than the other faces: {fault}"
+            more = f"seems to stand otherwise than the other faces: {fault}"
+            notes[i] = f"{notes[i]}; {more}" if i in notes else more
         landmarks = convert(points, scheme, target)
         if n and np.isnan(landmarks).all():
             raise InputError("landmarks must not all be missing. Received only NaN.")

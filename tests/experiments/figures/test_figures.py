@@ -240,7 +240,7 @@ def test_lines_are_means_in_the_unit_with_their_intervals():
         line, band = axes.lines[0], axes.collections[0].get_paths()[0].vertices
         np.testing.assert_allclose(line.get_xydata(), [[1, 4], [2, 4]])
         np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [low, high])
-        assert line.get_color() == style.colour("deep_mds")
+        assert line.get_color() == style.look("deep_mds").colour
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     interval = "95 % interval over faces"
     assert labels == ["Deep-MDS", "Ridge regression", interval, "training views"]

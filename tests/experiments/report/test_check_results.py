@@ -1,13 +1,22 @@
 """`make check-results` sees digits that differ, rows that are gone, and what it cannot run."""
 
 import json
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from deepmds_keras.errors import InputError
+from experiments.records import environment
 from experiments.report import check_results
-from experiments.report.check_results import Made, check, compare, find_results, small_run
+from experiments.report.check_results import (
+    Made,
+    check,
+    compare,
+    find_results,
+    main,
+    small_run,
+)
 
 TABLE = pd.DataFrame(
     {
@@ -49,25 +58,38 @@ def test_rows_and_tables_that_are_gone_are_named(folders, tmp_path):
     assert compare(folders(TABLE), tmp_path / "empty") == "table.csv is gone"
 
 
-def test_results_are_listed_with_what_made_them(tmp_path):
+def test_results_are_listed_with_what_made_them(tmp_path, monkeypatch, capsys):
+    made_by = environment()["commit"].removesuffix("+")
     for name in ("ict/bfm", "smoke/ict/bfm"):
         (tmp_path / name).mkdir(parents=True)
-        manifest = {"command": "make reproduce-bfm", "commit": "b" * 40, "steps": [{}, {}]}
+        manifest = {"command": "make reproduce-bfm", "commit": made_by, "steps": [{}, {}]}
         (tmp_path / name / "manifest.json").write_text(json.dumps(manifest))
     (made,) = find_results(tmp_path)
-    assert (str(made.folder), made.commits) == ("ict/bfm", ("b" * 40,))
-    assert check(made, "b" * 40, "b" * 40).endswith("the same digits")
+    assert (str(made.folder), made.commits) == ("ict/bfm", (made_by,))
+    monkeypatch.setattr(check_results, "small_run", None)  # the last commit's are not run again
+    monkeypatch.setattr(check_results, "find_results", lambda _: [made])
+    with pytest.raises(SystemExit, match="False"):
+        main()
+    assert capsys.readouterr().out == f"ict/bfm: {made_by}, the last commit: the same digits\n"
+
+
+def test_a_commit_that_git_does_not_know_is_not_checked(monkeypatch, tmp_path):
+    monkeypatch.setattr(check_results, "_TREES", tmp_path)
+    made = Made(Path("ict/bfm"), ("0123456789ab+",), "make reproduce-bfm")
+    assert check(made, "0123456789ab+", "b" * 12) == (
+        "0123456789ab+: not checked: 0123456789ab+ is no commit of this clone"
+    )
 
 
 def test_what_cannot_be_run_is_said_not_passed(monkeypatch, tmp_path):
     monkeypatch.setattr(check_results, "_TREES", tmp_path)
-    made = Made("x", ("c" * 40,), "make lifting MODEL=ict DATA=no/such/folder")
+    made = Made("x", ("c" * 12,), "make lifting MODEL=ict DATA=no/such/folder")
     (tmp_path / "cccccccccccc" / "experiments").mkdir(parents=True)
     with pytest.raises(InputError, match="has no command that runs"):
-        small_run(made, "c" * 40)
+        small_run(made, "c" * 12)
     (tmp_path / "cccccccccccc" / "experiments" / "make.py").touch()
     with pytest.raises(InputError, match="DATA=no/such/folder not found"):
-        small_run(made, "c" * 40)
-    assert check(made, "c" * 40, "d" * 40) == (
+        small_run(made, "c" * 12)
+    assert check(made, "c" * 12, "d" * 12) == (
         "cccccccccccc: not checked: DATA=no/such/folder not found"
     )

@@ -172,6 +172,8 @@ def test_a_table_of_another_commit_is_printed_with_both(
         (plus_minus(2000.0, 96.0), "2,000 ± 96"),
         (plus_minus(27323.0), "27,323"),
         (plus_minus(float("nan")), "–"),
+        (plus_minus(999.4), "999"),
+        (plus_minus(999.7), "1,000"),
         (as_quoted(0.00125, unit=1e-3), "1.25"),  # not one of the paper's
         (scientific(-0.0000123456), "−1.235 × 10⁻⁵"),
         (duration(5287.5), "1 h 28 min"),

@@ -273,6 +273,8 @@ def test_what_is_done_is_skipped_until_source_or_options_change(tmp_path, predic
     assert redone() == (1, []), "whose former results are in the way"
     assert redone("--overwrite") == (0, ["a", "b"])
     assert redone("--jobs", 2) == redone("--every", 2) == (0, []), "which have no effect on these"
+    assert redone("--overwrite", "--format", "csv,ply") == (0, ["a", "b"])
+    assert redone("--format", "ply,csv") == (0, []), "the same formats"
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def page_file(tmp_path_factory):
             (folder / name).write_bytes(content)
             patch.setitem(SHA256, name, hashlib.sha256(content).hexdigest())
         (folder / "model.task").write_bytes(b"")
-        patch.setattr(live_page, "FACE_LANDMARKER", folder / "model.task")
+        patch.setattr(live_page, "LANDMARKER", folder / "model.task")
         write_live_page(folder / "live.html", model="lifting-ibug51", tasks_vision=folder)
     return folder / "live.html"
 

@@ -1,6 +1,7 @@
 """Photos and landmarks to faces from Python: in the right order, whatever is missing."""
 
 import io
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -217,6 +218,8 @@ def test_a_batch_is_judged_by_its_majority_and_a_row_has_a_note(landmarks):
     one[2] *= (1, -1)
     faces = predict_landmarks(one)
     assert "seems to stand otherwise" in " ".join(faces[2].notes)
+    (*_, noted) = predict_landmarks(np.dstack([one, one[..., :1]]))[2].notes
+    assert {"is not used", "seems to stand"} == {*re.findall("is not used|seems to stand", noted)}
     others = np.arange(N) != 2
     whole = predict_landmarks(landmarks)
     assert np.allclose(shapes(faces)[others], shapes(whole)[others])

@@ -12,7 +12,7 @@ from places import MEDIAPIPE, ROOT
 from deepmds_keras import FaceLifter, LandmarkLifter, convert
 from deepmds_keras.files import read_table
 from deepmds_keras.geometry.units import rms_radius
-from deepmds_keras.landmarks import FOLDER
+from deepmds_keras.landmarks import DETECTOR_ERRORS
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.tool.detection.mediapipe_landmarks import shared_detector
 from deepmds_keras.tool.predict.photo_faces import find_upright
@@ -165,7 +165,7 @@ def test_landmarks_of_a_detector_move_with_the_face(detector):
 def test_landmarks_of_an_upright_face_move_as_the_table_says(detector, scheme):
     """To the right and down, in radii of the face without its jaw."""
     view = 1000 * LandmarkLifter.pretrained(scheme).mean_shape_[:, :2] * (1, -1) + 300
-    table = read_table(FOLDER / "detectors.csv")
+    table = read_table(DETECTOR_ERRORS)
     known = [(float(r["dx"]), float(r["dy"])) for r in table if r["detector"] == detector]
     moved = to_ibug(view[None], detector, scheme)[0] - view
     np.testing.assert_allclose(moved, rms_radius(view[None, -51:])[0] * np.array(known), atol=0.1)
