@@ -281,7 +281,7 @@ def test_numbers_of_the_method_are_those_of_the_code():
         f"{build_zhao_net(72).count_params():,} parameters",
         f"{count_trainable(build_mobileface_net(199)):,} parameters",
         f"{encoder:,} trainable ones of the autoencoder and all {released.count_params():,} of the",
-        "Trainable are {:,}, and {:,} with the paper's".format(*sums),
+        "{:,} are trainable, and {:,} with the paper's".format(*sums),
         f"{recipe.epochs} epochs over the {FULL.train_faces:,} faces",
         f"(batch size {recipe.batch_size})",
         f"{steps:,} steps of one face's pairs",

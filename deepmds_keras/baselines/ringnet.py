@@ -20,9 +20,6 @@ _N_POSE = 6  # parameters before the coefficients: log scale, x, y, axis-angle
 _MARGIN = 0.5  # by which the squared distance of another person's code must be larger
 _MIN_IMAGE_SIZE = 32  # ResNet-50 halves an image five times
 _CHECK_IMAGES = 480
-# Of the landmarks' mean absolute error, where the image's side is 2, and of the sums of the squared
-# coefficients; that of the ring loss is 1.
-_LANDMARK_WEIGHT, _IDENTITY_WEIGHT, _EXPRESSION_WEIGHT = 60.0, 1e-2, 1e-1
 
 
 @dataclass(eq=False, repr=False)
@@ -51,6 +48,9 @@ class RingNet(NetworkMethod):
         ring_size, rings_per_batch: Images in a ring, at least 3, and rings in a mini-batch.
         learning_rate: Adam's learning rate after the warm-up.
         seed: Seed of the initial weights, of dropout and of the order of the images.
+        landmark_weight: Weight of the landmarks' mean absolute error; the image's side is 2.
+        ring_weight: Weight of the ring loss.
+        identity_weight, expression_weight: Weights of the sums of the squared coefficients.
 
     Attributes:
         history_: `train` is the whole loss; `inference` the mean absolute error of the landmarks
@@ -68,6 +68,10 @@ class RingNet(NetworkMethod):
     epochs: int = 20
     steps_per_epoch: int = 500
     seed: int = 0
+    landmark_weight: float = 60.0
+    ring_weight: float = 1.0
+    identity_weight: float = 1e-2
+    expression_weight: float = 1e-1
 
     def fit(self, images, landmarks: np.ndarray, subjects: np.ndarray, **training) -> Self:
         """Train on images with their landmarks, several of each subject.
@@ -280,10 +284,10 @@ class RingNetLoss:
         codes = parameters[:, _N_POSE:]
         identity, expression = codes[:, : self.n_identity], codes[:, self.n_identity :]
         return (
-            _LANDMARK_WEIGHT * self.landmark_loss(landmarks, parameters)
-            + ring_loss(identity, self.model.ring_size)
-            + _IDENTITY_WEIGHT * ops.mean(ops.sum(ops.square(identity), axis=1))
-            + _EXPRESSION_WEIGHT * ops.mean(ops.sum(ops.square(expression), axis=1))
+            self.model.landmark_weight * self.landmark_loss(landmarks, parameters)
+            + self.model.ring_weight * ring_loss(identity, self.model.ring_size)
+            + self.model.identity_weight * ops.mean(ops.sum(ops.square(identity), axis=1))
+            + self.model.expression_weight * ops.mean(ops.sum(ops.square(expression), axis=1))
         )
 
     def landmark_loss(self, landmarks, parameters):
