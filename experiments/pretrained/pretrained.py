@@ -51,7 +51,7 @@ def trained(run: Run, scheme: str) -> Trained:
 def trained_beside(
     run: Run, scheme: str, lifter: LandmarkLifter, deep_mds: DeepMDS | None = None
 ) -> Trained:
-    """Networks for photos, and other methods trained on the training faces of a lifter."""
+    """Networks for photos, and other methods trained on fewer faces of the lifter's kind."""
     rng = np.random.default_rng([run.seed, Stream.PHOTO_FACES, LIFTERS.index(scheme)])
     views, shapes, _ = photo_faces(run, scheme)(run.preset.train_faces, rng)
     return Trained(views, shapes, lifter, deep_mds, mlp(run, views.shape[1]))

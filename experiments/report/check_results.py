@@ -120,6 +120,8 @@ def _make(tree: Path, command: str) -> str | None:
 def compare(before: Path, now: Path) -> str | None:
     """The first table that differs, times apart, or None."""
     names = {path.name for folder in (before, now) for path in folder.glob("*.csv")}
+    if not names:
+        return "no table to compare"
     for name in sorted(names):
         tables = [digits(folder / name) for folder in (before, now)]
         if tables[0] is None or tables[1] is None:

@@ -102,6 +102,7 @@ rule speed:
     output:
         record("bfm", "bench"),
         results(plan.shared("bench"), "bench.csv", "bench.tex", "figures/bench.png"),
+    params: run=[RUN.model, RUN.protocol, RUN.seed]  # which share the folder of results
     threads: workflow.cores
     shell: step("bench.bench", uses=["data", "sfm"])
 

@@ -110,7 +110,8 @@ METRICS = {
         Metric(
             id="depth_corr_across_faces",
             head="Across faces",
-            legend="sum over landmarks of the correlation of depth across faces, at most {n}",
+            legend="sum over landmarks of the absolute correlation of depth across faces, at "
+            "most {n}",
             better="higher",
             per_subset=lambda scores: scores.depth_corr_across_faces,
             decimals=2,

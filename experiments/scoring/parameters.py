@@ -19,7 +19,6 @@ _LEGEND = (
     "statistics of batch normalisation. n: landmarks, t: iterations, k: components of the face "
     f"model. {NOTHING}: not measured here, or not in the paper."
 )
-_N_LANDMARKS = 72  # at which the paper counts its networks
 _TIMES = ("ms_per_face", "ms_per_face_lowest", "ms_per_face_highest")
 HEADS = {
     "method": "Method",
@@ -32,12 +31,15 @@ HEADS = {
 }
 
 
-def parameter_table(metrics: pd.DataFrame, n_coefficients: int = 199) -> pd.DataFrame:
+def parameter_table(
+    metrics: pd.DataFrame, n_landmarks: int = 72, n_coefficients: int = 199
+) -> pd.DataFrame:
     """Parameters, complexity and measured time of every method, as strings.
 
     Args:
         metrics: As `metrics.csv`. Counts and times of methods that have no row stay empty.
-        n_coefficients: Of the face model, for counting MobileFace; the Basel model has 199.
+        n_landmarks, n_coefficients: Of the face model, for counting networks. The paper has 72
+            landmarks and the Basel model's 199 coefficients.
 
     Returns:
         Columns as in `HEADS`; `paper` and `complexity_paper` as the paper prints them. `total`
@@ -52,7 +54,7 @@ def parameter_table(metrics: pd.DataFrame, n_coefficients: int = 199) -> pd.Data
     table["trainable"] = table["total"] = table.pop("n_parameters")
     for method in methods:
         if method.networks:
-            networks = method.networks(_N_LANDMARKS, n_coefficients)
+            networks = method.networks(n_landmarks, n_coefficients)
             table.loc[method.id, "trainable"] = count_trainable(*networks)
             table.loc[method.id, "total"] = sum(network.count_params() for network in networks)
     for column, metric in (("paper", "n_parameters"), ("complexity_paper", "time_complexity")):
@@ -77,6 +79,7 @@ def latex(table: pd.DataFrame) -> str:
 
 def write_parameter_table(folder: Path, run: Run, metrics: pd.DataFrame) -> None:
     """Write `table.csv` and `table.tex` into a folder."""
-    table = parameter_table(metrics, n_coefficients=len(load_landmark_model(run)[1]))
+    mean, basis = load_landmark_model(run)
+    table = parameter_table(metrics, len(mean), len(basis))
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table))

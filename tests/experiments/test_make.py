@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shlex
 import shutil
 import signal
 import subprocess
@@ -456,6 +457,7 @@ def make_without_setup(*words):
         ("check DRY=1", "make check does not use DRY."),
         ("all-results DRY=1", "make all-results does not use DRY."),
         ("reproduce-bfm REAL=a", "make reproduce-bfm does not use REAL."),
+        ("ablation SEEDS=10", "make ablation does not use SEEDS."),
         ("dag TARGET=nonsense", "TARGET must be one of reproduce-bfm "),
     ],
 )
@@ -496,6 +498,13 @@ def test_the_makefile_hands_on_every_variable_and_needs_all_for_all_results():
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode and "error: SFM must be a file or folder" in done.stderr
+    folders = [f"{name}=." for name in ("DATA", "BFM68", "AUTHORS", "SFM", "REAL", "OBJECTS")]
+    status, output, _ = make_without_setup("-n", "all-results", *folders)
+    commands = [words for words in output.splitlines() if "experiments.make" in words]
+    assert status == 0 and len(commands) > 20
+    for line in commands:
+        words = shlex.split(line.partition("experiments.make ")[2])[1:]
+        run_of_variables(dict(word.split("=", 1) for word in words))
     defaults = {line.split()[0] for line in makefile.splitlines() if " ?=" in line}
     handed_on = makefile.partition("VARIABLES :=")[2].partition("\n\n")[0].split()
     assert defaults - {"PYTHON", "VENV", "TARGET", "BFM68"} == {*handed_on} - {"\\"}

@@ -56,6 +56,7 @@ def test_rows_and_tables_that_are_gone_are_named(folders, tmp_path):
     assert "other rows" in compare(folders(TABLE), folders(TABLE[1:]))
     (tmp_path / "empty").mkdir()
     assert compare(folders(TABLE), tmp_path / "empty") == "table.csv is gone"
+    assert compare(tmp_path / "empty", tmp_path / "empty") == "no table to compare"
 
 
 def test_results_are_listed_with_what_made_them(tmp_path, monkeypatch, capsys):

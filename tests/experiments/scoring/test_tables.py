@@ -198,6 +198,8 @@ def test_parameters_are_counted_from_the_networks(metrics):
     assert counts["deep_mds_released"][:2] == ["27303", "28209"]
     # ResNet-50 without its head has 23,534,592 trainable parameters.
     assert int(counts["ringnet"][0]) > 23_534_592 and counts["ringnet"][2] == "> 23000000"
+    fewer = parameters.parameter_table(metrics, n_landmarks=68).set_index("method")
+    assert fewer.loc["deep_mds", ["trainable", "total"]].tolist() == ["26275", "27165"]
     row = line(parameters.latex(table.reset_index()), "MediaPipe")
     assert row == r"MediaPipe & -- & -- & Not found & O(1) & O(1) & -- & -- & -- \\"
     # Counts of both sources are grouped, whichever way the paper prints them.
