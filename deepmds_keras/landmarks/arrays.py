@@ -58,11 +58,24 @@ def seem_fractions(points: np.ndarray) -> bool:
     They differ in unit unless the image is square, which no later check can see: a narrow face
     looks like a turned one. Of MediaPipe's landmarks all that are that small are fractions.
     """
-    known = points[np.isfinite(points)]
-    if not known.any() or np.abs(known).max() > LARGEST_FRACTION:
+    largest = largest_coordinates(points)
+    if not 0 < typical_of(largest) <= LARGEST_FRACTION:
         return False
+    known = points[largest <= LARGEST_FRACTION]
+    known = known[~np.isnan(known)]
     within = ((known >= 0) & (known <= 1)).mean()
     return points.shape[1] in load_scheme("mediapipe").sizes or bool(within > _WITHIN)
+
+
+def largest_coordinates(points: np.ndarray) -> np.ndarray:
+    """The largest absolute coordinate of each face `(n, L, 2)`; 0 of a gap."""
+    return np.where(np.isnan(points), 0, np.abs(points)).max((1, 2), initial=0)
+
+
+def typical_of(largest: np.ndarray) -> float:
+    """The median of `largest_coordinates` without gaps: no stray coordinate of a few faces."""
+    seen = largest[largest > 0]
+    return float(np.median(seen)) if len(seen) else 0.0
 
 
 def _without_none(item: Any) -> Any:

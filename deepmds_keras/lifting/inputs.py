@@ -9,7 +9,7 @@ from deepmds_keras.validation import as_numbers
 
 LEAST_VISIBLE = 6
 _LARGEST_SD = 1e18  # relative to the radius: squares in single precision end at 1.8e19
-_FLAT = 1e-6  # variance across a line relative to the whole: less is rounding
+FLAT = 1e-6  # of `flatness`: less is rounding
 
 
 class Views(NamedTuple):
@@ -59,11 +59,8 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
     if not known.all():
         points = np.where(known[:, None], points, 0)
     views, middle, radius = standardise(points, known)
-    x, y = views[:, 0], views[:, 1]
-    pairs = ((x, x), (y, y), (x, y))
-    xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts for a, b in pairs)
     _refuse(
-        ~(xx * yy - xy * xy > _FLAT),
+        ~(flatness(views, counts) > FLAT),
         f"views must have at least {LEAST_VISIBLE} visible landmarks that are not on one line",
         lambda face: "a straight line or a point",
     )
@@ -85,10 +82,21 @@ def standardise(points, visible):
     centred = (points - middle[:, :, None]) * seen
     largest = np.abs(centred).max((1, 2), keepdims=True)
     centred /= np.where(largest > 0, largest, 1)  # so that squares neither overflow nor vanish
-    flat = centred.reshape(len(centred), 1, -1)
+    flat = centred.reshape(len(centred), 1, 2 * centred.shape[2])
     relative = np.sqrt((flat @ np.swapaxes(flat, 1, 2)) / counts[:, :, None])
     centred /= np.where(relative > 0, relative, 1)
     return centred, middle, (largest * relative)[:, :, 0]
+
+
+def flatness(views, counts):
+    """Variance of views `(n, 2, L)` across a line, relative to the whole; 0 on one line.
+
+    They are as `standardise` returns them, with so many visible landmarks each.
+    """
+    x, y = views[:, 0], views[:, 1]
+    pairs = ((x, x), (y, y), (x, y))
+    xx, yy, xy = (np.matmul(a[:, None], b[:, :, None])[:, 0, 0] / counts for a, b in pairs)
+    return xx * yy - xy * xy
 
 
 def _check_points(points, n_landmarks):

@@ -11,13 +11,20 @@ import numpy as np
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.files import instead_of_file, map_npy
 from deepmds_keras.landmarks import face_sizes, load_scheme
-from deepmds_keras.landmarks.arrays import LARGEST_FRACTION, as_faces, seem_fractions
-from deepmds_keras.lifting.inputs import LEAST_VISIBLE
+from deepmds_keras.landmarks.arrays import (
+    LARGEST_FRACTION,
+    as_faces,
+    largest_coordinates,
+    seem_fractions,
+    typical_of,
+)
+from deepmds_keras.lifting.inputs import FLAT, LEAST_VISIBLE, flatness, standardise
 from deepmds_keras.tool.predict.landmark_tables import check_count, encoding_of, read_landmark_table
 from deepmds_keras.validation import check_number, find_faults
 
 _TOO_LARGE = 1e9  # for any image; squares of far larger numbers overflow
-_MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 26, ".npy": 1 << 29, ".pts": 1 << 20}
+# The live page saves up to 18,000 faces, 86 MB of JSON.
+_MAX_BYTES = {".csv": 1 << 29, ".json": 1 << 27, ".npy": 1 << 29, ".pts": 1 << 20}
 SUFFIXES = tuple(_MAX_BYTES)
 # Of landmarks in JSON: of this program, of MediaPipe in Python and JavaScript, of TensorFlow.js.
 _KEYS = (
@@ -125,10 +132,15 @@ def read_faces(
         where = f"{path}, face {face + 1} of {len(points)}," if len(points) > 1 else path
         raise InputError(f"{where} {faults[face]}.")
     is_face = scheme is None or load_scheme(scheme).is_face
-    points = _in_pixels(path, points, image_size, is_face)
+    if image_size is not None:
+        faults |= _find_beyond(path, points)
+        points[[*faults]] = np.nan
+        points *= image_size
+    elif is_face and seem_fractions(points):  # other objects may be in any unit
+        raise InputError(f"{path} must be in pixels, or pass --image-size W H. {FRACTIONS}.")
     if y_up:
         points[..., 1] *= -1
-    return points, faults, [Z_UNUSED] if read.shape[2] > 2 else []
+    return points, dict(sorted(faults.items())), [Z_UNUSED] if read.shape[2] > 2 else []
 
 
 def find_unusable(points: np.ndarray) -> dict[int, str]:
@@ -142,7 +154,12 @@ def find_unusable(points: np.ndarray) -> dict[int, str]:
     counts = (~missing).sum((1, 2))
     # Missing landmarks are replaced by the middle, which keeps a line a line.
     middles = np.where(missing, 0, points).sum(1) / np.maximum(counts, 1)[:, None]
-    faults = find_faults(np.where(missing, middles[:, None], points))
+    points = np.where(missing, middles[:, None], points)
+    faults = find_faults(points)
+    # What the lifter would refuse, and all other faces of the file with it.
+    views, _, _ = standardise(np.swapaxes(points, 1, 2), np.ones(points.shape[:2], bool))
+    for face in np.flatnonzero(flatness(views, points.shape[1]) <= FLAT).tolist():
+        faults.setdefault(face, "must not be degenerate: all landmarks lie on one line")
     for face in np.flatnonzero(counts < LEAST_VISIBLE).tolist():
         faults[face] = f"must have at least {LEAST_VISIBLE} landmarks. Received {counts[face]}"
     return {face: faults[face] for face in sorted(faults) if counts[face]}
@@ -163,20 +180,18 @@ def _find_faults(points: np.ndarray) -> dict[int, str]:
     return dict(sorted(faults.items()))
 
 
-def _in_pixels(
-    path: Path, points: np.ndarray, image_size: tuple[float, float] | None, is_face: bool
-) -> np.ndarray:
-    """Convert fractions of the image to pixels; other objects than faces may be in any unit."""
-    if image_size is not None:
-        if np.nanmax(np.abs(points)) > LARGEST_FRACTION:
-            raise InputError(
-                f"{path} must have fractions of the width and height for --image-size. Received "
-                f"coordinates of up to {np.nanmax(np.abs(points)):g}: omit --image-size."
-            )
-        return points * image_size
-    if is_face and seem_fractions(points):
-        raise InputError(f"{path} must be in pixels, or pass --image-size W H. {FRACTIONS}.")
-    return points
+def _find_beyond(path: Path, points: np.ndarray) -> dict[int, str]:
+    """Faces whose coordinates are too large for fractions, if most are not: else an InputError."""
+    largest = largest_coordinates(points)
+    if typical_of(largest) > LARGEST_FRACTION:
+        raise InputError(
+            f"{path} must have fractions of the width and height for --image-size. Received "
+            f"coordinates of up to {largest.max():g}: omit --image-size."
+        )
+    return {
+        face: f"must have fractions of the image. Received {largest[face]:g}"
+        for face in np.flatnonzero(largest > LARGEST_FRACTION).tolist()
+    }
 
 
 def _check_size(path: Path, max_bytes: int) -> None:

@@ -10,6 +10,7 @@ from writers.pickles import Calls
 
 from deepmds_keras import InputError
 from deepmds_keras.landmarks import face_sizes
+from deepmds_keras.lifting.inputs import prepare_views
 from deepmds_keras.tool.predict.landmark_files import read_faces, read_landmarks
 
 FACES = np.random.default_rng(0).uniform(1, 500, (3, 68, 2))
@@ -159,6 +160,42 @@ def test_fractions_of_a_wide_image_are_not_taken_for_pixels(tmp_path, n):
         read_landmarks(path)
     in_pixels = read_landmarks(path, image_size=(1920, 1080))
     np.testing.assert_allclose(in_pixels, fractions * (1920, 1080))
+
+
+@pytest.mark.parametrize("stray", [2.5, 50])
+def test_a_stray_coordinate_does_not_make_pixels_of_fractions(tmp_path, stray):
+    fractions = FACES / (1920, 1080)
+    fractions[1, 9, 0] = stray
+    path = written(tmp_path, "f.npy", fractions)
+    with pytest.raises(InputError, match="or pass --image-size W H"):
+        read_landmarks(path)
+    points, faults, _ = read_faces(path, image_size=(1920, 1080))
+    assert faults == {1: f"must have fractions of the image. Received {stray:g}"}
+    assert np.isnan(points[1]).all()
+    np.testing.assert_allclose(points[[0, 2]], FACES[[0, 2]])
+
+
+def test_unusable_faces_are_named_in_order_whatever_their_fault(tmp_path):
+    fractions = np.repeat(FACES / 1000, 3, 0)
+    fractions[2, 0], fractions[7] = 5, 0.5
+    path = written(tmp_path, "f.npy", fractions)
+    assert [*read_faces(path, image_size=(640, 480))[1]] == [2, 7]
+
+
+@pytest.mark.parametrize("narrow", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("missing", [0, 30])
+def test_a_face_is_a_gap_exactly_if_the_lifter_would_refuse_it(tmp_path, narrow, missing):
+    faces = FACES[:, 17:].copy()
+    faces[1] = (faces[1] - 250) * (1, narrow) @ ((0.6, 0.8), (-0.8, 0.6)) + 250
+    faces[1, :missing] = np.nan
+    points, faults, _ = read_faces(written(tmp_path, "f.npy", faces))
+    try:
+        prepare_views(faces, 51)
+    except InputError:
+        assert [*faults] == [1] and "on one line" in faults[1]
+    else:
+        assert not faults
+    prepare_views(points[~np.isnan(points).all((1, 2))], 51)
 
 
 GAPS = np.concatenate([FACES[:1] * np.nan, FACES, FACES[:2] * np.nan])
