@@ -20,7 +20,8 @@ _ROTATED = (
     "eyes lie below the mouth, the right eye to the right."
 )
 _EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
-_PASS_Y_UP = "y must point down; pass --y-up if it points up."
+PASS_Y_UP = "y must point down; pass --y-up if it points up."
+OMIT_Y_UP = "y must point up for --y-up; omit it if y points down."
 _NEGATE_Y = "y must point up; negate it if it points down, as in images."
 _MIRRORED = (
     "x must point right, and right and left be the subject's; mirror x, or swap right and "
@@ -29,7 +30,7 @@ _MIRRORED = (
 
 
 def check_y_axis(
-    landmarks: np.ndarray, scheme: str, name: str, *, needed: str = _PASS_Y_UP
+    landmarks: np.ndarray, scheme: str, name: str, *, needed: str = PASS_Y_UP
 ) -> dict[int, str]:
     """Refuse landmarks if most of the faces are upside down or mirrored.
 

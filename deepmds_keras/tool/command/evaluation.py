@@ -17,9 +17,9 @@ from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
-from deepmds_keras.landmarks.y_axis import check_y_axis, eyes_to_mouth
+from deepmds_keras.landmarks.y_axis import OMIT_Y_UP, PASS_Y_UP, check_y_axis, eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.tool.detection import FOUND_BY, to_ibug
+from deepmds_keras.tool.detection import FOUND_BY, sd_of_landmarks, to_ibug
 from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
@@ -83,6 +83,7 @@ def evaluate(
     lifter = lifter or LandmarkLifter.pretrained(scheme)
     is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)
     shapes = _oriented(shapes, scheme, frame)
+    sd = None
     if landmarks is None:
         views = shapes[..., :2]
     else:
@@ -90,8 +91,10 @@ def evaluate(
         views = read_landmarks(landmarks, y_up=y_up, image_size=image_size, scheme=of_file)
         if is_face:
             seen = scheme_of(views.shape[1])
-            check_y_axis(views, seen, str(landmarks))
-            views = to_ibug(convert(views, seen, scheme), FOUND_BY.get(seen), scheme)
+            needed = OMIT_Y_UP if y_up else PASS_Y_UP
+            check_y_axis(views, seen, str(landmarks), needed=needed)
+            found_by = FOUND_BY.get(seen)
+            views = to_ibug(convert(views, seen, scheme), found_by, scheme)
         views = views * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(
@@ -103,7 +106,8 @@ def evaluate(
                 f"{landmarks} must have landmarks of each face. Received none for face {face + 1}: "
                 "leave it out of both files."
             )
-    predicted = {"lifting": lifter.predict(views, check_orientation=is_face)}
+        sd = sd_of_landmarks(views, found_by, scheme) if is_face else None
+    predicted = {"lifting": lifter.predict(views, landmark_sd=sd, check_orientation=is_face)}
     if lifter.mean_shape_ is not None:  # as it is in older files
         predicted = {"mean shape": np.broadcast_to(lifter.mean_shape_, shapes.shape)} | predicted
     if landmarks is None:

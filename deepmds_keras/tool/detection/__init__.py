@@ -98,7 +98,7 @@ def upright_axes(landmarks: np.ndarray, scheme: str) -> tuple[np.ndarray, np.nda
     return np.stack([right, down], axis=1), rms_radius(convert(landmarks, scheme, "ibug51"))
 
 
-def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
+def detector_sd(detector: str | None, scheme: str) -> np.ndarray | None:
     """Standard deviation of a coordinate of each landmark that `to_ibug` returns.
 
     Returns:
@@ -107,6 +107,15 @@ def detector_sd(detector: str, scheme: str) -> np.ndarray | None:
     """
     rows = measured(detector, scheme)
     return None if rows is None else rows[:, 2]
+
+
+def sd_of_landmarks(landmarks: np.ndarray, detector: str | None, scheme: str) -> np.ndarray | None:
+    """`detector_sd` of each face `(n, L, 2)`, in the unit of its landmarks: `(n, L)`, or None."""
+    sd = detector_sd(detector, scheme)
+    if sd is None:
+        return None
+    known = np.where(np.isnan(landmarks), np.nanmean(landmarks, axis=1, keepdims=True), landmarks)
+    return rms_radius(convert(known, scheme, "ibug51"))[:, None] * sd
 
 
 @cache

@@ -9,10 +9,9 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import HeadPose
-from deepmds_keras.geometry.units import rms_radius
-from deepmds_keras.landmarks import LandmarkScheme, convert, load_scheme
+from deepmds_keras.landmarks import LandmarkScheme, load_scheme
 from deepmds_keras.landmarks.y_axis import quarter_turns
-from deepmds_keras.tool.detection import detector_sd
+from deepmds_keras.tool.detection import sd_of_landmarks
 from deepmds_keras.tool.predict.faces import Detections, Face
 from deepmds_keras.tool.predict.models import Model, load_model, name_for
 
@@ -21,6 +20,7 @@ _POSE_ERROR = 5  # root mean square error of head poses, degrees
 # the face's landmarks, and this part of the face's size. Distances are weighted by the accuracy of
 # the detector at that landmark.
 _ASTRAY, _ASTRAY_SIZE = 4, 0.05
+_MOST_ACCURATE = 1 / 4  # smallest s.d. relative to the mean: exact landmarks would always be astray
 
 
 def estimate_faces(
@@ -113,11 +113,7 @@ def _landmark_sd(detections: Detections, seen: np.ndarray, views: np.ndarray) ->
     if detections.landmark_sd is not None:
         return detections.landmark_sd[seen]
     detector = detections.detector["name"] if detections.detector else detections.found_by
-    measured = detector_sd(detector, detections.scheme) if detector else None
-    if measured is None:
-        return None
-    known = np.where(np.isnan(views), np.nanmean(views, axis=1, keepdims=True), views)
-    return rms_radius(convert(known, detections.scheme, "ibug51"))[:, None] * measured
+    return sd_of_landmarks(views, detector, detections.scheme)
 
 
 def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> HeadPose:
@@ -137,7 +133,8 @@ def _turns(quarters: np.ndarray) -> np.ndarray:
 def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -> dict[int, str]:
     """Notes on faces with landmarks far from the projected shape; `off` is relative to its size."""
     sd = np.ones_like(off) if sd is None else sd + 1e-12  # which may all be 0
-    weighted = off * sd.mean(1, keepdims=True) / sd
+    mean = sd.mean(1, keepdims=True)
+    weighted = off * mean / np.maximum(sd, _MOST_ACCURATE * mean)
     whole = not np.isnan(weighted).any()  # as nearly always; NumPy's nanmedian is slow
     median = (np.median if whole else np.nanmedian)(weighted, axis=1, keepdims=True)
     far = weighted > np.maximum(_ASTRAY * median, _ASTRAY_SIZE)

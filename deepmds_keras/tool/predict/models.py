@@ -141,6 +141,10 @@ def target_scheme(scheme: str, model: str | None) -> str:
                 f"those of {FALLBACK}. Received the model {name}."
             )
         return FALLBACK
+    for family in FAMILIES.values():
+        for of, weights in family.shipped.items():
+            if weights == name and not _lacks(scheme, of):
+                return of  # even if one's own scheme has as many, in another order
     given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
     if len(given) == n_landmarks:
         return scheme

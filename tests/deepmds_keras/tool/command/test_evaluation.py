@@ -8,7 +8,9 @@ from places import SHARED
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_expressive
-from deepmds_keras import InputError
+from deepmds_keras import InputError, convert, predict_landmarks
+from deepmds_keras.geometry.alignment import align
+from deepmds_keras.geometry.units import centre
 from deepmds_keras.geometry.views import in_camera_frame, sample_perspective_cameras
 from deepmds_keras.tool.command.evaluation import evaluate, read_truth
 
@@ -93,8 +95,23 @@ def test_landmarks_are_converted_and_must_not_be_upside_down(truth, tmp_path):
     np.save(tmp_path / "up.npy", truth[:9, :, :2])
     with pytest.raises(InputError, match="up.npy.*--y-up"):
         evaluate(tmp_path / "truth.npy", landmarks=tmp_path / "up.npy", out=tmp_path / "up")
+    with pytest.raises(InputError, match="51.npy.*y must point up for --y-up; omit it"):
+        seen = tmp_path / "51.npy"
+        evaluate(tmp_path / "truth.npy", landmarks=seen, y_up=True, out=tmp_path / "up")
     with pytest.raises(InputError, match="landmarks must be given with y_up"):
         evaluate(tmp_path / "truth.npy", y_up=True, out=tmp_path / "up")
+
+
+def test_landmarks_of_mediapipe_are_lifted_with_its_own_errors(truth, tmp_path):
+    np.save(tmp_path / "truth.npy", truth[:9, 17:])
+    seen = convert(truth[:9, :, :2] * (1, -1), "ibug68", "mediapipe", missing="nan")
+    np.save(tmp_path / "seen.npy", seen)
+    rows = evaluate(tmp_path / "truth.npy", landmarks=tmp_path / "seen.npy", out=tmp_path)
+    lifted = [face.xyz for face in predict_landmarks(seen)]
+    shape = centre(truth[:9, 17:])
+    eyes = ((shape[:, 19] - shape[:, 28]) ** 2).sum(1)
+    expected = ((align(np.array(lifted), shape) - shape) ** 2).mean((1, 2)) / eyes
+    assert errors(rows)["lifting"] == pytest.approx(expected.mean(), rel=1e-3)
 
 
 @pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")

@@ -17,7 +17,12 @@ from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.tool.predict.estimation import estimate_faces
 from deepmds_keras.tool.predict.faces import Detections
-from deepmds_keras.tool.predict.models import PaperNetworks, describe_model, load_model
+from deepmds_keras.tool.predict.models import (
+    PaperNetworks,
+    describe_model,
+    load_model,
+    target_scheme,
+)
 from deepmds_keras.weights import pretrained_path
 
 N = 60
@@ -197,6 +202,24 @@ def test_weights_that_know_another_origin_are_noted_and_are_read_again_when_they
     again = estimate_faces(detections(landmarks), model=str(path))
     assert np.array_equal(again[0].xyz, estimate_faces(detections(landmarks))[0].xyz)
     assert describe_model("ibug51", str(path))["method"] == "lifting"
+
+
+def test_one_exact_landmark_among_inexact_ones_is_not_astray(landmarks):
+    sd = np.full((5, 51), 0.02 * np.ptp(landmarks[0]))
+    moved = landmarks + np.random.default_rng(0).normal(0, sd[0, 0] / 3, landmarks.shape)
+    sd[:, 0] = 0
+    for face in estimate_faces(replace(detections(moved), landmark_sd=sd)):
+        assert not any("misplaced" in note for note in face.notes)
+
+
+def test_landmarks_of_ones_own_order_are_brought_into_that_of_shipped_weights(tmp_path):
+    path, numbers = tmp_path / "mine.csv", range(68, 17, -1)
+    path.write_text("\n".join(["number,name", *(f"{i},p{i}" for i in range(51))]))
+    same = "\n".join(["number,ibug68", *(f"{i},{n}" for i, n in enumerate(numbers))])
+    path.with_name("mine_ibug68.csv").write_text(same)
+    for model in (None, "lifting", "lifting-ibug51", "deepmds-ibug51"):
+        assert target_scheme(str(path), model) == "ibug51"
+    assert target_scheme("ibug51", "lifting-ibug68") == "ibug51", "which lacks the jaw"
 
 
 def test_what_fits_no_weights_is_named(landmarks, tmp_path):
