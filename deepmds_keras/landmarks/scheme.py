@@ -182,8 +182,8 @@ def _beside(table: Path, kind: str) -> Path:
     return table.with_name(f"{table.stem}{kind}.csv") if kind else table
 
 
-def _line(text: str) -> tuple[int, ...]:
-    return tuple(map(int, text.split("-")))
+def _line(text: str | None) -> tuple[int, ...]:
+    return tuple(map(int, (text or "").split("-")))  # None where a row has too few cells
 
 
 def _shared(array: np.ndarray) -> np.ndarray:

@@ -31,13 +31,14 @@ def describe_run(source: Path, settings: Mapping) -> dict:
     kind = kind_of(source)
     options = {key: value for key, value in settings.items() if kind in USED_BY.get(key, (kind,))}
     given = [Path(options[key]) for key in _FILES if options.get(key)]
-    given += scheme_files(Path(options["scheme"])) if options.get("scheme") else []
+    if (scheme := options.get("scheme") or "").lower().endswith(".csv"):  # no shipped one
+        given += scheme_files(Path(scheme))
     used = {"source": _stamp(source), "files": [_stamp(path) for path in given if path.is_file()]}
     return json.loads(json.dumps(used | {"options": options}))  # as it is read again
 
 
 def read_records(folder: Path) -> dict[str, dict]:
-    """The last record of each name of results: what `describe_run` says, and `"results"`.
+    """The last record of each name of results: what `describe_run` says, `"results"` and `"fault"`.
 
     Without those some of whose files a later run replaced by results of another name.
     """
@@ -58,9 +59,14 @@ def read_records(folder: Path) -> dict[str, dict]:
     }
 
 
-def add_record(folder: Path, name: str, described: Mapping, results: list[str]) -> None:
-    """Note whose results the files of a name are, before they are moved to the folder."""
-    record = {"name": name, **described, "results": results}
+def add_record(
+    folder: Path, name: str, described: Mapping, results: list[str], fault: str | None
+) -> None:
+    """Note whose results the files of a name are, before they are moved to the folder.
+
+    The fault is what a later run must say when it skips the source.
+    """
+    record = {"name": name, **described, "results": results, "fault": fault}
     with open(folder / _RECORDS, "a", encoding="utf-8") as file:
         file.write(f"\n{json.dumps(record)}\n")  # on its own line, even after half a record
 

@@ -73,27 +73,25 @@ def run(
     if skipped:
         print(f"skipped: {printable(list_skipped(skipped))}")
     _note_without_effect(paths, settings)
-    if out.resolve() in {folder.resolve() for folder in {path.parent for path in paths}}:
+    folders = {path.parent for path in paths} | {Path(s) for s in sources if os.path.isdir(s)}
+    if out.resolve() in {folder.resolve() for folder in folders}:
         raise InputError(f"{out} must not be a folder of sources. Choose another (--out).")
-    named = [*zip(paths, name_sources(paths), strict=True)]
-    described = {name: describe_run(path, settings) for path, name in named}
     records = read_records(out)
-    todo, taken = (named, []) if overwrite else _sort(named, out, records, described)
-    if done := len(named) - len(todo) - len(taken):
-        print(
-            f"{done} of {len(named)} sources are done, in {printable(str(out))}, and are skipped; "
-            "--overwrite redoes them."
-        )
-    for fault in taken[:1]:
-        more = f", as for {len(taken) - 1} more sources" if len(taken) > 1 else ""
-        _complain(f"{fault}{more}. Replace by --overwrite, or name another folder (--out).")
-    failed = len(errors) + len(taken)
+    known = {record["source"][0]: name for name, record in records.items()}
+    named = [*zip(paths, name_sources(paths, known), strict=True)]
+    described = {name: describe_run(path, settings) for path, name in named}
+    todo, n_failed = (named, 0) if overwrite else _unfinished(named, out, records, described)
+    failed = len(errors) + n_failed
     if not todo:
         return failed
     usable = _usable(todo, settings)
     failed += len(todo) - len(usable)
     hidden = len(usable) == 1 or None  # None hides it where there is no terminal
     with _locked(out) as folder, tqdm(total=len(usable), unit="source", disable=hidden) as bar:
+        records = read_records(out)  # again: another run may have ended meanwhile
+        if not overwrite:
+            usable, n_failed = _unfinished(usable, out, records, described)
+            failed += n_failed
         for name, files, lines, fault in _results(usable, folder, jobs, settings):
             own = {*records.get(name, {}).get("results", ())}  # of a former run, perhaps not all
             free = files if overwrite else own
@@ -107,7 +105,7 @@ def run(
                 for path in (out / Path(file).name for file in own.union(files)):
                     if not path.is_dir():
                         path.unlink(missing_ok=True)
-                add_record(out, name, described[name], files)
+                add_record(out, name, described[name], files, fault)
                 for file in files:
                     os.replace(folder / file, out / file)
                 listed = [str(out / files[0]), *files[1:4], *["…"] * (len(files) > 4)]
@@ -122,11 +120,14 @@ def run(
     return failed
 
 
-def _sort(
+def _unfinished(
     named: list[tuple[Path, str]], out: Path, records: dict[str, dict], described: dict[str, dict]
-) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Sources that are not done, and what is wrong where there are other results in their place."""
-    todo, taken = [], []
+) -> tuple[list[tuple[Path, str]], int]:
+    """Sources that are not done, and the number of others that failed, each with a line.
+
+    Those have other results in their place, or are done but for faces that cannot be used.
+    """
+    todo, taken, faults = [], [], []
     for source, name in named:
         record = records.get(name)
         results = [picture_name(source, name)] if record is None else record["results"]
@@ -137,7 +138,19 @@ def _sort(
             taken.append(f"{fault}. Received one {whose}")
         elif whose or len(there) < len(results):
             todo.append((source, name))
-    return todo, taken
+        elif record and record.get("fault"):
+            faults.append(record["fault"])
+    if done := len(named) - len(todo) - len(taken):
+        print(
+            f"{done} of {len(named)} sources are done, in {printable(str(out))}, and are skipped; "
+            "--overwrite redoes them."
+        )
+    for fault in taken[:1]:
+        more = f", as for {len(taken) - 1} more sources" if len(taken) > 1 else ""
+        _complain(f"{fault}{more}. Replace by --overwrite, or name another folder (--out).")
+    for fault in faults:
+        _complain(fault)
+    return todo, len(taken) + len(faults)
 
 
 def _is_taken(path: Path, replaced: bool) -> bool:

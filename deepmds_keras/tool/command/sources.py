@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
 
@@ -66,28 +66,35 @@ def list_skipped(skipped: Counter[str]) -> str:
     )
 
 
-def name_sources(sources: Sequence[Path]) -> list[str]:
+def name_sources(sources: Sequence[Path], known: Mapping[str, str]) -> list[str]:
     """A name for the results of each source, its stem if that is free.
 
     Names differ by more than case, and none is another one plus a hyphen and a number, which
     `name_faces` appends: `a.jpg`, `a.png` and `a-1.jpg` give `a`, `a_png` and `a-1_jpg`. None is
     that of a mesh.
+
+    Args:
+        sources: Different paths.
+        known: Absolute path → the name of its results in the folder. They keep it, so that a new
+            `a.jpg` does not take that of an `a.png` that is done.
     """
-    names: list[str] = []
+    names: dict[Path, str] = {}
     used: set[str] = set()
     numbered: set[str] = set()
-    for source in sources:
+    before = {source: known.get(str(source.resolve())) for source in sources}
+    for source in sorted(sources, key=lambda source: before[source] is None):
         suffixed = f"{source.stem}_{source.suffix[1:]}"
-        for name in chain([source.stem, suffixed], (f"{suffixed}_{i}" for i in count(2))):
+        first = [before[source] or source.stem, source.stem, suffixed]
+        for name in chain(first, (f"{suffixed}_{i}" for i in count(2))):
             folded = name.casefold()
             without = re.sub(r"(?<=.)-\d+$", "", folded)
             mesh = folded.endswith(".mesh")  # `a.mesh.ply` is a file of `a.jpg`
             if not ({folded, without} & used or folded in numbered or mesh):
                 break
-        names.append(name)
+        names[source] = name
         used.add(folded)
         numbered.add(without)
-    return names
+    return [names[source] for source in sources]
 
 
 def _photos_in(folder: Path, recursive: bool, errors: list, skipped: Counter[str]) -> list[Path]:

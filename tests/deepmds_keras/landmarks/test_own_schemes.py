@@ -112,6 +112,11 @@ def test_a_table_that_contradicts_itself_is_refused(stool, old, new, message):
         load_scheme(stool(old, new))
 
 
+def test_a_line_without_landmarks_is_refused(stool):
+    with pytest.raises(InputError, match="stool.csv must have .* values such as 1-2-3"):
+        load_scheme(stool(lines="1\n"))
+
+
 def test_lines_of_unknown_landmarks_and_missing_tables_are_refused(stool, tmp_path):
     with pytest.raises(InputError, match="stool_polylines.csv must join .* Received 9, which"):
         load_scheme(stool(lines="1,3-9\n"))

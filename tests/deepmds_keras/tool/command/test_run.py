@@ -16,7 +16,7 @@ from places import ROOT
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras.landmarks import convert, load_scheme
-from deepmds_keras.tool.command import process
+from deepmds_keras.tool.command import process, run
 from deepmds_keras.tool.detection import (
     DETECTORS,
     Detector,
@@ -294,6 +294,53 @@ def test_other_options_are_never_skipped(tmp_path, predict, landmarks, options):
         assert predict(points, *options)[0] == 0
 
 
+def test_a_new_source_of_the_same_stem_changes_nothing_of_what_is_done(
+    tmp_path, predict, landmarks
+):
+    done, new = save(tmp_path / "a.npy", landmarks), tmp_path / "a.json"
+    assert predict(done)[0] == 0
+    new.write_text(json.dumps(landmarks.tolist()))
+    status, output, errors = predict(new, done)
+    assert (status, errors) == (0, []) and "1 of 2 sources are done" in output
+    assert written(tmp_path / "out") == ["a.csv", "a.png", "a_json.csv", "a_json.png"]
+
+
+def test_what_another_run_did_meanwhile_is_not_done_again(
+    tmp_path, predict, landmarks, monkeypatch
+):
+    first, second = (save(tmp_path / f"{name}.npy", landmarks) for name in "ab")
+    usable = run._usable
+
+    def meanwhile(*arguments):
+        monkeypatch.setattr(run, "_usable", usable)
+        assert predict(first)[0] == predict(second, "--format", "json")[0] == 0
+        return usable(*arguments)
+
+    monkeypatch.setattr(run, "_usable", meanwhile)
+    status, output, (line,) = predict(first, second)
+    assert (status, "npy: 1 face" in output) == (1, False)
+    assert "1 of 2 sources are done" in output and "b.json must be the result of" in line
+
+
+def test_faces_that_cannot_be_used_are_said_again(tmp_path, predict, landmarks):
+    points = save(tmp_path / "a.npy", [landmarks, 7 + 0 * landmarks])
+    first, again = predict(points), predict(points)
+    assert first[0] == again[0] == 1
+    assert first[2] == again[2] and "1 of 2 faces cannot be used" in again[2][0]
+    assert "1 of 1 sources are done" in again[1]
+
+
+def test_y_up_of_landmarks_whose_y_points_down_is_to_be_omitted(tmp_path, predict, landmarks):
+    status, _, (line,) = predict(save(tmp_path / "a.npy", landmarks), "--y-up")
+    assert status == 1 and "y must point up for --y-up; omit it if y points down." in line
+
+
+@pytest.mark.parametrize("scheme", [".", "..", "/"])
+def test_a_scheme_that_is_no_table_gets_one_line(tmp_path, predict, landmarks, scheme):
+    status, _, (line,) = predict(save(tmp_path / "a.npy", landmarks), "--scheme", scheme)
+    assert status == 1 and f"or your own table (CSV). Received '{scheme}'" in line
+
+
 def test_weights_that_were_trained_again_are_other_weights(tmp_path, predict, landmarks):
     points, weights = save(tmp_path / "a.npy", landmarks), tmp_path / "mine.npz"
     weights.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
@@ -362,6 +409,16 @@ def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):
         status, _, (line,) = predict(tmp_path, "--out", tmp_path, *options)
         assert (status, "must not be a folder of sources" in line) == (1, True)
     assert written(tmp_path) == ["a.jpg"]
+
+
+def test_results_do_not_go_into_a_given_folder_whose_photos_are_all_further_down(
+    tmp_path, predict, heads
+):
+    (tmp_path / "within").mkdir()
+    Image.fromarray(heads[0][1]).save(tmp_path / "within" / "a.jpg")
+    status, _, (line,) = predict(tmp_path, "--recursive", "--out", tmp_path)
+    assert (status, "must not be a folder of sources" in line) == (1, True)
+    assert written(tmp_path) == ["within"]
 
 
 def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):

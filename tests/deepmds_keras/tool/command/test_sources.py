@@ -84,14 +84,20 @@ def test_files_stay_in_order_are_taken_once_and_bad_ones_are_named(tmp_path):
 def test_a_source_gives_its_name_to_the_results_where_that_is_free():
     names = ("x/a.jpg", "b.c.png", "a.png", "y/a.jpg", "z/a.jpg", "d.mesh.jpg")
     expected = ["a", "b.c", "a_png", "a_jpg", "a_jpg_2", "d.mesh_jpg"]
-    assert name_sources([*map(Path, names)]) == expected
-    assert name_sources([Path("p-1.jpg"), Path("p-2.jpg")]) == ["p-1", "p-2"]
+    assert name_sources([*map(Path, names)], {}) == expected
+    assert name_sources([Path("p-1.jpg"), Path("p-2.jpg")], {}) == ["p-1", "p-2"]
+
+
+def test_sources_that_are_done_keep_their_names():
+    new, done, late = Path("a.jpg"), Path("a.png"), Path("b.jpg")
+    known = {str(done.resolve()): "a", str(late.resolve()): "b_jpg"}
+    assert name_sources([new, done, late], known) == ["a_jpg", "a", "b_jpg"]
 
 
 def test_no_face_of_a_source_is_called_like_one_of_another():
     files = ("a.jpg", "A.png", "a-1.jpg", "a-1-1.jpg", "a_png.gif", "x/a-01.png", "a-b.jpg")
     for order in permutations(files, 4):
-        names = name_sources([Path(name) for name in order])
+        names = name_sources([Path(name) for name in order], {})
         results = [
             {name, *name_faces(name, 3), *name_faces(name, 12)} for name in map(str.casefold, names)
         ]
