@@ -78,6 +78,8 @@ def write_page(
 
 def _described(face: Face, photo: np.ndarray | None) -> dict:
     digits = _DIGITS.get(face.unit, 4)
+    extent = np.ptp(face.landmarks_3d[:, :2], axis=0).max()
+    image_digits = max(3, 5 - int(np.floor(np.log10(extent))))  # not all are in pixels
     return {
         "name": face.name,
         "source": face.source and face.source.name,  # without its folder: pages are passed on
@@ -86,7 +88,8 @@ def _described(face: Face, photo: np.ndarray | None) -> dict:
         "scale": SCALE[face.unit],
         "digits": digits,
         "points": np.round(face.xyz, digits + 1).tolist(),
-        "landmarks": or_null(np.round(face.landmarks, 3)),
+        "image_digits": image_digits,
+        "landmarks": or_null(np.round(face.landmarks, image_digits)),
         "pose": {name: getattr(face.pose, name) for name in ("yaw", "pitch", "roll", "residual")},
         "notes": face.notes,
         "photo": _picture(face, photo),

@@ -14,7 +14,7 @@ from deepmds_keras.lifting.traced import trace
 from deepmds_keras.tool.command.outputs import AXES, common, description
 from deepmds_keras.tool.detection import DETECTORS, describe_detector, measured
 from deepmds_keras.tool.html_parts import in_base64
-from deepmds_keras.tool.predict.models import LifterModel, describe_model
+from deepmds_keras.tool.predict.models import describe_model, load_model, name_for
 
 _DETECTOR = "mediapipe"
 _FRAME = (
@@ -57,7 +57,7 @@ def settings(lifter: LandmarkLifter, model: str) -> dict:
             "sd": rows[:, 2].tolist(),
         },
         "graph": _graph(lifter),
-        "turns": LifterModel.turns,
+        "turns": load_model(name_for(scheme, model)).turns,
         "around": mean.tolist(),
         "about": {
             "csv": [

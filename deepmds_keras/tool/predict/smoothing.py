@@ -8,6 +8,9 @@ from deepmds_keras.errors import InputError
 from deepmds_keras.validation import check_number
 
 CAUSAL = "causal"
+# Of the Gaussian: SciPy cuts it off at four s.d., so smaller ones, in rows, reach no other row; of
+# larger ones, in lengths of the run, little but its first and last landmarks counts.
+_LEAST, _MOST = 0.125, 10
 RATE = 30  # rows per second where no times are known
 # Of the One-Euro filter: cutoff of a face at rest in Hz, its growth with speed in Hz per face size
 # a second, and cutoff of the speed in Hz, the authors'. The first two leave under a third of the
@@ -38,7 +41,8 @@ def smooth_over_time(
         landmarks: `(n, L, d)`, a row for each face in each frame.
         frames: `(n,)` int, the frame of each row, in any order.
         smooth: Standard deviation in rows of a Gaussian about each row, beyond the ends of a run of
-            its first and last landmarks; 0 changes nothing. `"causal"` is `one_euro`.
+            its first and last landmarks; at most ten times the length of the run. Below 0.125 it
+            changes nothing. `"causal"` is `one_euro`.
         tracks: `(n,)` int, the face of each row; None if all show one face.
         times: `(n,)` seconds, for `"causal"`; None if there are 30 frames a second.
         step: Distance from one frame to the next; a larger one is a gap.
@@ -47,7 +51,7 @@ def smooth_over_time(
         `(n, L, d)` float, in the order of the rows given.
     """
     smoothed = np.array(landmarks, float)
-    if not smooth or not len(smoothed):
+    if (smooth != CAUSAL and float(smooth) < _LEAST) or not len(smoothed):
         return smoothed
     from scipy.ndimage import gaussian_filter1d  # slow to load, and rarely needed
 
@@ -59,7 +63,8 @@ def smooth_over_time(
         if smooth == CAUSAL:
             smoothed[run] = one_euro(smoothed[run], times[run])
         else:
-            smoothed[run] = gaussian_filter1d(smoothed[run], smooth, axis=0, mode="nearest")
+            sd = min(float(smooth), _MOST * len(run))
+            smoothed[run] = gaussian_filter1d(smoothed[run], sd, axis=0, mode="nearest")
     return smoothed
 
 

@@ -73,6 +73,9 @@ class Video:
             self._step = float(1 / rate)
             stretch = float(stream.sample_aspect_ratio or 1)
             self._stretch = stretch if 1 / _STRETCH <= stretch <= _STRETCH else 1
+            # AVI stores no times to show frames at. FFmpeg guesses them, wrongly for B-frames of
+            # H.264; times to decode frames at are as far apart.
+            self._stamp = "dts" if container.format.name == "avi" else "pts"
             counted = stream.frames
             n = counted or round((container.duration or 0) / 1e6 * rate)
         self.n_frames, self.n_counted = (-(-frames // every) or None for frames in (n, counted))
@@ -80,9 +83,10 @@ class Video:
     def __iter__(self) -> Iterator[Frame]:
         start, time, index = None, 0.0, -1
         for index, frame in enumerate(self._decoded()):
-            if frame.time is not None:
-                start = frame.time if start is None else start
-                time = frame.time - start
+            stamp = getattr(frame, self._stamp)
+            if stamp is not None:
+                start = stamp if start is None else start
+                time = float((stamp - start) * frame.time_base)
             elif index:
                 time += self._step
             if index % self.every == 0:

@@ -6,8 +6,10 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -108,6 +110,26 @@ def test_a_missing_landmark_has_no_dot_and_no_place(page_of, face, photo, in_pho
     page.locator("tbody").wait_for()
     cells = page.locator("tbody tr").nth(3).locator("td").all_inner_texts()
     assert cells[5:] == ["–", "–"] and "–" not in cells[:5]
+
+
+def test_the_table_keeps_small_units_and_any_name(page_of, face, photo, tmp_path):
+    names = [f'{i}, "left"' for i in range(72)]
+    table = ["number,name", *(f'{i},"{i}, ""left"""' for i in range(72))]
+    (tmp_path / "parts.csv").write_text("\n".join(table))
+    small = replace(
+        face,
+        scheme=str(tmp_path / "parts.csv"),
+        landmarks=face.landmarks / 1e5,
+        pose=replace(face.pose, scale=face.pose.scale / 1e5,
+                     translation=face.pose.translation / 1e5),
+    )  # fmt: skip
+    page = page_of([small], [None])
+    page.get_by_text("Coordinates").click()
+    link = page.get_by_role("link", name="Download as CSV").get_attribute("href")
+    rows = pd.read_csv(io.StringIO(unquote(link.partition(",")[2])), comment="#")
+    assert [*rows.name] == names
+    off = rows[["image_x", "image_y"]].to_numpy() - small.landmarks
+    assert np.abs(off).max() < 1e-4 * np.ptp(small.landmarks)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,9 @@ from deepmds_keras.landmarks import FOLDER, load_scheme
 from deepmds_keras.tool.detection import detector_sd, to_ibug
 from deepmds_keras.tool.live import live_page
 from deepmds_keras.tool.live.live_page import write_live_page
+from deepmds_keras.tool.live.settings import settings
 from deepmds_keras.tool.live.tasks_vision import SHA256, VERSION, read_tasks_vision
+from deepmds_keras.tool.predict import landmark_files
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 
 PHOTO = ROOT / "docs" / "pictures" / "astronaut.jpg"
@@ -184,6 +186,13 @@ def test_faces_keep_their_numbers_and_files_are_read_back(opened, tmp_path):
     shape = [[float(row[axis]) for axis in "xyz"] for row in rows[:L]]
     assert np.abs(shape - np.array(faces[0]["shape"])).max() < 1e-6
     assert "unit of x, y, z: normalised" in table.read_text(encoding="utf-8")
+
+
+def test_the_longest_recording_can_be_read(opened):
+    page = opened()
+    show(page, frontal((301.2345, 222.3456), 123.456), time=123.456)
+    per_face = page.evaluate("record.json().slice(1, -1).join('').length * KEPT")
+    assert 5e7 < per_face < landmark_files._MAX_BYTES[".json"]
 
 
 def test_a_face_that_was_gone_is_another_unless_no_frame_was_seen_meanwhile(opened):
@@ -382,6 +391,14 @@ def test_the_page_is_never_written_over_and_only_for_landmarks_that_are_found(pa
     with pytest.raises(InputError, match=r"ibug51.* with bfm72"):
         write_live_page(tmp_path / "live.html", model="lifting-bfm72")
     assert not [*tmp_path.iterdir()]
+
+
+def test_turns_of_the_training_are_claimed_of_shipped_weights_alone(tmp_path):
+    name, own = "lifting-ibug51", tmp_path / "own.npz"
+    lifter = LandmarkLifter.pretrained("ibug51")
+    lifter.save(own)
+    assert settings(lifter, name)["turns"] == {"yaw": 90, "pitch": 40}
+    assert settings(lifter, str(own))["turns"] == {}
 
 
 def test_the_page_says_how_many_faces_it_looks_for(page_file):

@@ -36,6 +36,13 @@ def test_smoothing_is_a_gaussian_over_runs_of_one_face():
     assert np.array_equal(smooth_over_time(noise, np.arange(60), 0), noise)
 
 
+def test_extreme_smoothing_is_none_or_nearly_the_mean_of_both_ends():
+    noise = np.random.default_rng(0).normal(0, 1, (60, 51, 2))
+    assert np.array_equal(smooth_over_time(noise, np.arange(60), 1e-200), noise)
+    smooth = smooth_over_time(noise, np.arange(60), 1e12)
+    assert np.abs(smooth - (noise[0] + noise[-1]) / 2).max() < 0.2
+
+
 def test_causal_smoothing_leaves_a_third_of_the_jitter_of_a_face_at_rest(still):
     face, seen = still
     smooth = smooth_over_time(seen, np.arange(len(seen)), "causal")

@@ -27,9 +27,9 @@ PLAYLIST = (
 )
 
 
-def write_video(path, images, pixel=1):
+def write_video(path, images, pixel=1, codec=None):
     """The images, 25 a second, in the container of the suffix; `pixel` is width by height."""
-    codec = CODECS.get(path.suffix, "libx264")
+    codec = codec or CODECS.get(path.suffix, "libx264")
     options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
     with av.open(str(path), "w", options=options) as output:
         stream = output.add_stream(codec, rate=25, options={"g": "10"})
@@ -102,6 +102,17 @@ def test_every_frame_comes_once_in_order_and_again(tmp_path, suffix):
     red, blue = frames[0].image[48, 16], frames[0].image[16, 16]
     assert np.argmax(red) == 0 and np.argmax(blue) == 2 and frames[0].image.shape == (64, 96, 3)
     assert [frame.index for frame in Video(video.path, 4)] == [*range(0, 30, 4)]
+
+
+@pytest.mark.parametrize("suffix", [".avi", ".mp4", ".mov", ".mkv"])
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+def test_times_grow_evenly_even_where_frames_are_stored_in_another_order(tmp_path, suffix, codec):
+    path = write_video(tmp_path / f"a{suffix}", counted(30), codec=codec)
+    with av.open(str(path)) as file:
+        kinds = {int(frame.pict_type) for frame in file.decode(video=0)}
+    assert (av.video.frame.PictureType.B in kinds) == (codec == "libx264")
+    times = [frame.time for frame in Video(path)]
+    assert times[0] == 0 and np.allclose(np.diff(times), 1 / 25, atol=2e-3)
 
 
 def test_pixels_that_are_no_squares_become_squares(tmp_path):
