@@ -47,7 +47,7 @@ def check_fork(library: str) -> None:
 
 def check_choice(value: object, name: str, choices: Collection[str]) -> None:
     """Raise InputError for a value that is none of the choices; the message calls it `name`."""
-    if value not in choices:
+    if value not in tuple(choices):  # which need not be hashable
         choices = ", ".join(choices) or "none"
         raise InputError(f"{name} must be one of {choices}. Received {value!r}.")
 

@@ -37,7 +37,12 @@ def as_faces(points: ArrayLike, name: str, sizes: Collection[int] | None = None)
     if isinstance(points, np.ndarray) and points.dtype.hasobject and points.ndim:
         points = points.tolist()
     if isinstance(points, (list, tuple)):
-        points = _without_none(points)
+        try:
+            points = _without_none(points)
+        except ValueError:  # NumPy's
+            raise InputError(
+                f"{name} must be one array. Received rows of unequal lengths."
+            ) from None
         if points is None:
             raise InputError(f"{name} must hold landmarks. Received only null.")
     array = as_numbers(points, name)

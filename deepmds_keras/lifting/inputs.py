@@ -111,7 +111,10 @@ def _check_points(points, n_landmarks):
 
 
 def _check_visible(visible, shape):
-    visible = np.ma.filled(visible, False)  # what is masked is not known to be visible
+    try:
+        visible = np.ma.filled(visible, False)  # what is masked is not known to be visible
+    except ValueError:
+        raise InputError("visible must be one array. Received rows of unequal lengths.") from None
     if visible.shape == shape[1:]:
         visible = visible[None]
     if visible.dtype != bool or visible.shape not in (shape, (1, shape[1])):

@@ -164,7 +164,8 @@ class LandmarkLifter:
             checkpoint=checkpoint,
             progress=progress,
         )
-        self.default_sd_ = min(DEFAULT_SD, float(faces.held_out.sd.mean()))
+        known_sd = faces.held_out.sd[faces.held_out.visible > 0]  # that of others may be anything
+        self.default_sd_ = min(DEFAULT_SD, float(known_sd.mean()))
         self.mean_shape_ = faces.shapes.mean(0).T
         return self
 

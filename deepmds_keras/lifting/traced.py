@@ -38,7 +38,7 @@ def trace(lifter: LandmarkLifter) -> TracedLifter:
     square = xp.mean(points * points, 2, keepdims=True) / share
     radius = xp.sqrt(xp.sum(square, 1, keepdims=True))
     sd = landmark_sd / radius[:, 0]
-    sd = xp.where(xp.isnan(sd), lifter.default_sd_, sd)
+    sd = xp.where(xp.isnan(sd) | ~known, lifter.default_sd_, sd)
     lifted = lift(xp, lifter.weights_, points / radius, seen, sd)
     shape, log_sd = (xp.transpose(a, (0, 2, 1)) for a in (lifted.shapes, lifted.log_sd))
     camera, radius = lifted.camera, radius[:, 0]

@@ -83,6 +83,8 @@ def test_bad_input_is_named():
             InputError, match="variant must be one of paper, released. Received 'x'"
         ):
             build("x")
+        with pytest.raises(InputError, match=r"Received \['paper'\]"):
+            build(["paper"])
     with pytest.raises(InputError, match=r"views must have shape .* Received \(3, 7, 3\)"):
         pair_features(np.zeros((3, 7, 3)))
     with pytest.raises(InputError, match="views must hold numbers. Received dtype complex128"):

@@ -286,6 +286,20 @@ def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypa
     assert not np.array_equal(now[1], now[2])
 
 
+def test_whatever_is_said_of_the_error_of_missing_landmarks_counts_for_nothing():
+    rng = np.random.default_rng(5)
+    views, shapes, _ = sample_faces(60, rng)
+    missing = rng.random((60, L)) < 0.3
+    views[missing] = np.nan
+    assumed = [
+        LandmarkLifter(L, steps=1, batch_size=8)
+        .fit(views, shapes, landmark_sd=np.where(missing, value, 1e-3))
+        .default_sd_
+        for value in (1e-3, 0, 1e6)
+    ]
+    assert len({*assumed}) == 1 and 0 < assumed[0] < 0.02
+
+
 def test_disturbed_faces_keep_six_landmarks_and_tell_of_their_noise():
     rng = np.random.default_rng(0)
     views = np.float32(rng.normal(size=(400, 2, L)))
@@ -332,6 +346,7 @@ def test_unusable_views_are_named(lifter, faces, change, message):
     [
         ({"visible": np.ones((3, L))}, "visible must be bool of shape"),
         ({"visible": np.ones((2, L), bool)}, r"visible must be bool of shape \(3, 20\)"),
+        ({"visible": [[True], [True, False]]}, "visible must be one array"),
         ({"landmark_sd": -1}, "landmark_sd must be finite and not negative"),
         ({"landmark_sd": [1, 2]}, r"landmark_sd must be one number, \(3,\) or \(3, 20\)"),
         ({"landmark_sd": [1, 2, 1e21]}, r"sd must be at most 1e\+18 radii.*e\+2. radii in face 2"),

@@ -64,6 +64,7 @@ def test_onnxruntime_gives_what_predict_gives(shapes, weights, model, n, incompl
     if incomplete:
         visible, sd = rng.random((n, L)) > 0.5, rng.uniform(0, 6, (n, L)).astype(np.float32)
         views[:, 3], views[0, 4] = np.nan, 1e6 * ~visible[0, 4]
+        sd[:, 3] = np.inf
         options = {"visible": visible, "landmark_sd": sd}
     shapes, std, pose = LandmarkLifter.load(weights).estimate(views, **options)
     session = runtime.InferenceSession(model)

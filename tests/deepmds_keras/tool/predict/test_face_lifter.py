@@ -179,6 +179,7 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
         ({}, "hold numbers. Received dtype object"),
         ([1.0, 2.0], r"have shape .* Received \(2,\)"),
         ([[1.0], [2.0, 3.0]], "one array. Received rows of unequal lengths"),
+        ([[[1.0], [2.0, 3.0]], [[1.0, 2.0]]], "one array. Received rows of unequal lengths"),
         (np.zeros((68, 4)), r"\(L, 2\).*. Received \(68, 4\)"),
         (np.full((68, 2), 7), "all 68 landmarks coincide"),
         (np.full((68, 2), np.nan), "not all be missing"),

@@ -338,6 +338,7 @@ REFUSED = {
     "points miscounted": ("f.pts", pts(ONE[0]).replace("  68", " 67"), "states, 67. Received 68"),
     "points too many": ("f.pts", pts(np.ones((194, 2))), "Received 194"),
     "JSON ragged": ("f.json", "[[1, 2], [3]]", "rows of unequal lengths"),
+    "JSON ragged in one face": ("f.json", "[[[1, 2], [3]]]", "rows of unequal lengths"),
     "JSON with null": ("f.json", json.dumps([[1, None]] * 68), "only gaps"),
     "JSON without landmarks": ("f.json", '{"points": []}', "keys faces, landmarks"),
     "JSON record without": ("f.json", '{"faces": [{"name": 1}]}', "Received none of them"),
