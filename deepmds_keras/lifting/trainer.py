@@ -60,7 +60,8 @@ def train_lifting_net(
     blocks = block_sizes(steps)
 
     def mini_batches(block: int) -> dict[str, Any]:
-        faces = faces_of_block(block, blocks[block] * batch_size)
+        # A whole block each time, so that a shorter last one continues where the others stopped.
+        faces = faces_of_block(block, blocks[0] * batch_size)[: blocks[block] * batch_size]
         inputs = [faces.views, faces.visible, faces.sd]
         return {"x": inputs, "y": faces.shapes, "batch_size": batch_size}
 

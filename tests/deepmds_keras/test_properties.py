@@ -174,6 +174,11 @@ def test_shapes_are_turned_onto_the_mean_of_those_of_the_training():
         assert np.array_equal(turned[..., 1], shapes[..., 1]) == upright
 
 
+def test_landmarks_in_metres_of_a_map_are_no_single_point():
+    faces = np.random.default_rng(0).random((2, 10, 3)) * 0.1 + [6.9e5, 5.3e6, 100.0]
+    assert check_points(faces, "shapes", 3) is not None
+
+
 @pytest.mark.parametrize("points", [np.ones(3), np.ones((0, 3)), np.ones((2, 0, 3))])
 def test_what_has_no_landmarks_is_neither_normalised_nor_aligned(points):
     for function in (normalise, lambda points: align(points, points)):

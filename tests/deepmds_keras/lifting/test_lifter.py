@@ -17,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from data_gen.models.registry import load_model
-from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise
+from deepmds_keras import InputError, LandmarkLifter, align, metrics, normalise, training
 from deepmds_keras.baselines.closed_form import RidgeRegression
 from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.alignment import procrustes
@@ -284,6 +284,18 @@ def test_the_weights_that_are_best_on_faces_held_out_are_kept(tmp_path, monkeypa
     assert lifter.history_["inference"] == [2, 1, 3]
     assert np.array_equal(lifter.weights_["basis"], now[1])
     assert not np.array_equal(now[1], now[2])
+
+
+def test_no_face_is_seen_twice_before_each_has_been_seen(monkeypatch):
+    views, shapes, _ = sample_faces(60, np.random.default_rng(6))
+    seen, order = [], training.face_order
+    monkeypatch.setattr(trainer, "STEPS_PER_BLOCK", 2)
+    monkeypatch.setattr(
+        training, "face_order", lambda *given: seen.append(order(*given)) or seen[-1]
+    )
+    LandmarkLifter(L, steps=3, batch_size=16).fit(views, shapes)
+    first, last = seen[0][:32], seen[1][:16]
+    assert len({*first, *last}) == 48, "of 54 that are not held out"
 
 
 def test_whatever_is_said_of_the_error_of_missing_landmarks_counts_for_nothing():
