@@ -64,8 +64,10 @@ $(foreach target,$(TARGETS),$(eval READ_BY_$(target) := $(filter-out REAL OBJECT
 READ_BY_check := $(filter-out REAL OBJECTS JOBS DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_dag := TARGET $(filter-out DRY SNAKEMAKE,$(VARIABLES))
 READ_BY_all-results := DATA BFM68 AUTHORS SFM REAL OBJECTS
-$(foreach target,reproduce-flame reproduce-celeba ablation stream pretrained lifting \
-  released-weights bench,$(eval READ_BY_$(target) := $(filter-out SEEDS EVALUATOR,$(READ_BY_$(target)))))
+# Their tables do not depend on the number of seeds, nor on the evaluator.
+UNSEEDED := reproduce-flame reproduce-celeba ablation stream pretrained lifting released-weights bench
+$(foreach target,$(UNSEEDED),\
+  $(eval READ_BY_$(target) := $(filter-out SEEDS EVALUATOR,$(READ_BY_$(target)))))
 READ_BY_objects := OBJECTS PRESET SEED JOBS DRY SNAKEMAKE
 READ_BY_real-faces := DATA REAL PRESET SEED
 READ_BY_surface := DATA
@@ -143,7 +145,8 @@ all-results: | $(READY) ## all of results/, on three face models   (20 h)
 	    $(MAKE) --no-print-directory DATA= $(LICENSED) $$1 $$target; \
 	  done; \
 	}; \
-	run 'MODEL=bfm68 DATA=$(BFM68) AUTHORS= MOBILEFACE=no SEEDS=10' reproduce-bfm seeds scales report; \
+	run 'MODEL=bfm68 DATA=$(BFM68) AUTHORS= MOBILEFACE=no SEEDS=10' \
+	  reproduce-bfm seeds scales report; \
 	for model in 'MODEL=openhead' 'MODEL=ict DATA=$(DATA) RINGNET=no'; do \
 	  run "$$model" 'reproduce-bfm SEEDS=10' 'reproduce-bfm EVALUATOR=released' \
 	    'reproduce-bfm SEEDS=10 PROTOCOL=posed MOBILEFACE=no' reproduce-flame reproduce-celeba \

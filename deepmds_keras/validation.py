@@ -12,16 +12,25 @@ from deepmds_keras.errors import InputError
 _FLAT = 1e-5  # relative depth of a shape below which its affine camera is undetermined
 
 
+def as_array(values: ArrayLike, name: str) -> np.ndarray:
+    """An array, masked if the input is; the input itself if it is one.
+
+    Raises:
+        InputError: Lists of unequal lengths.
+    """
+    try:
+        return values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+    except ValueError:
+        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
+
+
 def as_numbers(points: ArrayLike, name: str) -> np.ndarray:
     """An array of floats, NaN where the input is masked; the input itself if it is one.
 
     Raises:
         InputError: Lists of unequal lengths, or anything but real numbers.
     """
-    try:
-        array = points if isinstance(points, np.ma.MaskedArray) else np.asarray(points)
-    except ValueError:
-        raise InputError(f"{name} must be one array. Received rows of unequal lengths.") from None
+    array = as_array(points, name)
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name} must hold numbers. Received dtype {array.dtype}.")
     return np.ma.filled(array.astype(float, copy=False), np.nan)

@@ -37,12 +37,7 @@ def as_faces(points: ArrayLike, name: str, sizes: Collection[int] | None = None)
     if isinstance(points, np.ndarray) and points.dtype.hasobject and points.ndim:
         points = points.tolist()
     if isinstance(points, (list, tuple)):
-        try:
-            points = _without_none(points)
-        except ValueError:  # NumPy's
-            raise InputError(
-                f"{name} must be one array. Received rows of unequal lengths."
-            ) from None
+        points = _without_none(points)
         if points is None:
             raise InputError(f"{name} must hold landmarks. Received only null.")
     array = as_numbers(points, name)
@@ -96,5 +91,11 @@ def _without_none(item: Any) -> Any:
     known = next((each for each in items if each is not None), None)
     if known is None:
         return None if items else items
-    gap = np.full(np.shape(known), np.nan).tolist()
-    return [gap if each is None else each for each in items]
+    return [_gap(known) if each is None else each for each in items]
+
+
+def _gap(item: Any) -> Any:
+    """NaN in place of each number, in lists that may be of unequal lengths."""
+    if isinstance(item, list):
+        return [*map(_gap, item)]
+    return np.full(np.shape(item), np.nan).tolist()

@@ -20,8 +20,11 @@ _ROTATED = (
     "eyes lie below the mouth, the right eye to the right."
 )
 _EYES_BELOW = "Received landmarks whose eyes lie below the mouth."
-PASS_Y_UP = "y must point down; pass --y-up if it points up."
-OMIT_Y_UP = "y must point up for --y-up; omit it if y points down."
+# What the command line advises, without and with `--y-up`.
+Y_UP_ADVICE = {
+    False: "y must point down; pass --y-up if it points up.",
+    True: "y must point up for --y-up; omit it if y points down.",
+}
 _NEGATE_Y = "y must point up; negate it if it points down, as in images."
 _MIRRORED = (
     "x must point right, and right and left be the subject's; mirror x, or swap right and "
@@ -30,7 +33,7 @@ _MIRRORED = (
 
 
 def check_y_axis(
-    landmarks: np.ndarray, scheme: str, name: str, *, needed: str = PASS_Y_UP
+    landmarks: np.ndarray, scheme: str, name: str, *, needed: str = Y_UP_ADVICE[False]
 ) -> dict[int, str]:
     """Refuse landmarks if most of the faces are upside down or mirrored.
 

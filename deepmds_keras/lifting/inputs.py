@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.validation import as_numbers
+from deepmds_keras.validation import as_array, as_numbers
 
 LEAST_VISIBLE = 6
 _LARGEST_SD = 1e18  # relative to the radius: squares in single precision end at 1.8e19
@@ -111,10 +111,8 @@ def _check_points(points, n_landmarks):
 
 
 def _check_visible(visible, shape):
-    try:
-        visible = np.ma.filled(visible, False)  # what is masked is not known to be visible
-    except ValueError:
-        raise InputError("visible must be one array. Received rows of unequal lengths.") from None
+    # What is masked is not known to be visible.
+    visible = np.ma.filled(as_array(visible, "visible"), False)
     if visible.shape == shape[1:]:
         visible = visible[None]
     if visible.dtype != bool or visible.shape not in (shape, (1, shape[1])):

@@ -44,8 +44,8 @@ _DRAWN = {
     "lower_bound": "lower bound",  # true distances have no error, which no logarithm shows
 }  # fmt: skip
 EMBEDDINGS = {
-    "non_metric": Look("Non-metric MDS", look("deep_mds").colour, look("deep_mds").marker, ""),
-    "metric": Look("Metric MDS", look("zhao").colour, look("zhao").marker, ""),
+    "non_metric": look("deep_mds")._replace(title="Non-metric MDS", dashes=""),
+    "metric": look("zhao")._replace(title="Metric MDS", dashes=""),
     "none": Look("Without MDS", INK, "s", ""),
 }
 _UNIT = 1e-6

@@ -37,11 +37,11 @@ NETS = {"released": AUTHORS_FILES["bfm"][1], "released_2": SECOND_NET}
 _PUBLISHED = {"deep_mds": ("Deep-MDS", (4, 2)), "deep_mds_constant": ("trivial case", (1, 1))}
 _CONSTANT = "one of their outputs, for all views"
 _LOOKS = {
-    "released": Look("authors' networks", look("deep_mds").colour, look("deep_mds").marker),
+    "released": look("deep_mds")._replace(title="authors' networks", dashes="-"),
     "released_2": Look("the same, second dissimilarity net", look("deep_mds_released").colour, "p"),
     "deep_mds_constant": Look(_CONSTANT, look("zhao").colour, "^"),
     "random_face": Look("a random face, for all views", "#117733", "v"),
-    "mean_shape": Look("mean shape", look("mean_shape").colour, look("mean_shape").marker),
+    "mean_shape": look("mean_shape")._replace(title="mean shape", dashes="-"),
 }
 _CONSTANTS = 25  # outputs, and faces, over which the error of one answer to all views is averaged
 _UNIT = 1e-4

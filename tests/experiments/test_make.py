@@ -499,7 +499,7 @@ def test_the_makefile_hands_on_every_variable_and_needs_all_for_all_results():
     )  # fmt: skip
     assert done.returncode and "error: SFM must be a file or folder" in done.stderr
     folders = [f"{name}=." for name in ("DATA", "BFM68", "AUTHORS", "SFM", "REAL", "OBJECTS")]
-    status, output, _ = make_without_setup("-n", "all-results", *folders)
+    status, output, _ = make_without_setup("all-results", *folders)
     commands = [words for words in output.splitlines() if "experiments.make" in words]
     assert status == 0 and len(commands) > 20
     for line in commands:

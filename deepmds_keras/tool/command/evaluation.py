@@ -17,7 +17,7 @@ from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.units import centre
 from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
-from deepmds_keras.landmarks.y_axis import OMIT_Y_UP, PASS_Y_UP, check_y_axis, eyes_to_mouth
+from deepmds_keras.landmarks.y_axis import Y_UP_ADVICE, check_y_axis, eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.detection import FOUND_BY, sd_of_landmarks, to_ibug
 from deepmds_keras.tool.predict.faces import counted
@@ -91,8 +91,7 @@ def evaluate(
         views = read_landmarks(landmarks, y_up=y_up, image_size=image_size, scheme=of_file)
         if is_face:
             seen = scheme_of(views.shape[1])
-            needed = OMIT_Y_UP if y_up else PASS_Y_UP
-            check_y_axis(views, seen, str(landmarks), needed=needed)
+            check_y_axis(views, seen, str(landmarks), needed=Y_UP_ADVICE[y_up])
             found_by = FOUND_BY.get(seen)
             views = to_ibug(convert(views, seen, scheme), found_by, scheme)
         views = views * (1, -1)

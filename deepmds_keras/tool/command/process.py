@@ -12,7 +12,7 @@ from tqdm import tqdm
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import atomic_write
 from deepmds_keras.landmarks import convert, scheme_of
-from deepmds_keras.landmarks.y_axis import OMIT_Y_UP, PASS_Y_UP, check_y_axis
+from deepmds_keras.landmarks.y_axis import Y_UP_ADVICE, check_y_axis
 from deepmds_keras.tool.command.cli import fault_of, lines_about
 from deepmds_keras.tool.command.outputs import MESH_FORMATS, output_files, write_output
 from deepmds_keras.tool.command.overlay import overlay
@@ -101,7 +101,7 @@ def _read(source: Path, name: str, settings: dict) -> Detections:
         source, y_up=settings["y_up"], image_size=settings["image_size"], scheme=scheme
     )
     n, scheme = len(landmarks), scheme or scheme_of(landmarks.shape[1])
-    needed = OMIT_Y_UP if settings["y_up"] else PASS_Y_UP
+    needed = Y_UP_ADVICE[settings["y_up"]]
     odd = check_y_axis(landmarks, scheme, str(source), needed=needed)
     target = target_scheme(scheme, model)
     landmarks = convert(landmarks, scheme, target)  # what is not among these may be missing

@@ -1,13 +1,13 @@
 """`make check-results` sees digits that differ, rows that are gone, and what it cannot run."""
 
 import json
+import subprocess
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from deepmds_keras.errors import InputError
-from experiments.records import environment
 from experiments.report import check_results
 from experiments.report.check_results import (
     Made,
@@ -60,13 +60,17 @@ def test_rows_and_tables_that_are_gone_are_named(folders, tmp_path):
 
 
 def test_results_are_listed_with_what_made_them(tmp_path, monkeypatch, capsys):
-    made_by = environment()["commit"].removesuffix("+")
+    made_by = "0123456789ab"
     for name in ("ict/bfm", "smoke/ict/bfm"):
         (tmp_path / name).mkdir(parents=True)
         manifest = {"command": "make reproduce-bfm", "commit": made_by, "steps": [{}, {}]}
         (tmp_path / name / "manifest.json").write_text(json.dumps(manifest))
     (made,) = find_results(tmp_path)
     assert (str(made.folder), made.commits) == ("ict/bfm", (made_by,))
+    whole = made_by + "c" * 28
+    monkeypatch.setattr(
+        check_results, "git", lambda *words, folder: made_by if "--short=12" in words else whole
+    )
     monkeypatch.setattr(check_results, "small_run", None)  # the last commit's are not run again
     monkeypatch.setattr(check_results, "find_results", lambda _: [made])
     with pytest.raises(SystemExit, match="False"):
@@ -75,7 +79,11 @@ def test_results_are_listed_with_what_made_them(tmp_path, monkeypatch, capsys):
 
 
 def test_a_commit_that_git_does_not_know_is_not_checked(monkeypatch, tmp_path):
+    def git(*words, folder):
+        raise subprocess.CalledProcessError(128, words)
+
     monkeypatch.setattr(check_results, "_TREES", tmp_path)
+    monkeypatch.setattr(check_results, "git", git)
     made = Made(Path("ict/bfm"), ("0123456789ab+",), "make reproduce-bfm")
     assert check(made, "0123456789ab+", "b" * 12) == (
         "0123456789ab+: not checked: 0123456789ab+ is no commit of this clone"
