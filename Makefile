@@ -120,7 +120,7 @@ stream: ## the method on a million faces, in bounded memory   (15 min)
 seeds: ## ten seeds of Deep-MDS   (1 h)
 scales: ## the methods on the BFM's faces at several scales of its s.d.   [MODEL=bfm68 DATA=dir]   (2 h)
 pretrained: ## train the weights that ship with the package, and measure them
-lifting: ## the lifting network against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
+lifting: ## LandmarkLifter against the lower bound, on hard views: results/<model>/lifting/   (2.5 h)
 released-weights: ## the released weights around the BFM's mean: results/released-weights/   [AUTHORS=dir]   (45 min)
 real-faces: ## errors of the detectors on real photos: results/openhead/real/   [REAL=npz]
 surface: ## the head of `deepmds predict --mesh`, and its errors   [DATA=ICT-FaceKit]
