@@ -10,6 +10,7 @@ from sklearn.manifold import MDS
 from deepmds_keras.errors import InputError, check_choice, needs
 from deepmds_keras.geometry.classical_scaling import classical_scaling, with_signs
 from deepmds_keras.validation import as_numbers, check_number, check_whole
+from deepmds_keras.geometry.units import rescaled
 
 SOLVERS = ("sklearn", "numba")
 # Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
@@ -154,10 +155,8 @@ def check_dissimilarities(dissimilarities: np.ndarray) -> np.ndarray:
 
 
 def _embed_faces(matrices, n_components, solve, max_iter, eps):
-    # Solvers have constants in the unit of distances, and take 0 for missing. Powers of two scale
-    # without rounding.
-    exponents = np.frexp(matrices.max((1, 2)))[1]
-    scaled = np.ldexp(matrices, -exponents[:, None, None])
+    # Solvers have constants in the unit of distances, and take 0 for missing.
+    scaled, _ = rescaled(matrices)
     scaled[(scaled == 0) & ~np.eye(matrices.shape[1], dtype=bool)] = _SMALLEST
     points, stress = classical_scaling(scaled, n_components), np.empty(len(matrices))
     for face, matrix in enumerate(scaled):

@@ -4,7 +4,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import centre_and_scale
+from deepmds_keras.geometry.units import centre_and_scale, rescaled
 from deepmds_keras.validation import as_numbers
 
 _ROUNDING = 1e-12  # Relative spread below which numbers count as constant.
@@ -98,7 +98,7 @@ def _pearson(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
         np.ptp(x, axis=axis) <= _ROUNDING * np.abs(x).max(axis=axis) for x in (a, b)
     )
     constant = constant_a | constant_b
-    a, b = (x - x.mean(axis=axis, keepdims=True) for x in (a, b))
+    a, b = (rescaled(x - x.mean(axis=axis, keepdims=True), axis)[0] for x in (a, b))
     covariance = (a * b).sum(axis=axis)
     scale = np.sqrt((a**2).sum(axis=axis) * (b**2).sum(axis=axis))
     return np.where(constant, 0.0, covariance / np.where(constant, 1.0, scale))

@@ -10,6 +10,7 @@ from sklearn.linear_model import RidgeCV
 from deepmds_keras.errors import InputError, brief
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import affine_cameras
+from deepmds_keras.geometry.units import rescaled
 from deepmds_keras.validation import (
     as_numbers,
     check_face_model,
@@ -166,6 +167,7 @@ class Aldrian(_ModelFit):
         moving = np.arange(len(views))
         for _ in range(self.max_iter):
             seen, before = views[moving], coefficients[moving]
+        views, _ = rescaled(views)
             cameras = affine_cameras(seen, _shapes(before, mean, basis))
             after = solve_shape(cameras, seen, mean, basis, noise[moving] ** 2, products)
             coefficients[moving] = after
@@ -203,10 +205,13 @@ class AldrianAuthors(_ModelFit):
         c = np.zeros((len(views), len(basis)))
         for _ in range(_AUTHORS_ROUNDS):
             cameras = affine_cameras(views, _shapes(c, mean, basis))
-            c = solve_shape(cameras, views, mean, raw_basis, _AUTHORS_REGULARISATION, products)
+            c, _ = rescaled(solve_shape(cameras, views, mean, raw_basis, variance, products), 1)
             c = (c - c.mean(1, keepdims=True)) / c.std(1, ddof=1, keepdims=True)
         return c
 
+        views, exponents = rescaled(views)
+        # In the square of that unit; beyond 2^400, nothing else counts.
+        variance = np.ldexp(_AUTHORS_REGULARISATION, np.minimum(-2 * exponents[:, 0], 400))
 
 def inner_products(basis_times_sd: np.ndarray) -> np.ndarray:
     """Inner products of the K components, or of the L landmarks, one block per pair of axes.

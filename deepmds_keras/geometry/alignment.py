@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.units import centre
+from deepmds_keras.geometry.units import centre, rescaled
 from deepmds_keras.validation import as_numbers
 
 _ROUNDS = 10  # of `align_to_mean`, after which the mean no longer turns
@@ -45,8 +45,9 @@ def procrustes(
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise InputError("source and target must be finite. Received NaN or infinity.")
     source_centre, target_centre = source.mean(-2), target.mean(-2)
-    centred = source - source_centre[..., None, :]
-    u, singular, vt = np.linalg.svd(np.swapaxes(centred, -1, -2) @ centre(target))
+    centred, of_source = rescaled(source - source_centre[..., None, :])
+    wanted, of_target = rescaled(centre(target))
+    u, singular, vt = np.linalg.svd(np.swapaxes(centred, -1, -2) @ wanted)
     if not reflection:
         singular, vt = singular.copy(), vt.copy()
         sign = np.sign(np.linalg.det(u @ vt))
@@ -56,6 +57,7 @@ def procrustes(
     if scaling:
         size = (centred**2).sum((-2, -1))
         scale = singular.sum(-1) / np.where(size > 0, size, 1)
+        scale = np.ldexp(scale, (of_target - of_source)[..., 0, 0])
     moved = (source_centre[..., None, :] @ rotation)[..., 0, :]
     return Similarity(rotation, scale, target_centre - scale[..., None] * moved)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepmds_keras.errors import InputError
+from deepmds_keras.geometry.units import rescaled
 from deepmds_keras.validation import check_views_and_shapes
 
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
@@ -174,6 +175,6 @@ def head_poses(views: np.ndarray, shapes: np.ndarray) -> HeadPose:
     """`head_pose` of n faces as one `HeadPose`; a mirrored view gives a head seen from behind."""
     views, shapes = check_views_and_shapes(views, shapes)
     poses = orthographic_cameras(views, shapes)
-    off = poses.project(shapes) - views
-    residuals = np.sqrt((off**2).sum(2).mean(1)) / np.ptp(views, axis=1).max(1)
-    return replace(poses, residual=residuals)
+    off, exponents = rescaled(poses.project(shapes) - views)
+    off = np.ldexp(np.sqrt((off**2).sum(2).mean(1)), exponents[:, 0, 0])
+    return replace(poses, residual=off / np.ptp(views, axis=1).max(1))

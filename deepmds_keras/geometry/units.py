@@ -67,9 +67,19 @@ def centre_and_scale(points: np.ndarray) -> np.ndarray:
     return centred / unit(centred)[1]
 
 
+def rescaled(points: np.ndarray, axis: int | tuple[int, ...] = (-2, -1)) -> tuple:
+    """Points in a unit of 2^k in which their squares neither overflow nor vanish, and k.
+
+    Powers of two scale without rounding. k has the dimensions of the points, those of `axis` 1.
+    """
+    exponents = np.frexp(np.abs(points).max(axis, keepdims=True, initial=0))[1]
+    return np.ldexp(points, -exponents), exponents
+
+
 def rms_radius(points: np.ndarray) -> np.ndarray:
     """Root mean square distance of the landmarks from their mean: `(n, L, d)` → `(n,)`."""
-    return np.sqrt((centre(points) ** 2).sum(-1).mean(-1))
+    offsets, exponents = rescaled(centre(points))
+    return np.ldexp(np.sqrt((offsets**2).sum(-1).mean(-1)), exponents[..., 0, 0])
 
 
 def centre_to_radius_1(points: np.ndarray) -> np.ndarray:

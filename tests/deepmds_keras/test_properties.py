@@ -14,9 +14,11 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, align, embed, metrics, normalise
+from deepmds_keras.baselines.closed_form import Aldrian, AldrianAuthors
 from deepmds_keras.geometry.alignment import align_to_mean, is_mirrored
+from deepmds_keras.geometry.camera import head_poses
 from deepmds_keras.geometry.orientation import resolve_orientation
-from deepmds_keras.geometry.units import centre, unit
+from deepmds_keras.geometry.units import centre, rms_radius, unit
 from deepmds_keras.validation import check_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -172,6 +174,30 @@ def test_shapes_are_turned_onto_the_mean_of_those_of_the_training():
         turned, again = (align_to_mean(s, 6, upright=upright) for s in (shapes, others))
         np.testing.assert_array_equal(turned[:6], again[:6])
         assert np.array_equal(turned[..., 1], shapes[..., 1]) == upright
+
+
+@pytest.mark.parametrize("power", [-700, 600])
+def test_no_unit_is_so_small_or_large_that_squares_are_lost(power):
+    views, shapes, others = np.random.default_rng(0).normal(size=(3, 4, 9, 3))
+    views, mean, basis = views[..., :2], others[0], 0.1 * others[:3]
+
+    def results(unit):
+        return [
+            rms_radius(unit * shapes) / unit,
+            align(unit * shapes, others),
+            align(shapes, unit * others) / unit,
+            is_mirrored(unit * shapes, unit * others),
+            metrics.depth_corr(unit * shapes, unit * others),
+            metrics.depth_corr_across_faces(shapes, unit * others),
+            metrics.explained_share(unit * shapes, unit * others),
+            head_poses(unit * views, unit * shapes).residual,
+            Aldrian(mean, basis).predict(unit * views),
+        ]
+
+    for received, expected in zip(results(2.0**power), results(1.0), strict=True):
+        assert np.array_equal(received, expected)  # powers of two change no digit
+    # What the authors' regularisation is of depends on the unit.
+    assert np.isfinite(AldrianAuthors(mean, basis, np.ones(3)).predict(2.0**power * views)).all()
 
 
 def test_landmarks_in_metres_of_a_map_are_no_single_point():
