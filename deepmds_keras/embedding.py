@@ -5,12 +5,13 @@ from numbers import Integral
 
 import numpy as np
 from joblib import Parallel, delayed
+from scipy.spatial.distance import pdist, squareform
 from sklearn.manifold import MDS
 
 from deepmds_keras.errors import InputError, check_choice, needs
 from deepmds_keras.geometry.classical_scaling import classical_scaling, with_signs
-from deepmds_keras.validation import as_numbers, check_number, check_whole
 from deepmds_keras.geometry.units import rescaled
+from deepmds_keras.validation import as_numbers, check_number, check_whole
 
 SOLVERS = ("sklearn", "numba")
 # Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
@@ -160,6 +161,9 @@ def _embed_faces(matrices, n_components, solve, max_iter, eps):
     scaled[(scaled == 0) & ~np.eye(matrices.shape[1], dtype=bool)] = _SMALLEST
     points, stress = classical_scaling(scaled, n_components), np.empty(len(matrices))
     for face, matrix in enumerate(scaled):
+        # Where landmarks that differ start at one place, rounding would decide where they go.
+        if ((pdist(points[face]) < 1e-7) & (squareform(matrix, checks=False) > 1e-6)).any():
+            points[face] += 1e-3 * np.random.default_rng(0).standard_normal(points[face].shape)
         points[face], stress[face], _ = solve(matrix, points[face], max_iter, eps)
     points -= points.mean(1, keepdims=True)
     points = points @ np.swapaxes(np.linalg.svd(points, full_matrices=False)[2], 1, 2)

@@ -137,6 +137,13 @@ def test_neither_the_unit_nor_a_distance_of_zero_changes_the_shape(solver):
         embed(hidden)
 
 
+@pytest.mark.parametrize("k", [2, 3])
+def test_solvers_agree_on_landmarks_that_coincide_in_the_start(k):
+    hops = 1 + symmetric(np.random.default_rng(0).integers(0, 2, (40, 8, 8))).astype(float)
+    points, expected = (embed(hops, k, solver=solver) for solver in ("numba", "sklearn"))
+    np.testing.assert_allclose([*map(pdist, points)], [*map(pdist, expected)], atol=1e-6)
+
+
 # The compiled solver takes the steps of scikit-learn and stops at the same one.
 
 
