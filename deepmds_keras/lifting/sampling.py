@@ -19,6 +19,7 @@ _HELD_OUT = 10  # one in so many of the faces given
 _MOST_HELD_OUT = 1000
 _FACES_OF_BASIS = 10_000
 _FEW_SHAPES = 50
+_SAME = 2e-6  # five times what rounding to float32 moves a shape, ten extents from the origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +109,7 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
 
     All views of a shape are held out together: by other views of it they would be known.
     """
-    _, first, shape_of = np.unique(
-        faces.shapes.reshape(len(faces), -1), axis=0, return_index=True, return_inverse=True
-    )
+    _, first, shape_of = np.unique(_numbers(faces.shapes), return_index=True, return_inverse=True)
     n_shapes = len(first)
     if n_shapes < _FEW_SHAPES:
         warnings.warn(
@@ -120,7 +119,7 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
         )
     turns = np.random.default_rng([seed, Stream.LIFTING_SPLIT]).permutation(n_shapes).argsort()
     # Shapes in the order in which they come, so that equal ones need not lie together.
-    turn_of = turns[first.argsort().argsort()[shape_of.ravel()]]
+    turn_of = turns[first.argsort().argsort()[shape_of]]
     order = turn_of.argsort(kind="stable")
     # Of fewer than ten shapes none can be spared.
     counts = np.bincount(turn_of)[: n_shapes // _HELD_OUT].cumsum()
@@ -137,6 +136,19 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
 
     held_out = disturb(checked, missing, noise, check_rng)
     return Source(training.shapes, held_out, block, tuple(vars(faces).values()))
+
+
+def _numbers(shapes: np.ndarray) -> np.ndarray:
+    """Number of each of the shapes `(n, 3, L)`, the same where they are equal up to rounding."""
+    flat = shapes.reshape(len(shapes), -1)
+    directions = np.random.default_rng(0).standard_normal((8, flat.shape[1]), np.float32)
+    numbers = np.zeros(len(flat), int)
+    # Gaps along any direction part them; the lines of a grid would part equal ones too.
+    for places in directions @ flat.T / flat.shape[1] ** 0.5:
+        order = np.lexsort((places, numbers))
+        parted = (np.diff(numbers[order]) > 0) | (np.diff(places[order]) > _SAME)
+        numbers[order] = np.append(0, parted.cumsum())
+    return numbers
 
 
 def sampled_faces(

@@ -26,6 +26,7 @@ from deepmds_keras.lifting import equations, sampling, trainer
 from deepmds_keras.lifting.sampling import Faces, disturb, given_faces, read_faces
 from deepmds_keras.lifting.trainer import build_lifting_net
 from deepmds_keras.lifting.unrolled_fit import UNIT, initial_weights, lift
+from deepmds_keras.streams import Stream
 
 L = 20
 
@@ -89,16 +90,25 @@ def test_neither_origin_nor_unit_of_the_shapes_matters(faces):
     assert np.abs(moved.shapes - read_faces(views, shapes, None, L).shapes).max() < 1e-5
 
 
-def test_views_of_one_shape_are_held_out_together(monkeypatch):
+@pytest.mark.parametrize("moved", [0, 10])
+def test_views_of_one_shape_are_held_out_together(moved, monkeypatch):
     views, shapes, _ = sample_faces(60, np.random.default_rng(4))
     order = np.random.default_rng(5).permutation(180)
-    seen = read_faces(np.tile(views, (3, 1, 1))[order], np.tile(shapes, (3, 1, 1))[order], None, L)
+    views, placed = np.tile(views, (3, 1, 1))[order], np.tile(shapes, (3, 1, 1))[order]
+    placed += moved * np.random.default_rng(6).normal(size=(180, 1, 3))
+    seen = read_faces(views, np.float32(placed), None, L)
     source = given_faces(seen, 0, 0, seed=0)
+    known = centre_and_scale(shapes).swapaxes(1, 2)
     held_out, trained = (
-        {shape.tobytes() for shape in part} for part in (source.held_out.shapes, source.shapes)
+        {np.abs(known - shape).max((1, 2)).argmin() for shape in part}
+        for part in (source.held_out.shapes, source.shapes)
     )
     assert len(held_out) == 6 and len(trained) == 54 and not held_out & trained
     assert len(source.held_out) == 18 and len(source.shapes) == 162
+    # Shapes are numbered in the order in which they come, of which the split is drawn.
+    first = np.array(list(dict.fromkeys((order % 60).tolist())))
+    drawn = np.random.default_rng([0, Stream.LIFTING_SPLIT]).permutation(60)
+    assert held_out == set(first[drawn[:6]])
     monkeypatch.setattr(sampling, "_MOST_HELD_OUT", 2)  # which one shape has more views than
     assert len(given_faces(seen, 0, 0, seed=0).held_out) == 3
 
