@@ -63,7 +63,7 @@ class RidgeRegression(BaseEstimator):
     with the least leave-one-out error on the training faces, in closed form.
 
     Args:
-        alphas: Penalties to choose from, for views and shapes in the unit of `normalise`.
+        alphas: Penalties to choose from, positive, for views and shapes in `normalise`'s unit.
         roll_aligned: Whether each view is first rotated in its plane, shifted and scaled onto the
             frontal view of the mean training shape.
 
@@ -79,10 +79,14 @@ class RidgeRegression(BaseEstimator):
     def fit(self, views: np.ndarray, shapes: np.ndarray) -> Self:
         """Solve for `(n, L, 2)` views and `(n, L, 3)` shapes; errors as `MeanShape.fit`."""
         views, shapes = check_views_and_shapes(views, shapes)
-        n, self.n_landmarks_ = views.shape[:2]
-        self.front_ = shapes.mean(0)[:, :2]
-        ridge = RidgeCV(np.asarray(self.alphas))
-        self.ridge_ = ridge.fit(self._flat(views), shapes.reshape(n, -1))
+        alphas = as_numbers(self.alphas, "alphas")
+        if alphas.ndim != 1 or not len(alphas) or not (np.isfinite(alphas) & (alphas > 0)).all():
+            raise InputError(
+                f"alphas must be one or more finite and positive numbers. Received {brief(alphas)}."
+            )
+        front = shapes.mean(0)[:, :2]
+        ridge = RidgeCV(alphas).fit(self._flat(views, front), shapes.reshape(len(shapes), -1))
+        self.n_landmarks_, self.front_, self.ridge_ = len(front), front, ridge
         return self
 
     def predict(self, views: np.ndarray) -> np.ndarray:
@@ -92,11 +96,12 @@ class RidgeRegression(BaseEstimator):
         """
         ridge = check_fitted(self, "ridge_")
         faces = check_faces(views, "views", 2, self.n_landmarks_)
-        return of_one_or_many(ridge.predict(self._flat(faces)).reshape(len(faces), -1, 3), views)
+        shapes = ridge.predict(self._flat(faces, self.front_)).reshape(len(faces), -1, 3)
+        return of_one_or_many(shapes, views)
 
-    def _flat(self, views: np.ndarray) -> np.ndarray:
+    def _flat(self, views: np.ndarray, front: np.ndarray) -> np.ndarray:
         if self.roll_aligned:
-            views = align(views, np.broadcast_to(self.front_, views.shape), reflection=False)
+            views = align(views, np.broadcast_to(front, views.shape), reflection=False)
         return views.reshape(len(views), -1)
 
     @property

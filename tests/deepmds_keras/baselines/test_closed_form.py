@@ -159,6 +159,16 @@ def test_the_unusable_option_is_named(model, options, message, rng):
         Aldrian(*model).set_params(**options).predict(rng.random((2, L, 2)))
 
 
+@pytest.mark.parametrize("alphas", [(), (1.0, -1.0), (0.0,), (np.nan,), 1.0, np.ones((2, 2))])
+def test_a_fit_that_fails_leaves_the_one_before(alphas, rng):
+    views, shapes = rng.random((9, L, 2)), rng.random((9, L, 3))
+    ridge = RidgeRegression(roll_aligned=True).fit(views, shapes)
+    predicted = ridge.predict(views)
+    with pytest.raises(InputError, match="alphas must be one or more finite and positive"):
+        ridge.set_params(alphas=alphas).fit(views[:, :7], shapes[:, :7])
+    assert np.array_equal(ridge.predict(views), predicted)
+
+
 @pytest.mark.parametrize("sd", [np.ones(K - 1), [1, 2, 0, 4], [1, 2, np.inf, 4], 2.0])
 def test_the_authors_fit_needs_an_sd_of_each_component(model, sd, rng):
     with pytest.raises(InputError, match="sd must be 4 finite and positive numbers. Received"):
