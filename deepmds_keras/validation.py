@@ -154,17 +154,17 @@ def check_face_model(mean, basis_times_sd) -> tuple[np.ndarray, np.ndarray]:
     return mean, check_basis(basis_times_sd, "basis_times_sd", len(mean))
 
 
-def check_basis(basis, name: str, n_landmarks: int) -> np.ndarray:
+def check_basis(basis, name: str, n_landmarks: int, least: int = 1) -> np.ndarray:
     """Components of a face model at its landmarks, `(K, L, 3)` float64.
 
     Raises:
-        InputError: Another shape, no component, or NaN, infinity or masked numbers.
+        InputError: Another shape, fewer components, or NaN, infinity or masked numbers.
     """
     basis = as_numbers(basis, name)
-    usable = basis.ndim == 3 and len(basis) and basis.shape[1:] == (n_landmarks, 3)
+    usable = basis.ndim == 3 and len(basis) >= least and basis.shape[1:] == (n_landmarks, 3)
     if not usable or not np.isfinite(basis).all():
         raise InputError(
-            f"{name} must be finite, of shape (components >= 1, {n_landmarks}, 3). "
+            f"{name} must be finite, of shape (components >= {least}, {n_landmarks}, 3). "
             f"Received shape {basis.shape}."
         )
     return basis

@@ -13,6 +13,7 @@ from deepmds_keras.geometry.camera import affine_cameras
 from deepmds_keras.geometry.units import rescaled
 from deepmds_keras.validation import (
     as_numbers,
+    check_basis,
     check_face_model,
     check_faces,
     check_fitted,
@@ -166,13 +167,13 @@ class Aldrian(_ModelFit):
         check_number(self.view_noise, "view_noise")
         check_whole(self.max_iter, "max_iter")
         check_number(self.tol, "tol", zero=True)
+        views, _ = rescaled(views)
         noise = self.view_noise * np.ptp(views, axis=1).max(1)[:, None]
         products = inner_products(basis)
         coefficients = np.zeros((len(views), len(basis)))
         moving = np.arange(len(views))
         for _ in range(self.max_iter):
             seen, before = views[moving], coefficients[moving]
-        views, _ = rescaled(views)
             cameras = affine_cameras(seen, _shapes(before, mean, basis))
             after = solve_shape(cameras, seen, mean, basis, noise[moving] ** 2, products)
             coefficients[moving] = after
@@ -188,9 +189,9 @@ class AldrianAuthors(_ModelFit):
 
     As `Aldrian`, but by the steps of the paper's released code: coefficients are solved for in the
     unit of the basis, almost without a prior, then standardised to mean 0 and standard deviation 1
-    over the components of each face, and used as standard normal ones. Hence every face differs
-    from the mean by about the same amount. The variances that weight the landmarks come from scans
-    that were not released: here all weights are equal.
+    over the components of each face, two or more, and used as standard normal ones. Hence every
+    face differs from the mean by about the same amount. The variances that weight the landmarks
+    come from scans that were not released: here all weights are equal.
 
     Args:
         mean, basis_times_sd: As for `Aldrian`.
@@ -200,6 +201,7 @@ class AldrianAuthors(_ModelFit):
     sd: np.ndarray
 
     def _solve(self, views, mean, basis):
+        check_basis(basis, "basis_times_sd", len(mean), least=2)  # one has no s.d.
         sd = as_numbers(self.sd, "sd")
         if sd.shape != (len(basis),) or not (np.isfinite(sd) & (sd > 0)).all():
             raise InputError(
@@ -207,6 +209,9 @@ class AldrianAuthors(_ModelFit):
             )
         raw_basis = basis / sd[:, None, None]
         products = inner_products(raw_basis)
+        views, exponents = rescaled(views)
+        # In the square of that unit; beyond 2^400, nothing else counts.
+        variance = np.ldexp(_AUTHORS_REGULARISATION, np.minimum(-2 * exponents[:, 0], 400))
         c = np.zeros((len(views), len(basis)))
         for _ in range(_AUTHORS_ROUNDS):
             cameras = affine_cameras(views, _shapes(c, mean, basis))
@@ -214,9 +219,6 @@ class AldrianAuthors(_ModelFit):
             c = (c - c.mean(1, keepdims=True)) / c.std(1, ddof=1, keepdims=True)
         return c
 
-        views, exponents = rescaled(views)
-        # In the square of that unit; beyond 2^400, nothing else counts.
-        variance = np.ldexp(_AUTHORS_REGULARISATION, np.minimum(-2 * exponents[:, 0], 400))
 
 def inner_products(basis_times_sd: np.ndarray) -> np.ndarray:
     """Inner products of the K components, or of the L landmarks, one block per pair of axes.

@@ -10,8 +10,9 @@ from keras import layers, ops
 
 from deepmds_keras.baselines.base import NetworkMethod, check_shape, draw_kernels
 from deepmds_keras.baselines.images import IMAGE_SIZE, check_images, forward_images, image_batches
-from deepmds_keras.errors import check_choice, check_fork
+from deepmds_keras.errors import InputError, check_choice, check_fork
 from deepmds_keras.training import Recipe, face_order
+from deepmds_keras.validation import as_numbers, check_basis
 
 _IMAGES_PER_CALL = 250
 _CHECK_FACES = 500
@@ -32,7 +33,7 @@ class MobileFace(NetworkMethod):
 
     Args:
         landmark_mean: `(L, 3)` landmarks of the mean face, millimetres.
-        landmark_basis_times_sd: `(K, L, 3)` their offsets at one s.d. of each component.
+        landmark_basis_times_sd: `(K, L, 3)` their offsets at one s.d. of each component, K >= 2.
         shape_gram: `(K, K)` mean over all coordinates of the mesh of the product of two components'
             offsets at one s.d., square millimetres.
         standardise: `"face"` or `"batch"`: what training standardises over.
@@ -63,12 +64,15 @@ class MobileFace(NetworkMethod):
             coefficients: `(n, K)` standard-normal identity coefficients.
 
         Raises:
-            InputError: Unequal numbers, or a checkpoint of another run.
+            InputError: Unequal numbers, NaN, a single component, or a checkpoint of another run.
         """
         self._check_parameters()
-        n, n_coefficients = len(images), len(self.landmark_basis_times_sd)
+        basis, name = self.landmark_basis_times_sd, "landmark_basis_times_sd"
+        n, n_coefficients = len(images), len(check_basis(basis, name, len(self.landmark_mean), 2))
         check_shape(coefficients, "coefficients", (n, n_coefficients))
         check_shape(self.shape_gram, "shape_gram", (n_coefficients, n_coefficients))
+        if not np.isfinite(as_numbers(coefficients, "coefficients")).all():
+            raise InputError("coefficients must be finite. Received NaN or infinity.")
         coefficients, check = np.asarray(coefficients, np.float32), np.arange(min(n, _CHECK_FACES))
         steps, batch = self.steps_per_epoch, self.batch_size
         recipe, loss = Recipe(self.epochs, steps, self.schedule, self.learning_rate), self._loss()

@@ -173,3 +173,10 @@ def test_a_fit_that_fails_leaves_the_one_before(alphas, rng):
 def test_the_authors_fit_needs_an_sd_of_each_component(model, sd, rng):
     with pytest.raises(InputError, match="sd must be 4 finite and positive numbers. Received"):
         AldrianAuthors(*model, sd).predict(rng.random((2, L, 2)))
+
+
+def test_one_component_is_too_few_for_the_authors_fit_alone(model, rng):
+    (mean, basis), views = model, rng.random((2, L, 2))
+    with pytest.raises(InputError, match="basis_times_sd must be finite, .*components >= 2"):
+        AldrianAuthors(mean, basis[:1], np.ones(1)).predict(views)
+    assert np.isfinite(Aldrian(mean, basis[:1]).predict(views)).all()

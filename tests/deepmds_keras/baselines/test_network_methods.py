@@ -277,7 +277,14 @@ def test_rings_are_of_one_subject_and_a_stranger():
     [
         ("zhao", {"optimizer": "sgd"}, {}, "optimizer must be one of adam, rmsprop"),
         ("mobileface", {}, {1: CODES[:5, :K]}, r"coefficients must have shape \(24, 4\)"),
+        ("mobileface", {}, {1: CODES[:, :K] * np.nan}, "coefficients must be finite"),
         ("mobileface", {"shape_gram": None}, {}, r"shape_gram must have shape \(4, 4\)"),
+        (
+            "mobileface",
+            {"landmark_basis_times_sd": BASIS[:1], "shape_gram": np.ones((1, 1))},
+            {1: CODES[:, :1]},
+            "landmark_basis_times_sd must be finite, .* components >= 2",
+        ),
         ("mobileface", {"standardise": "row"}, {}, "standardise must be one of face, batch"),
         ("ringnet", {}, {1: VIEWS[:5]}, r"landmarks must have shape \(24, 12, 2\)"),
         ("ringnet", {}, {2: np.arange(24) // 2}, "subjects must be two or more with 3 images"),
