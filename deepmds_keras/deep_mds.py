@@ -30,6 +30,7 @@ from deepmds_keras.training import (
 from deepmds_keras.validation import (
     check_faces,
     check_fitted,
+    check_n_jobs,
     check_n_landmarks,
     check_still_of,
     check_views_and_shapes,
@@ -327,6 +328,7 @@ class DeepMDS(BaseEstimator):
         for name in ("autoencoder_epochs", "dissimilarity_epochs", "dissimilarity_steps"):
             check_whole(getattr(self, name), name)
         check_whole(self.seed, "seed", 0)
+        check_n_jobs(self.n_jobs)
 
     def _files(self, checkpoint: str | Path) -> dict[str, Path]:
         return weights.checkpoint_files(checkpoint, self.variant, self.schedule)

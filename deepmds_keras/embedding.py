@@ -1,7 +1,6 @@
 """The paper's embedding: scikit-learn's non-metric MDS turns distances into 3D points."""
 
 from collections.abc import Callable
-from numbers import Integral
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -11,7 +10,7 @@ from sklearn.manifold import MDS
 from deepmds_keras.errors import InputError, check_choice, needs
 from deepmds_keras.geometry.classical_scaling import classical_scaling, with_signs
 from deepmds_keras.geometry.units import rescaled
-from deepmds_keras.validation import as_numbers, check_number, check_whole
+from deepmds_keras.validation import as_numbers, check_n_jobs, check_number, check_whole
 
 SOLVERS = ("sklearn", "numba")
 # Estimated distances of near neighbours may fall slightly below zero; beyond this share of the
@@ -71,8 +70,7 @@ def embed(
         )
     check_whole(max_iter, "max_iter")
     check_number(eps, "eps", zero=True)
-    if n_jobs is not None and (not isinstance(n_jobs, Integral) or not n_jobs):
-        raise InputError(f"n_jobs must be a whole number other than 0. Received {n_jobs!r}.")
+    check_n_jobs(n_jobs)
     tasks = [slice(first, first + step) for first in range(0, len(matrices), step)]
     done = Parallel(n_jobs if len(tasks) > 1 else 1, prefer=prefer, return_as="generator")(
         delayed(_embed_faces)(matrices[task], n_components, solve, max_iter, eps) for task in tasks

@@ -114,6 +114,12 @@ def check_whole(value: object, name: str, least: int = 1) -> None:
         raise InputError(f"{name} must be a whole number of at least {least}. Received {value!r}.")
 
 
+def check_n_jobs(n_jobs: object) -> None:
+    """Raise InputError unless a number of processes is None or whole, as joblib counts them."""
+    if n_jobs is not None and (not isinstance(n_jobs, Integral) or not n_jobs):
+        raise InputError(f"n_jobs must be a whole number other than 0. Received {n_jobs!r}.")
+
+
 def check_number(value: object, name: str, *, zero: bool = False) -> None:
     """Raise InputError unless a parameter is a finite positive number; `zero` may be allowed."""
     number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else np.nan

@@ -154,6 +154,7 @@ def test_a_fit_or_restore_that_fails_leaves_the_model_as_it_was(small, tmp_path)
         ("dissimilarity_epochs", 1.5, "a whole number of at least 1"),
         ("dissimilarity_steps", "8", "a whole number of at least 1"),
         ("seed", -1, "a whole number of at least 0"),
+        ("n_jobs", 0, "a whole number other than 0"),
         ("n_landmarks", True, "a whole number of at least 3"),
     ],
 )
