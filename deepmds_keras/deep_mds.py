@@ -183,8 +183,8 @@ class DeepMDS(BaseEstimator):
             view. x and y lie over `frontalise(views)`, the mean of z is 0.
 
         Raises:
-            InputError: Wrong number of landmarks, NaN, infinity, degenerate landmarks, wrong
-                orientation, or a parameter out of range.
+            InputError: Not trained, or with another variant or number of landmarks; NaN, infinity,
+                degenerate landmarks, wrong orientation, or a parameter out of range.
         """
         self._check_parameters()
         if check_orientation:
@@ -219,7 +219,12 @@ class DeepMDS(BaseEstimator):
         return self._matrices(self.frontalise(views))
 
     def save(self, path: str | Path) -> None:
-        """Write parameters and both networks to an `.npz`; errors are those of `atomic_write`."""
+        """Write parameters and both networks to an `.npz`.
+
+        Raises:
+            InputError: Not trained, or with another variant or number of landmarks.
+            OSError: As for `atomic_write`.
+        """
         arrays: dict[str, np.ndarray] = {}
         for name in _NETWORKS:
             held = weights.network_arrays(self._trained(f"{name}_"))
@@ -340,6 +345,10 @@ class DeepMDS(BaseEstimator):
 
     def _trained(self, name: str) -> keras.Model:
         network = check_fitted(self, name, "fit, restore, load or pretrained")
+        n_inputs = network.input_shape[1]
         if name == "autoencoder_":
-            check_still_of(network.input_shape[1] // 2, self.n_landmarks)
+            check_still_of(n_inputs // 2, self.n_landmarks)
+        else:
+            variant = next(v for v, n_features in VARIANTS.items() if n_features == n_inputs)
+            check_still_of(variant, self.variant, "variant")
         return network

@@ -176,12 +176,12 @@ def check_basis(basis, name: str, n_landmarks: int, least: int = 1) -> np.ndarra
     return basis
 
 
-def check_still_of(n_landmarks: int, parameter: int) -> None:
-    """Raise InputError if the parameter is no longer the number that a model was trained with."""
-    if parameter != n_landmarks:
+def check_still_of(trained: object, parameter: object, name: str = "n_landmarks") -> None:
+    """Raise InputError if a parameter is no longer that with which a model was trained."""
+    if parameter != trained:
         raise InputError(
-            f"n_landmarks must be {n_landmarks}, with which the model was trained; train it again "
-            f"for others. Received {parameter}."
+            f"{name} must be {trained}, with which the model was trained; train it again for "
+            f"others. Received {parameter!r}."
         )
 
 

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from deepmds_keras.errors import InputError, check_fork
 from deepmds_keras.networks import count_trainable, forward, glorot
 from deepmds_keras.training import face_order, restore_network, steps_per_call, train_by_epoch
-from deepmds_keras.validation import check_fitted, check_number, check_whole
+from deepmds_keras.validation import check_fitted, check_number, check_still_of, check_whole
 from deepmds_keras.weights import fingerprint, read_keras2_weights
 
 
@@ -54,7 +54,10 @@ class NetworkMethod(BaseEstimator):
         return count_trainable(self._trained())
 
     def _trained(self) -> keras.Model:
-        return check_fitted(self, "network_", "fit or restore")
+        network = check_fitted(self, "network_", "fit or restore")
+        if hasattr(self, "n_landmarks"):
+            check_still_of(network.input_shape[1] // 2, self.n_landmarks)
+        return network
 
     def _check_parameters(self) -> None:
         for name, value in self.get_params().items():

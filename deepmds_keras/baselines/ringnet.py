@@ -133,7 +133,7 @@ class RingNet(NetworkMethod):
             InputError: Not trained, or images of another kind or size.
         """
         network = self._trained()
-        parameters = forward_images(network, check_images(images, self.image_size))
+        parameters = forward_images(network, check_images(images, network.input_shape[1]))
         end = _N_POSE + len(self.identity_basis_times_sd)
         identity = np.tensordot(parameters[:, _N_POSE:end], self.identity_basis_times_sd, 1)
         expression = np.tensordot(parameters[:, end:], self.expression_basis, 1)

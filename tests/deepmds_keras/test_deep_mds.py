@@ -174,11 +174,19 @@ def test_parameters_of_numpy_as_a_grid_search_sets_them_are_taken_and_saved(smal
     assert DeepMDS.load(tmp_path / "model.npz").get_params() == model.get_params()
 
 
-def test_another_number_of_landmarks_after_training_is_refused(small, tmp_path):
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"n_landmarks": 7}, "n_landmarks must be 8, with which .* Received 7"),
+        ({"variant": "released"}, "variant must be paper, with which .* Received 'released'"),
+    ],
+)
+def test_other_networks_than_the_trained_ones_are_refused(small, tmp_path, parameters, message):
     model, shapes, _ = small
-    changed = copy(model).set_params(n_landmarks=7)
-    for use in (lambda: changed.predict(shapes[:, 1:, :2]), lambda: changed.save(tmp_path / "m")):
-        with pytest.raises(InputError, match="n_landmarks must be 8, with which .* Received 7"):
+    changed = copy(model).set_params(**parameters)
+    views = shapes[:, -changed.n_landmarks :, :2]
+    for use in (lambda: changed.predict(views), lambda: changed.save(tmp_path / "m")):
+        with pytest.raises(InputError, match=message):
             use()
 
 
