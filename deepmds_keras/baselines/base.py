@@ -76,7 +76,8 @@ class NetworkMethod(BaseEstimator):
         arrays = [value for value in self.get_params().values() if np.ndim(value)]
         label = {**self._label(), "data": fingerprint(*data, *arrays)}
         self.history_ = train_by_epoch(network, mini_batches, label, inference, **training)
-        self.network_ = network
+        # Not compiled, like one that is restored: a loss of ours cannot be pickled.
+        self.network_ = keras.Model(network.input, network.output, name=network.name)
         return self
 
     def _train_on_arrays(self, network, inputs, targets, **training) -> Self:
