@@ -121,18 +121,21 @@ class DeepMDS(BaseEstimator):
         views, shapes = check_views_and_shapes(views, shapes)
         views, shapes = self._normalised(views), normalise(shapes)
         history = {}
+        # By the views, a dissimilarity net is known to be of the same fit as an autoencoder.
+        seen = weights.fingerprint(views.astype(np.float32))
+        also = {"centre_views": self.centre_views, "views": seen}
         autoencoder, history["autoencoder"] = train_autoencoder(
             views,
             shapes[..., :2],
             self._recipe("autoencoder"),
-            **self._training("autoencoder", checkpoint, progress),
+            **self._training("autoencoder", checkpoint, progress, also),
         )
         dissimilarity_net, history["dissimilarity_net"] = train_dissimilarity_net(
             self._frontal(autoencoder, views),
             shapes,
             self._recipe("dissimilarity_net"),
             variant=self.variant,
-            **self._training("dissimilarity_net", checkpoint, progress),
+            **self._training("dissimilarity_net", checkpoint, progress, also),
         )
         # All at once: a fit that is stopped leaves the model as it was.
         self.autoencoder_, self.dissimilarity_net_ = autoencoder, dissimilarity_net
@@ -149,10 +152,11 @@ class DeepMDS(BaseEstimator):
             InputError: A network is missing, unfinished, damaged or of another run, or shapes as
                 for `fit`.
         """
-        built, history = self._build(), {}
+        built, history, views = self._build(), {}, None
         for network, (name, file) in zip(built, self._files(checkpoint).items(), strict=True):
-            label = {"seed": self.seed, **asdict(self._recipe(name))}
-            history[name] = restore_network(network, file, label)
+            label = {"seed": self.seed, "centre_views": self.centre_views, "views": views}
+            described = restore_network(network, file, label | asdict(self._recipe(name)))
+            history[name], views = described["history"], described["label"].get("views")
         shapes = normalise(check_faces(shapes, "shapes", 3, self.n_landmarks))
         self.autoencoder_, self.dissimilarity_net_ = built
         self.front_landmark_, self.history_ = front_landmark(shapes), history
@@ -318,12 +322,12 @@ class DeepMDS(BaseEstimator):
         return Recipe(self.dissimilarity_epochs, self.dissimilarity_steps, self.schedule)
 
     def _training(
-        self, network: str, checkpoint: str | Path | None, progress: Callable | None
+        self, network: str, checkpoint: str | Path | None, progress: Callable | None, also: dict
     ) -> dict[str, Any]:
         """Options of a network's training besides its recipe."""
         file = None if checkpoint is None else self._files(checkpoint)[network]
         report = None if progress is None else partial(progress, network)
-        return {"seed": self.seed, "checkpoint": file, "progress": report}
+        return {"seed": self.seed, "checkpoint": file, "progress": report, "also": also}
 
     def _check_parameters(self) -> None:
         check_n_landmarks(self.n_landmarks)

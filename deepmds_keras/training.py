@@ -25,6 +25,7 @@ from deepmds_keras.weights import (
 SCHEDULES = ("constant", "cosine")
 _STEPS_PER_CALL = 50  # steps of the optimiser within one call of the compiled graph
 _CHECKED_FACES = 50
+_NOT_IN_OLDER = ("arrays", "centre_views", "views")  # of what labels hold
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,7 @@ def train_by_epoch(
     inference: Callable[[], float],
     checkpoint: str | Path | None = None,
     progress: Callable[[dict], object] | None = None,
+    also: dict | None = None,
 ) -> dict[str, list[float]]:
     """Fit a compiled model for `label["epochs"]` epochs, or resume from its checkpoint.
 
@@ -186,6 +188,7 @@ def train_by_epoch(
         inference: Computes the model's loss in inference mode, after an epoch.
         checkpoint: File to resume from, written after every epoch; None keeps no file.
         progress: Called after every epoch with its losses.
+        also: More of the label.
 
     Returns:
         Losses by epoch: `train` in training mode, while the weights change, and `inference`.
@@ -193,7 +196,7 @@ def train_by_epoch(
     Raises:
         InputError: The checkpoint is of another run, or damaged.
     """
-    label = {"network": model.name, **label}
+    label = {"network": model.name, **label, **(also or {})}
     history: dict[str, list[float]] = {"train": [], "inference": []}
     if checkpoint is not None and os.path.exists(checkpoint):
         arrays, description = read_arrays(checkpoint)
@@ -213,10 +216,8 @@ def train_by_epoch(
     return history
 
 
-def restore_network(
-    model: keras.Model, checkpoint: str | Path, label: dict
-) -> dict[str, list[float]]:
-    """Load the weights of a finished training, and return its losses as `train_by_epoch` does.
+def restore_network(model: keras.Model, checkpoint: str | Path, label: dict) -> dict[str, Any]:
+    """Load the weights of a finished training; return its `"label"`, and its losses as `"history"`.
 
     Args:
         model: Network of the same architecture.
@@ -236,11 +237,15 @@ def restore_network(
     if done < epochs:
         raise InputError(f"{checkpoint} is only partly trained: {done} of {epochs} epochs.")
     set_network_arrays(model, arrays, str(checkpoint))
-    return history
+    return description
 
 
 def _check_run(checkpoint: str | Path, received: dict, needed: dict) -> None:
-    other = [name for name in {**needed, **received} if received.get(name) != needed.get(name)]
+    both = {name: (received.get(name), needed.get(name)) for name in {**needed, **received}}
+    for name in _NOT_IN_OLDER:  # whose trainings are still taken
+        if None in both.get(name, ()):
+            del both[name]
+    other = [name for name, (has, wants) in both.items() if has != wants]
     if other:
         has, wants = ({name: run.get(name) for name in other} for run in (received, needed))
         raise InputError(

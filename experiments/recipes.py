@@ -211,8 +211,8 @@ def restore_deep_mds(run: Run, model, checkpoint: Path):
     Its training views are centred already, except in the released protocol.
     """
     centred = run.track == "flame" and run.protocol != "released"
-    model.set_params(centre_views=centred)
-    return model.restore(checkpoint, load_faces(run, "train").shapes)
+    model.restore(checkpoint, load_faces(run, "train").shapes)
+    return model.set_params(centre_views=centred)  # which training did not
 
 
 def deep_mds_weights(run: Run):

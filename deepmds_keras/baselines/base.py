@@ -37,7 +37,7 @@ class NetworkMethod(BaseEstimator):
             InputError: The file is missing, unfinished, damaged or of another run.
         """
         network = self._build()
-        self.history_ = restore_network(network, checkpoint, self._label())
+        self.history_ = restore_network(network, checkpoint, self._label())["history"]
         self.network_ = network
         return self
 
@@ -73,8 +73,7 @@ class NetworkMethod(BaseEstimator):
 
     def _train(self, network, mini_batches, data: tuple, inference, **training) -> Self:
         """`train_by_epoch`; the arrays of `data` identify the run, with the parameters."""
-        arrays = [value for value in self.get_params().values() if np.ndim(value)]
-        label = {**self._label(), "data": fingerprint(*data, *arrays)}
+        label = {**self._label(), "data": fingerprint(*data, *self._arrays().values())}
         self.history_ = train_by_epoch(network, mini_batches, label, inference, **training)
         # Not compiled, like one that is restored: a loss of ours cannot be pickled.
         self.network_ = keras.Model(network.input, network.output, name=network.name)
@@ -94,8 +93,14 @@ class NetworkMethod(BaseEstimator):
         return self._train(network, mini_batches, (inputs, targets), inference, **training)
 
     def _label(self) -> dict:
-        """Everything that the network depends on besides arrays."""
-        return {name: value for name, value in self.get_params().items() if not np.ndim(value)}
+        """Everything that the network depends on besides its data."""
+        arrays, parameters = self._arrays(), self.get_params().items()
+        numbers = {name: value for name, value in parameters if name not in arrays}
+        return {**numbers, "arrays": {name: fingerprint(a) for name, a in arrays.items()}}
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The parameters that are arrays, such as those of a face model."""
+        return {name: value for name, value in self.get_params().items() if np.ndim(value)}
 
 
 def dense_network(

@@ -1,6 +1,8 @@
 """The estimator: scikit-learn's conventions, a face that faces the front, files, and errors."""
 
+import pickle
 from copy import copy
+from shutil import copytree
 
 import h5py
 import numpy as np
@@ -69,6 +71,8 @@ def test_views_of_wrong_orientation_are_refused_unless_that_is_asked_for(shipped
     assert np.isfinite(shipped.predict(views, check_orientation=False)).all()
 
 
+# Keras itself, of its own variables, when they are pickled.
+@pytest.mark.filterwarnings("ignore:__array__ implementation")
 def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp_path):
     model, shapes, _ = small
     model.save(tmp_path / "model.npz")
@@ -76,6 +80,8 @@ def test_saved_and_loaded_predict_the_same_and_a_clone_has_no_weights(small, tmp
     assert loaded.get_params() == model.get_params() == copy.get_params()
     assert loaded.history_ == model.history_
     assert np.array_equal(loaded.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
+    unpickled = pickle.loads(pickle.dumps(model))
+    assert np.array_equal(unpickled.predict(shapes[:4, :, :2]), model.predict(shapes[:4, :, :2]))
     assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
     arrays, described = read_arrays(tmp_path / "model.npz")
     described["parameters"]["solver"] = "auto"  # of version 0.3
@@ -121,12 +127,31 @@ def test_a_fit_goes_on_from_its_folder_and_is_restored_from_it(small, tmp_path):
         ({"dissimilarity_steps": 10}, "dissimilarity-paper-constant.npz is from another run"),
         ({"schedule": "cosine"}, "autoencoder-cosine.npz does not exist"),
         ({"n_landmarks": 7}, "is from another run"),
+        ({"centre_views": True}, "autoencoder-constant.npz is from another run.*'centre_views'"),
     ],
 )
 def test_only_what_this_model_would_have_trained_is_restored(small, parameters, problem):
     model, shapes, kept = small
     with pytest.raises(InputError, match=problem):
         clone(model).set_params(**parameters).restore(kept, shapes)
+
+
+def test_networks_of_two_runs_are_no_model_and_those_of_older_versions_are_taken(small, tmp_path):
+    model, shapes, kept = small
+    views, turned = shapes[..., :2], shapes[..., :2] @ [[0.8, -0.6], [0.6, 0.8]]
+    copytree(kept, tmp_path / "mixed", ignore=lambda *_: ["autoencoder-constant.npz"])
+    with pytest.raises(InputError, match="dissimilarity.* is from another run"):
+        clone(model).fit(turned, shapes, checkpoint=tmp_path / "mixed")
+    with pytest.raises(InputError, match="dissimilarity.* is from another run.*Received {'views'"):
+        clone(model).restore(tmp_path / "mixed", shapes)
+    for file in copytree(kept, tmp_path / "older").iterdir():
+        arrays, described = read_arrays(file)
+        for key in ("views", "centre_views"):  # which files of version 0.4 lack
+            described["label"].pop(key, None)
+        write_arrays(file, arrays, described)
+    clone(model).fit(views, shapes, checkpoint=tmp_path / "older")
+    older = clone(model).set_params(centre_views=True).restore(tmp_path / "older", shapes)
+    assert older.history_ == model.history_
 
 
 def test_a_fit_or_restore_that_fails_leaves_the_model_as_it_was(small, tmp_path):

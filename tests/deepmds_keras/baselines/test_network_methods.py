@@ -23,6 +23,7 @@ from deepmds_keras.baselines.ringnet import (
     ring_loss,
 )
 from deepmds_keras.baselines.zhao import Zhao, build_zhao_net
+from deepmds_keras.files import read_arrays, write_arrays
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.lifting.trainer import build_lifting_net
 from deepmds_keras.lifting.unrolled_fit import initial_weights
@@ -125,11 +126,24 @@ def test_numbers_of_numpy_are_taken(method):
 # Keras itself, of its own variables.
 @pytest.mark.filterwarnings("ignore:__array__ implementation")
 @pytest.mark.parametrize("method", ["zhao", "mlp", "mobileface", "ringnet"])
-def test_what_is_trained_is_unpickled(method):
-    model, data, inputs = untrained(method, epochs=1, steps_per_epoch=1)
-    model.fit(*data)
+def test_what_is_trained_is_unpickled_and_restored_only_with_its_parameters(method, tmp_path):
+    (model, data, inputs), path = untrained(method, epochs=1, steps_per_epoch=1), tmp_path / "net"
+    model.fit(*data, checkpoint=path)
     again = pickle.loads(pickle.dumps(model))
     np.testing.assert_array_equal(again.predict(inputs), model.predict(inputs))
+    if method in ("zhao", "mlp"):
+        other, needed = again.set_params(n_landmarks=L - 1), "n_landmarks must be 12, with which"
+        with pytest.raises(InputError, match=needed):
+            other.predict(inputs[:, 1:])
+        return
+    other = clone(model).set_params(landmark_mean=2 * MEAN)
+    with pytest.raises(InputError, match="net is from another run.*Received .*landmark_mean"):
+        other.restore(path)
+    arrays, described = read_arrays(path)
+    described["label"].pop("arrays", None)  # as in files of version 0.4
+    write_arrays(path, arrays, described)
+    other.restore(path)
+    assert model.fit(*data, checkpoint=path).history_ == other.history_
 
 
 @pytest.mark.parametrize(
