@@ -43,6 +43,15 @@ def test_landmarks_that_few_shapes_have_are_left_out_then_shapes_that_lack_one(f
     np.testing.assert_allclose((shapes**2).sum(2).mean(1), 1)
 
 
+def test_shapes_that_come_again_turned_are_read_once(folder):
+    points = np.load(folder / "jaws.npz")["points"]
+    turns = Rotation.random(len(points), np.random.default_rng(0)).as_matrix()
+    np.savez(folder / "again.npz", points=np.concatenate([points, points @ np.float32(turns)]))
+    np.testing.assert_array_equal(
+        read_shapes(folder / "again.npz"), read_shapes(folder / "jaws.npz")
+    )
+
+
 @pytest.mark.parametrize(
     "arrays",
     [{"shapes": np.ones((20, 9, 3))}, {"points": np.ones((20, 9, 2))},
