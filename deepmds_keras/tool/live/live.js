@@ -5,6 +5,7 @@ const MOST_FACES = 4;
 const BEYOND = 5; // degrees past those of the training that are still no guess: errors of a pose
 const NO_WEBGL = "This browser has no WebGL, which MediaPipe needs. Turn hardware acceleration on, "
   + "or take another browser.";
+const ASKED = "The browser asks whether this page may use the camera. Answer it first.";
 const NO_CAMERA = {
   NotAllowedError: "The camera is not allowed. Allow it for this page, by the sign next to its "
     + "address, then press Camera again.",
@@ -168,7 +169,9 @@ async function openFile(file) {
   };
   if (file.type.startsWith("video/")) {
     const video = element("video", { src: URL.createObjectURL(file) });
-    return play(video, source).catch(refuse);
+    return play(video, source).then(() => {
+      if (!video.videoWidth) stop(), refuse(); // sound alone, or pictures that it cannot decode
+    }, refuse);
   }
   const image = await createImageBitmap(file).catch(refuse); // upright, whatever its tag
   await finder.setOptions({ runningMode: "IMAGE" });
@@ -185,18 +188,21 @@ function attempt(action) {
   try { return action(); } catch (error) { stop(), say(error.message); }
 }
 
-let isOpening = false; // one at a time
+let opening = null, next = null; // one at a time, then the last that was asked for meanwhile
 async function open(action) {
-  if (isOpening) return;
-  isOpening = true;
-  try {
-    await ready;
-    stop();
-    await action();
-  } catch (error) {
-    say(error.message);
+  if (action !== opening) next = action;
+  if (opening === openCamera) say(ASKED);
+  if (opening) return;
+  while ((opening = next)) {
+    next = null;
+    try {
+      await ready;
+      stop();
+      await opening();
+    } catch (error) {
+      say(error.message);
+    }
   }
-  isOpening = false;
 }
 open(() => {});
 at("camera").addEventListener("click", () => open(openCamera));

@@ -308,6 +308,22 @@ def test_photos_are_opened_by_button_and_by_drop_upright(opened, how):
     assert page.locator("#said").get_attribute("role") == "status"
 
 
+def test_what_is_opened_while_the_camera_is_asked_for_comes_next(opened):
+    buffer = io.BytesIO()
+    Image.new("RGB", (60, 40), "red").save(buffer, "png")
+    page = opened(
+        "MediaDevices.prototype.getUserMedia = () => new Promise((_, reject) => {"
+        " self.answer = () => reject(new DOMException('no', 'NotAllowedError')); });"
+    )
+    page.get_by_role("button", name="Camera").click()
+    until(page, "self.answer")
+    drop(page, "me.png", "image/png", buffer.getvalue())
+    until(page, "at('said').textContent.includes('Answer it first')")
+    page.evaluate("answer()")
+    until(page, "frame === 1")
+    assert page.evaluate("at('photo').width") == 60
+
+
 def test_a_video_is_analysed_to_its_end(opened, tmp_path):
     path = tmp_path / "clip.webm"
     with av.open(str(path), "w") as video:
@@ -329,6 +345,15 @@ def test_a_video_is_analysed_to_its_end(opened, tmp_path):
     until(page, "playing === null && at('said').textContent.includes('cannot be read')")
     drop(page, "clip.webm", "video/webm", b"no video")
     until(page, "at('said').textContent.startsWith('clip.webm must be a photo or a video')")
+    sound = tmp_path / "sound.webm"
+    with av.open(str(sound), "w") as video:
+        stream = video.add_stream("libopus", rate=48_000, layout="mono")
+        silence = av.AudioFrame.from_ndarray(np.zeros((1, 48_000), np.float32), "fltp", "mono")
+        silence.sample_rate = 48_000
+        video.mux([*stream.encode(silence), *stream.encode()])
+    drop(page, "sound.webm", "video/webm", sound.read_bytes())
+    until(page, "at('said').textContent.startsWith('sound.webm must be a photo or a video')")
+    assert page.evaluate("playing === null")
     drop(page, "notes.txt", "text/plain", b"no photo")
     until(page, "at('said').textContent.startsWith('notes.txt must be a photo or a video')")
 
