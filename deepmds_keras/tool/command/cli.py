@@ -150,9 +150,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--y-up", action="store_true", help="y points up in that file")
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
         help="size of the image if that file has fractions of it")  # fmt: skip
-    add("--model", metavar="FILE",
-        help="a file from LandmarkLifter.save(), for faces or other objects (default: the shipped "
-        "weights)")  # fmt: skip
+    add("--model", metavar="NAME|FILE",
+        help="shipped weights of a lifter, or a file from LandmarkLifter.save(), for faces or "
+        "other objects (default: the shipped weights for L)")  # fmt: skip
     add("--eos", metavar="DIR",
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",

@@ -19,11 +19,12 @@ from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
 from deepmds_keras.landmarks.y_axis import Y_UP_ADVICE, check_y_axis, eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.tool.command.onnx_export import open_lifter
 from deepmds_keras.tool.detection import FOUND_BY, sd_of_landmarks, to_ibug
 from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
-from deepmds_keras.tool.predict.models import given_scheme, weights_path
+from deepmds_keras.tool.predict.models import DEFAULT, given_scheme
 
 _SIZES = (51, 68)  # of shipped weights that are scored
 _YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
@@ -59,7 +60,7 @@ def evaluate(
         landmarks: File of the 2D landmarks to lift; None uses the x and y of the truth.
         y_up: Whether y grows upwards in `landmarks`.
         image_size: Width and height of the image if `landmarks` are fractions of them.
-        model: File of `LandmarkLifter.save`; None is the shipped weights.
+        model: File of `LandmarkLifter.save`, or name of shipped weights; None is those for L.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
         out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
         overwrite: Whether existing files may be replaced.
@@ -77,7 +78,7 @@ def evaluate(
             raise InputError(f"{file} already exists; choose another --out or pass --overwrite.")
     if landmarks is None and (y_up or image_size):
         raise InputError("landmarks must be given with y_up or image_size. Received none.")
-    lifter = None if model is None else LandmarkLifter.load(weights_path(model))
+    lifter = None if model in (None, DEFAULT) else open_lifter(model)[0]
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
     scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
     lifter = lifter or LandmarkLifter.pretrained(scheme)
@@ -126,6 +127,7 @@ def evaluate(
             write_bytes(files[1], _figure(rows, unit))
         print(*files, sep="\n")
     except MissingPackageError as error:
+        files[1].unlink(missing_ok=True)  # of the errors that this run replaced
         print(files[0], f"No figure: {error}", sep="\n")
     return rows
 

@@ -96,9 +96,10 @@ def run(
             own = {*records.get(name, {}).get("results", ())}  # of a former run, perhaps not all
             free = files if overwrite else own
             if blocked := [path for f in files if _is_taken(path := out / f, f in free)]:
+                remedy = "" if blocked[0].is_dir() else ", or replace it by --overwrite"
                 fault = (
-                    f"{blocked[0]} already exists: move it away, "
-                    "name another folder (--out), or replace it by --overwrite."
+                    f"{blocked[0]} already exists: move it away, or name another folder (--out)"
+                    f"{remedy}."
                 )
             elif files:
                 # Before the record, so that whatever stops this leaves nothing that it is not of.

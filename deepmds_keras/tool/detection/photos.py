@@ -49,8 +49,9 @@ def read_photo(source: str | Path | bytes | BinaryIO | Image.Image) -> tuple[np.
             _check_head(source)
             return _pixels(source), 1
         content = _content(source)
-        # By the content: telephones send HEIC files called `.jpg`.
-        is_heic = content[4:8] == b"ftyp" and content[8:12] not in (b"avif", b"avis")
+        # By the content: telephones send HEIC files called `.jpg`. AVIF may be the second brand.
+        brands = content[8 : int.from_bytes(content[:4])]
+        is_heic = content[4:8] == b"ftyp" and not (b"avif" in brands or b"avis" in brands)
         with _opened_heic(content, name) if is_heic else _opened(content) as photo:
             _check_head(photo)
             n_pictures = getattr(photo, "n_frames", 1) if photo.format in _ANIMATED else 1

@@ -17,7 +17,7 @@ from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import atomic_write, instead_of_file
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.detection.photos import MIN_SIDE
-from deepmds_keras.tool.predict.faces import Face, frame_of, in_degrees
+from deepmds_keras.tool.predict.faces import Face, counted, frame_of, in_degrees
 
 _MAX_PIXELS = 64_000_000  # twice those of 8K
 _RATE = Fraction(25)  # frames per second if a file does not say
@@ -175,8 +175,9 @@ def tell_tracks(faces: Sequence[Face], most: int) -> Iterator[str]:
         n_noted = sum(bool(face.notes) for face in seen)
         noted = f", {n_noted} with notes" if n_noted else ""
         yield (
-            f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in {len(seen)} "
-            f"frames{noted}; yaw {in_degrees(min(yaws))} to {in_degrees(max(yaws))}"
+            f"  track {first.track}: {first.time:.1f} to {last.time:.1f} s, found in "
+            f"{counted(len(seen), 'frame')}{noted}; yaw {in_degrees(min(yaws))} to "
+            f"{in_degrees(max(yaws))}"
         )
     if len(tracks) > most:
         yield f"  and {len(tracks) - most} more tracks; pictures are of the {most} longest"

@@ -1,6 +1,7 @@
 """`deepmds evaluate`: any file of true landmarks is scored, whichever way its axes point."""
 
 import csv
+import sys
 
 import numpy as np
 import pytest
@@ -112,6 +113,20 @@ def test_landmarks_of_mediapipe_are_lifted_with_its_own_errors(truth, tmp_path):
     eyes = ((shape[:, 19] - shape[:, 28]) ** 2).sum(1)
     expected = ((align(np.array(lifted), shape) - shape) ** 2).mean((1, 2)) / eyes
     assert errors(rows)["lifting"] == pytest.approx(expected.mean(), rel=1e-3)
+
+
+def test_shipped_weights_may_be_named_and_no_figure_of_other_errors_stays(
+    truth, tmp_path, monkeypatch
+):
+    np.save(tmp_path / "truth.npy", truth[:9])
+    every = evaluate(tmp_path / "truth.npy", out=tmp_path)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    for name in ("lifting", "lifting-ibug68"):
+        rows = evaluate(tmp_path / "truth.npy", model=name, out=tmp_path, overwrite=True)
+        assert errors(rows, 68) == errors(every, 68)
+    assert not (tmp_path / "errors.png").exists()
+    with pytest.raises(InputError, match="model must be lifting-.* are not lifters"):
+        evaluate(tmp_path / "truth.npy", model="deepmds", out=tmp_path / "other")
 
 
 @pytest.mark.skipif(not (SHARED / "sfm").is_dir(), reason="../shared/sfm is absent")

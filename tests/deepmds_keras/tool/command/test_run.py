@@ -509,6 +509,7 @@ def test_a_folder_that_takes_no_results_is_named_before_the_work(tmp_path, predi
     good = save(tmp_path / "b.npy", landmarks)
     status, output, (line,) = predict(points, good)
     assert (status, "a.csv already exists" in line) == (1, True)
+    assert "--overwrite" not in line, "it does not replace folders"
     assert (tmp_path / "out" / "b.csv").is_file()
 
 

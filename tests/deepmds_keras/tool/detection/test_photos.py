@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, features
 
 from deepmds_keras import InputError
 from deepmds_keras.tool.detection.photos import check_photo, open_photo, read_photo
@@ -95,6 +95,15 @@ def test_a_photo_is_opened_pixel_by_pixel_and_upright_from_a_file_or_its_content
             check_photo(wrong)
     with pytest.raises(InputError, match="^image must be a readable photo"):
         open_photo(content[:60])
+
+
+@pytest.mark.skipif(not features.check("avif"), reason="Pillow without AVIF")
+def test_avif_is_read_whichever_of_its_brands_is_first(tmp_path, colour):
+    path = saved(tmp_path, colour, "a.avif", quality=95)
+    content = path.read_bytes()
+    for brand in (b"avif", b"mif1"):
+        opened = open_photo(content[:8] + brand + content[12:]).astype(int)
+        assert np.abs(opened - colour).mean() < 6
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".png", ".webp"])

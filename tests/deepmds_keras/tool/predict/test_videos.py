@@ -291,7 +291,8 @@ def test_angles_of_tracks_are_written_as_those_of_faces():
         for i, yaw in enumerate([-0.4, 12.4])
     ]
     (line,) = tell_tracks(faces, 3)
-    assert line.endswith("yaw 0° to +12°")
+    assert line.endswith("found in 2 frames; yaw 0° to +12°")
+    assert [*tell_tracks(faces[:1], 3)][0].endswith("found in 1 frame; yaw 0° to 0°")
 
 
 def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, clip, command):
