@@ -94,7 +94,13 @@ def evaluate(
             seen = scheme_of(views.shape[1])
             check_y_axis(views, seen, str(landmarks), needed=Y_UP_ADVICE[y_up])
             found_by = FOUND_BY.get(seen)
-            views = to_ibug(convert(views, seen, scheme), found_by, scheme)
+            try:
+                views = to_ibug(convert(views, seen, scheme), found_by, scheme)
+            except InputError:
+                raise InputError(
+                    f"{landmarks} must have all landmarks of {truth}, {scheme}. Received those of "
+                    f"{seen}: leave what it lacks out of {truth}; the jaw is the first 17 of 68."
+                ) from None
         views = views * (1, -1)
         if views.shape != shapes[..., :2].shape:
             raise InputError(

@@ -99,6 +99,9 @@ def test_landmarks_are_converted_and_must_not_be_upside_down(truth, tmp_path):
     with pytest.raises(InputError, match="51.npy.*y must point up for --y-up; omit it"):
         seen = tmp_path / "51.npy"
         evaluate(tmp_path / "truth.npy", landmarks=seen, y_up=True, out=tmp_path / "up")
+    np.save(tmp_path / "whole.npy", truth[:9])
+    with pytest.raises(InputError, match="51.npy must have .*whole.npy, ibug68.* ibug51.* jaw"):
+        evaluate(tmp_path / "whole.npy", landmarks=tmp_path / "51.npy", out=tmp_path / "up")
     with pytest.raises(InputError, match="landmarks must be given with y_up"):
         evaluate(tmp_path / "truth.npy", y_up=True, out=tmp_path / "up")
 
