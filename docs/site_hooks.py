@@ -9,7 +9,6 @@ import os
 import re
 from pathlib import Path
 
-import yaml
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
@@ -19,6 +18,8 @@ import deepmds_keras
 ROOT = Path(__file__).parents[1]
 # Files outside docs/ that are pages.
 PAGES = {"README.md": "index.md", "THIRD_PARTY_NOTICES.md": "licences.md"}
+# Where GitHub builds the site; elsewhere, links lead to the files of this checkout.
+_REPOSITORY = os.environ.get("GITHUB_REPOSITORY")
 _LIVE = ROOT / "build" / "live.html"  # of `deepmds live`, in the site if it is there
 _PICTURES = (".jpg", ".png")
 _LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
@@ -27,9 +28,9 @@ _MARKED = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.+?)\\[)\]]</\1>',
 
 
 def on_config(config):
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    config.repo_url = citation["repository-code"]
-    config.repo_name = config.repo_url.removeprefix("https://github.com/")
+    if _REPOSITORY:
+        config.repo_url = f"https://github.com/{_REPOSITORY}"
+        config.repo_name = _REPOSITORY
     return config
 
 
@@ -52,7 +53,8 @@ def on_page_markdown(markdown, page, config, files):
         place = PAGES.get(target, target.removeprefix("docs/"))
         if not files.get_file_from_path(place):
             if not target.endswith(_PICTURES):
-                return f"]({config.repo_url}/blob/main/{target}"
+                files_at = f"{config.repo_url}/blob/main" if _REPOSITORY else ROOT.as_uri()
+                return f"]({files_at}/{target}"
             _copy(ROOT / target, place, files, config)
         return f"]({place}"
 
