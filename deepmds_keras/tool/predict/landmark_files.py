@@ -216,7 +216,10 @@ def _read_json(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} must be JSON. {_received(error)}") from None
-    return as_faces(_points(path, content), str(path), sizes)
+    points = _points(path, content)
+    if points == []:  # as MediaPipe writes of a picture without a face
+        return np.empty((0, 0, 2))
+    return as_faces(points, str(path), sizes)
 
 
 def _points(path: Path, item):

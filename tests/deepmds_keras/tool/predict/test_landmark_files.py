@@ -330,6 +330,7 @@ REFUSED = {
     "huge numbers": ("f.npy", FACES * 1e200, "below 1e"),
     "wrong count": ("f.npy", FACES[:, :5], "51, 68, 72, 468 or 478 landmarks per face. Received 5"),
     "no faces": ("f.npy", FACES[:0], "at least one face. Received none"),
+    "JSON without faces": ("f.json", '{"faceLandmarks": []}', "at least one face. Received none"),
     "axes swapped": ("f.npy", FACES.transpose(1, 2, 0), "landmarks per face. Received 2"),
     "complex": ("f.npy", FACES + 1j, "complex"),
     "text as array": ("f.npy", np.full((68, 2), "1"), "numbers. Received dtype"),
