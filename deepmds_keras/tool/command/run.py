@@ -7,9 +7,9 @@ import shutil
 import signal
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 from joblib import Parallel, cpu_count, delayed
@@ -190,19 +190,20 @@ def _locked(out: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _unheard_ctrl_c() -> Iterator[None]:
-    """Ignores Ctrl-C; processes that are started meanwhile do so for ever, and end with this one.
+def _late_ctrl_c() -> Iterator[None]:
+    """Holds Ctrl-C back; processes started meanwhile never get it, and end with this one.
 
     Else each would print where it was, on top of this one's line.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # before Python 3.13, its start lets Ctrl-C through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _usable(todo: list[tuple[Path, str]], settings: dict) -> list[tuple[Path, str]]:
@@ -253,7 +254,7 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     if others:
         within = settings | {"jobs": 1 if workers > 1 else jobs}
         tasks = (delayed(process)(*pair, **within) for pair in others)
-        with _unheard_ctrl_c():
+        with _late_ctrl_c():
             done = Parallel(workers, return_as="generator")(tasks)
         yield from ((name, *each) for (_, name), each in zip(others, done, strict=True))
     yield from ((name, *process(source, name, **settings)) for source, name in videos)
