@@ -20,7 +20,6 @@ from data_gen.renderer import part_of
 from deepmds_keras.errors import InputError, naming
 from deepmds_keras.geometry.camera import HeadPose
 
-_N_LANDMARKS = len(load_vertices("ibug68").numbers)
 _N_JAW = load_vertices("ibug51").numbers[0] - 1
 # Those of Bas et al.: of the mean squared distance of edges and that of landmarks, in pixels, and
 # of the mean squared coefficient.
@@ -122,10 +121,15 @@ class EdgeFitter:
                 decide alone.
 
         Raises:
-            InputError: Not such an image, or not 68 finite points, most of them in the image, of a
-                face that is seen from in front.
+            InputError: Most landmarks lie beyond the image, or are not of a face that is seen from
+                in front.
         """
-        landmarks = _checked(landmarks, image)
+        n_inside = ((landmarks >= 0) & (landmarks <= image.shape[1::-1])).all(1).sum()
+        if n_inside < len(landmarks) / 2:
+            raise InputError(
+                f"landmarks must be pixels of the image, of {image.shape[1]} x {image.shape[0]}. "
+                f"Received {n_inside} of {len(landmarks)} within it."
+            )
         targets = landmarks[self._known] * (1, -1)
         with naming("landmarks, here with y turned up"):
             start = self._start.fit(targets)
@@ -201,23 +205,3 @@ def _face_of(
     skin[largest_component(model.n_vertices, model.triangles)] = True
     kept = np.flatnonzero(skin & (beyond < unit * _BORDER))
     return part_of(model, kept), beyond[kept] < 0
-
-
-def _checked(landmarks: np.ndarray, image: np.ndarray) -> np.ndarray:
-    image, landmarks = np.asarray(image), np.asarray(landmarks, float)
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-        raise InputError(
-            f"image must be RGB, uint8 (H, W, 3). Received {image.dtype} {image.shape}."
-        )
-    if landmarks.shape != (_N_LANDMARKS, 2) or not np.isfinite(landmarks).all():
-        raise InputError(
-            f"landmarks must be ({_N_LANDMARKS}, 2) finite numbers. "
-            f"Received {landmarks.shape}, {np.isfinite(landmarks).sum()} of them finite."
-        )
-    n_inside = ((landmarks >= 0) & (landmarks <= image.shape[1::-1])).all(1).sum()
-    if n_inside < _N_LANDMARKS / 2:
-        raise InputError(
-            f"landmarks must be pixels of the image, which is {image.shape[1]} x {image.shape[0]}. "
-            f"Received {n_inside} of {_N_LANDMARKS} within it."
-        )
-    return landmarks

@@ -60,7 +60,7 @@ class LandmarkFitter:
             and the landmarks of photos.
 
     Raises:
-        InputError: The model has no landmarks of that scheme, or an option is out of range.
+        InputError: The model has no landmarks of that scheme.
     """
 
     def __init__(
@@ -73,11 +73,6 @@ class LandmarkFitter:
         landmark_sd: float = 1.5,
     ):
         part = model.at_landmarks(scheme)
-        if n_identity < 1 or (n_expression or 0) < 0 or not landmark_sd > 0:
-            raise InputError(
-                "n_identity must be at least 1, n_expression not negative and landmark_sd positive."
-                f" Received {n_identity}, {n_expression}, {landmark_sd}."
-            )
         mean, bases = part.mean, [part.identity_basis_times_sd[:n_identity]]
         self._has_expression = part.expression_basis is not None and n_expression != 0
         self._expression_sd = model.expression_sd
@@ -100,10 +95,15 @@ class LandmarkFitter:
             points: `(L, 2)` pixels, x to the right and y up.
 
         Raises:
-            InputError: Not as many finite points as the scheme has landmarks, or they cannot be a
-                face: in one place or on one line, or seen from behind (as when y points down).
+            InputError: The points cannot be a face: in one place or on one line, or seen from
+                behind (as when y points down).
         """
-        points = self._check(points)
+        long, narrow = np.linalg.svd(points - points.mean(0), compute_uv=False)
+        if not narrow > _THINNEST * long:
+            raise InputError(
+                "points must not lie on one line. "
+                f"Received an extent of {narrow:.3g} by {long:.3g}."
+            )
         pose = orthographic_cameras(points[None], self._mean[None])[0]
         if pose.rotation[2, 2] <= 0:
             raise InputError(
@@ -145,21 +145,6 @@ class LandmarkFitter:
             n_iterations=n_iterations,
             converged=converged,
         )
-
-    def _check(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, float)
-        if points.shape != (len(self._mean), 2) or not np.isfinite(points).all():
-            raise InputError(
-                f"points must be ({len(self._mean)}, 2) finite numbers. "
-                f"Received {points.shape}, {np.isfinite(points).sum()} of them finite."
-            )
-        long, narrow = np.linalg.svd(points - points.mean(0), compute_uv=False)
-        if not narrow > _THINNEST * long:
-            raise InputError(
-                "points must not lie on one line. "
-                f"Received an extent of {narrow:.3g} by {long:.3g}."
-            )
-        return points
 
 
 def seen_by(camera: HeadPose, points: np.ndarray) -> np.ndarray:

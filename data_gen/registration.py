@@ -51,7 +51,7 @@ class IcpResult:
 
 def icp(
     source: np.ndarray,
-    target: np.ndarray | KDTree,
+    target: KDTree,
     *,
     rotation: np.ndarray | None = None,
     translation: np.ndarray | None = None,
@@ -68,18 +68,13 @@ def icp(
     Args:
         source: `(m, 3)` mm, the set whose every point looks for its closest in the other: the
             model, rather than the scan with its background.
-        target: `(n, 3)` mm, or a tree of them.
+        target: Tree of `(n, 3)` mm.
         rotation: `(3, 3)` to start from; None is the identity.
         translation: `(3,)` mm to start from; None is zero.
         trim: Share in (0, 1] of the source points that are kept, those closest to the target: at
             most what the target shows of the source.
         max_iterations: Look-ups after which to give up.
-
-    Raises:
-        InputError: Too few points, arrays of other shapes, NaN or infinity.
     """
-    tree = target if isinstance(target, KDTree) else KDTree(_points("target", target))
-    source, _ = _points("source", source), _points("target", tree.data)
     rotation = np.eye(3) if rotation is None else rotation
     n_kept = max(_MIN_POINTS, round(trim * len(source)))
     # Motions are about the middle of the source, where turning and shifting are independent.
@@ -90,9 +85,9 @@ def icp(
     last, stretch = np.zeros(6), 1.0
     for n_iterations in range(1, max_iterations + 1):
         moved = centred @ rotation.T + middle
-        distance, nearest = tree.query(moved)
+        distance, nearest = target.query(moved)
         kept = np.argpartition(distance, n_kept - 1)[:n_kept]
-        pairs = centred[kept], tree.data[nearest[kept]]
+        pairs = centred[kept], target.data[nearest[kept]]
         turned, _, best_middle = procrustes(*pairs, scaling=False, reflection=False)
         best = turned.T
         rms = np.sqrt(((pairs[0] @ best.T + best_middle - pairs[1]) ** 2).sum(1).mean())
@@ -112,16 +107,6 @@ def icp(
         middle = middle + stretch * shift
         last = step
     return IcpResult(best, best_middle - best @ centre, float(rms), n_iterations, converged)
-
-
-def _points(label: str, points: np.ndarray) -> np.ndarray:
-    points = np.asarray(points, float)
-    if points.shape[1:] != (3,) or len(points) < _MIN_POINTS or not np.isfinite(points).all():
-        raise InputError(
-            f"{label} must be at least {_MIN_POINTS} finite points, (n, 3). "
-            f"Received {points.shape}, {np.isfinite(points).sum()} of them finite."
-        )
-    return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +150,8 @@ class GroundTruth:
             points: `(n, 3)` of the scan, see `scans.Scan`.
 
         Raises:
-            InputError: Too few points; or the fit or the registration did not converge, or left the
-                model too far from the scan. The message says which and by how much.
+            InputError: The fit or the registration did not converge, or left the model too far from
+                the scan. The message says which and by how much.
         """
         fit = self._fitter.fit(pixels * (1, -1))
         if not fit.converged:

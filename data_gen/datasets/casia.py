@@ -96,13 +96,7 @@ def find_scans(root: str | Path, report: Callable[[str], object] = print) -> lis
 
 
 def write_index(path: str | Path, scans: Iterable[CasiaScan]) -> None:
-    """Write a table of the scans, `subject,scan,use,condition`, all with `use` yes, for editing.
-
-    Raises:
-        InputError: The file exists, and a user may have edited it.
-    """
-    if Path(path).exists():
-        raise InputError(f"{path}: already exists; delete it to have it written again.")
+    """Write a table of the scans, `subject,scan,use,condition`, all with `use` yes, for editing."""
     rows = (f"{scan.name[:3]},{int(scan.name[4:])},yes,\n" for scan in scans)
     write_bytes(Path(path), "".join([_COMMENTS, ",".join(_COLUMNS), "\n", *rows]).encode())
 

@@ -20,7 +20,6 @@ from deepmds_keras.geometry.views import PROJECTIONS, Cameras, project
 
 _FACES_PER_CHUNK = 4096  # bounds the memory to some ten megabytes whatever the number of faces
 _ARRAYS = ("identity", "expression", "landmarks", "views")
-_MIN_FRAMES = 3  # of a performance: neutral, something, neutral
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,15 +120,10 @@ def make_rings(
         Faces; face i shows subject i // images_per_subject.
 
     Raises:
-        InputError: No subjects or images, a model whose expressions have other names or that has no
-            landmarks of that scheme, or an unknown protocol.
+        InputError: A model whose expressions have other names or that has no landmarks of that
+            scheme, or an unknown protocol.
     """
     n = n_subjects * images_per_subject
-    if min(n_subjects, images_per_subject) < 1:
-        raise InputError(
-            "n_subjects and images_per_subject must be at least 1. "
-            f"Received {n_subjects} and {images_per_subject}."
-        )
     part, expression = model.at_landmarks(scheme), np.float32(sample_expressions(model, n, rng))
     cameras = sample_cameras(n, rng, protocol)
     of_subjects = rng.standard_normal((n_subjects, model.n_identity)).astype(np.float32)
@@ -146,22 +140,17 @@ def make_performances(
 
     Args:
         n_subjects: Number of subjects, each of standard-normal identity coefficients.
-        n_frames: Total number of frames, distributed evenly over the performances.
+        n_frames: Total number of frames, distributed evenly over the performances, each of which
+            needs three: neutral, something, neutral.
 
     Returns:
         `(n, K)` identity coefficients and `(n, E)` expression weights, both float32, of the frames
         by subject, then sequence, then time.
 
     Raises:
-        InputError: Too few frames for so many performances, or the names of the model's expressions
-            are not known.
+        InputError: The names of the model's expressions are not known.
     """
     n_performances = n_subjects * len(SEQUENCES)
-    if n_subjects < 1 or n_frames < _MIN_FRAMES * n_performances:
-        raise InputError(
-            f"n_subjects must be at least 1, and n_frames at least {_MIN_FRAMES * len(SEQUENCES)} "
-            f"for each. Received {n_subjects} subjects and {n_frames} frames."
-        )
     identity = np.float32(rng.standard_normal((n_subjects, model.n_identity)))
     lengths = np.diff(np.arange(n_performances + 1) * n_frames // n_performances)
     performed = zip(SEQUENCES * n_subjects, lengths, strict=True)

@@ -24,7 +24,6 @@ from data_gen.photographs import (
 )
 from data_gen.renderer import Frames, Renderer
 from data_gen.views import sample_expressive
-from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.views import (
     Cameras,
     in_camera_frame,
@@ -168,17 +167,12 @@ class PhotosSubstitute(Portraits):
             known.
 
     Raises:
-        InputError: The model has no such landmarks or cannot be coloured, or the libraries that
-            draw are missing.
+        InputError: The model cannot be coloured, or the libraries that draw are missing.
     """
 
     _framed = SCHEME
 
     def __init__(self, model: MorphableModel, n: int, seed: Sequence[int]):
-        if SCHEME not in model.landmarks:
-            raise InputError(
-                f"{model.name} must have the landmarks {SCHEME}. Received {[*model.landmarks]}."
-            )
         self._n = n
         self._set_up(model, seed, make_scene(model, SCHEME, HEIGHT, "released"))
         mean = self._scene.model.mean

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import check_choice
 from deepmds_keras.files import read_table
 
 # Of each scheme the table, and the number of its first landmark there.
@@ -37,11 +36,7 @@ def load_vertices(scheme: str) -> LandmarkVertices:
 
     `"bfm72"` are the paper's 72 landmarks, `"ibug68"` those of Multi-PIE and iBUG 300-W, `"ibug51"`
     the latter without the jaw line. Their order, names and lines are in `deepmds_keras.landmarks`.
-
-    Raises:
-        InputError: Another name.
     """
-    check_choice(scheme, "landmark scheme", SCHEMES)
     table, first = _TABLES[scheme]
     rows = [row for row in read_table(_FOLDER / f"{table}.csv") if int(row["number"]) >= first]
     anchors = {

@@ -32,8 +32,8 @@ def transfer_landmarks(
 
     Args:
         source: Face model with these landmarks, mm.
-        source_anchors: `(A,)` source vertex numbers of points also known on the target, `A >= 6`,
-            not in one plane.
+        source_anchors: `(A,)` source vertex numbers of `MIN_ANCHORS` or more points that are also
+            known on the target, not in one plane.
         target: Face model in any unit and pose.
         target_anchors: `(A,)` target vertex numbers of the same points.
 
@@ -41,15 +41,11 @@ def transfer_landmarks(
         `(72,)` target vertex numbers, all distinct.
 
     Raises:
-        InputError: Too few anchors, or the surfaces do not meet near the landmarks.
+        InputError: The anchors lie in one plane, or the surfaces do not meet near the landmarks.
     """
     landmarks = source.landmarks["bfm72"]
     anchors_from = source.mean[source_anchors]
     for label, anchors in (("source", anchors_from), ("target", target.mean[target_anchors])):
-        if len(anchors) < MIN_ANCHORS:
-            raise InputError(
-                f"{label}_anchors must be at least {MIN_ANCHORS} vertices. Received {len(anchors)}."
-            )
         extent = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
         if not extent[2] > 1e-3 * extent[0]:
             raise InputError(f"{label}_anchors must not lie in one plane. Received {extent}.")

@@ -122,15 +122,10 @@ class MorphableModel:
 
         Returns:
             `(n, V, 3)` or `(V, 3)` vertices in millimetres.
-
-        Raises:
-            InputError: More coefficients than components, or no expression basis.
         """
-        vertices = self.mean + _combine("identity", identity, self.identity_basis_times_sd)
+        vertices = self.mean + _combine(identity, self.identity_basis_times_sd)
         if expression is not None:
-            if self.expression_basis is None:
-                raise InputError(f"{self.name} has no expression basis; leave expression out.")
-            vertices = vertices + _combine("expression", expression, self.expression_basis)
+            vertices = vertices + _combine(expression, self.expression_basis)
             if self.expression_mean is not None:
                 vertices = vertices + self.expression_mean
         return vertices
@@ -190,12 +185,8 @@ def model_of(file: Path, **fields) -> MorphableModel:
     return replace(model, triangles=orient_outwards(model.mean, model.triangles))
 
 
-def _combine(label: str, coefficients: np.ndarray, basis: np.ndarray) -> np.ndarray:
+def _combine(coefficients: np.ndarray, basis: np.ndarray) -> np.ndarray:
     coefficients = np.asarray(coefficients)
     k = coefficients.shape[-1]
-    if k > len(basis):
-        raise InputError(
-            f"{label} must have at most {len(basis)} coefficients a face. Received {k}."
-        )
     flat = coefficients @ basis[:k].reshape(k, -1)
     return flat.reshape(*coefficients.shape[:-1], *basis.shape[1:])

@@ -6,7 +6,6 @@ import numpy as np
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.morphable_model import BLENDSHAPE_SD, MorphableModel, model_of
-from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz, sha256_of
 
 OPENHEAD = Path(__file__).parents[1] / "assets" / "openhead.npz"
@@ -19,29 +18,26 @@ def load_openhead(path: Path = OPENHEAD) -> MorphableModel:
     Its nose tip is at (0, 4.4, 131) mm, as in the Basel Face Model.
 
     Raises:
-        InputError: The file is missing, cut short or not an open head.
+        InputError: The file is missing or damaged.
     """
     arrays = read_openhead(path)
-    try:
-        of_ibug = arrays["landmarks68"].astype(int)
-        return model_of(
-            path,
-            name="openhead",
-            mean=arrays["mean"].astype(float),
-            identity_basis_times_sd=arrays["identity_basis_times_sd"].astype(float),
-            triangles=arrays["triangles"].astype(int),
-            landmarks={
-                "bfm72": arrays["landmarks72"].astype(int),
-                "ibug68": of_ibug,
-                "ibug51": of_ibug[np.array(load_vertices("ibug51").numbers) - 1],
-            },
-            expression_basis=arrays["expression_basis"].astype(float),
-            expression_names=tuple(arrays["expression_names"].tolist()),
-            expression_sd=BLENDSHAPE_SD,
-            sha256=sha256_of([path]),
-        )
-    except (KeyError, IndexError, TypeError) as error:
-        raise InputError(f"{path} must be {_KIND}. Received {error!r}.") from None
+    of_ibug = arrays["landmarks68"].astype(int)
+    return model_of(
+        path,
+        name="openhead",
+        mean=arrays["mean"].astype(float),
+        identity_basis_times_sd=arrays["identity_basis_times_sd"].astype(float),
+        triangles=arrays["triangles"].astype(int),
+        landmarks={
+            "bfm72": arrays["landmarks72"].astype(int),
+            "ibug68": of_ibug,
+            "ibug51": of_ibug[np.array(load_vertices("ibug51").numbers) - 1],
+        },
+        expression_basis=arrays["expression_basis"].astype(float),
+        expression_names=tuple(arrays["expression_names"].tolist()),
+        expression_sd=BLENDSHAPE_SD,
+        sha256=sha256_of([path]),
+    )
 
 
 def read_openhead(path: Path = OPENHEAD) -> dict[str, np.ndarray]:
@@ -53,6 +49,6 @@ def read_openhead(path: Path = OPENHEAD) -> dict[str, np.ndarray]:
     `(V,)`, the vertex of MakeHuman's base.obj (-1 and -2: right and left pupil, which it lacks).
 
     Raises:
-        InputError: The file is missing, cut short or not an npz.
+        InputError: The file is missing or damaged.
     """
     return read_npz(path, _KIND)

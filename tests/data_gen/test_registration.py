@@ -5,9 +5,8 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from data_gen import registration
 from data_gen.models.openhead import load_openhead
-from data_gen.registration import icp
-from deepmds_keras.errors import InputError
 
 MOTION = Rotation.from_rotvec(np.deg2rad([6, 15, -8])).as_matrix()  # 18 degrees
 SHIFT = np.array([12.0, -7.0, 400.0])
@@ -18,6 +17,10 @@ def face():
     """Vertices of the front of the mean face, about 2,300, mm."""
     x, y, z = load_openhead().mean.T
     return load_openhead().mean[(z > 60) & (np.abs(x) < 60) & (np.abs(y) < 70)]
+
+
+def icp(source, target, **options):
+    return registration.icp(source, KDTree(target), **options)
 
 
 def move(points):
@@ -38,8 +41,6 @@ def test_the_motion_of_an_exact_copy_is_recovered_exactly(face):
     assert result.converged and result.rms < 1e-9
     np.testing.assert_allclose(result.rotation, MOTION, atol=1e-9)
     np.testing.assert_allclose(result.translation, SHIFT, atol=1e-8)
-    of_tree = icp(face, KDTree(move(face)), translation=start_of(face), trim=1.0)
-    np.testing.assert_array_equal(of_tree.rotation, result.rotation)
 
 
 def test_a_noisy_scan_of_part_of_the_face_with_clutter_is_registered_by_trimming(face, rng):
@@ -79,11 +80,3 @@ def test_a_rest_is_where_the_closest_points_pull_no_farther(face, rng):
     assert result.converged and icp(face, scan, **motion, trim=1.0, max_iterations=1).converged
     distance, _ = KDTree(scan).query(face @ result.rotation.T + result.translation)
     assert result.rms == pytest.approx(np.sqrt((distance**2).mean()), abs=1e-3)
-
-
-@pytest.mark.parametrize("label", ["source", "target"])
-@pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)])
-def test_what_are_no_points_is_refused(rng, label, bad):
-    points = {"source": rng.normal(size=(9, 3)), "target": rng.normal(size=(9, 3))} | {label: bad}
-    with pytest.raises(InputError, match=f"{label} must be at least 3 finite points"):
-        icp(points["source"], points["target"])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.models.morphable_model import MorphableModel
-from deepmds_keras.errors import InputError, check_choice
+from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_table
 
 _SIDES = {"left": ("Left",), "right": ("Right",), "both": ("Left", "Right"), "none": ("",)}
@@ -78,9 +78,8 @@ def sequence_weights(
         and last frame are 0.
 
     Raises:
-        InputError: Unknown sequence, or the names of the model's expressions are not known.
+        InputError: The names of the model's expressions are not known.
     """
-    check_choice(sequence, "sequence", SEQUENCES)
     columns = _columns(model)
     course = np.repeat(_COURSES[SEQUENCES.index(sequence)], 2, axis=0)
     mean_spans = np.resize([_HOLD, 1.0], len(course) - 1)
@@ -109,10 +108,8 @@ def scan_expression_weights(
         `(n, E)` expression weights in [0, 1.2], a face for each name (of `SCAN_EXPRESSIONS`).
 
     Raises:
-        InputError: Unknown name, or the names of the model's expressions are not known.
+        InputError: The names of the model's expressions are not known.
     """
-    for name in names:
-        check_choice(name, "expression", SCAN_EXPRESSIONS)
     columns = _columns(model)
     faces = np.array([SCAN_EXPRESSIONS.index(name) for name in names], int)
     weights = _HELD_POSES[faces] * _strengths(len(faces), _HELD_ASYMMETRY, rng)

@@ -68,15 +68,13 @@ class TestIndex:
         (folder / "index.csv").write_text("\n".join(["# a comment,,,", columns, *rows]))
         return folder / "index.csv"
 
-    def test_the_default_uses_every_scan_and_is_never_overwritten(self, tmp_path):
+    def test_the_default_uses_every_scan(self, tmp_path):
         path = tmp_path / "run" / "index.csv"
         write_index(path, self.SCANS)
         assert read_index(path, self.SCANS) == self.SCANS
         comments = "".join(line for line in path.read_text().splitlines() if line[0] == "#")
         # A spreadsheet would wrap such lines in quotes, and they would no longer be comments.
         assert "," not in comments and '"' not in comments
-        with pytest.raises(InputError, match=f"{path}: already exists; delete it"):
-            write_index(path, self.SCANS)
 
     def test_the_table_chooses_and_names(self, tmp_path):
         rows = ("123,37,YES, smile ", "001,2,no,anger", '2,1,1,"smile, side light"', "1,001,0,")

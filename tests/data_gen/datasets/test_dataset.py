@@ -65,18 +65,6 @@ def test_every_subject_performs_every_sequence_from_neutral():
     assert not expression[starts].any() and expression.any(1).sum() > n
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "message"),
-    [
-        (make_rings, (0, 2), "n_subjects and images_per_subject must be at least 1"),
-        (make_performances, (2, 71), "n_frames at least 36 for each"),
-    ],
-)
-def test_too_few_faces_are_refused(make, arguments, message):
-    with pytest.raises(InputError, match=message):
-        make(MODEL, *arguments, np.random.default_rng(0))
-
-
 def test_a_file_gives_back_what_was_written(tmp_path):
     faces = rings()
     save_dataset(tmp_path / "a.npz", faces)

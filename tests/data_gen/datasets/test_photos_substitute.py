@@ -1,14 +1,12 @@
 """Photos of synthetic faces, in CelebA's form and turned any way, with the truth about them."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from data_gen.datasets.photos_substitute import PIXELS, PhotosSubstitute, Portraits
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.camera import orthographic_cameras
 
 N = 12
@@ -109,10 +107,3 @@ def test_portraits_differ_and_hold_all_landmarks(portraits):
     assert pixels.min() > 0 and pixels.max() < PIXELS
     assert np.ptp(of(portraits, "yaw")) > 30
     assert np.ptp(of(portraits, "landmarks", "ibug68"), axis=0).max() > 5
-
-
-def test_a_model_without_the_landmarks_is_refused():
-    model = load_openhead()
-    bare = replace(model, name="bare", landmarks={"ibug68": model.landmarks["ibug68"]})
-    with pytest.raises(InputError, match=r"bare must have the landmarks bfm72. Received \['ibug68"):
-        PhotosSubstitute(bare, 1, [0])

@@ -58,15 +58,6 @@ def test_restrict_commutes_with_shape(model):
     assert model.restrict(vertices).n_vertices == 3
 
 
-def test_too_many_coefficients_and_missing_expressions_are_refused(model):
-    with pytest.raises(InputError, match="identity must have at most 4 coefficients.*Received 5"):
-        model.shape(np.zeros(5))
-    with pytest.raises(InputError, match="expression must have at most 2 coefficients.*Received 3"):
-        model.shape(np.zeros(4), np.zeros(3))
-    with pytest.raises(InputError, match="no expression basis"):
-        replace(model, expression_basis=None, expression_names=()).shape(np.zeros(4), np.zeros(1))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
