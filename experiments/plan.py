@@ -28,7 +28,7 @@ TABLES = (
     *("table.csv", "metrics.csv", "wilcoxon.csv", "table.tex", "table_paper.tex"),
     "figures/summary.png",
 )
-# What steps read of the package that other steps may have written.
+# Options by which the folders of every step are named, besides track, seed and data sets.
 _ALWAYS = ("model", "bfm_scale", "preset", "protocol")
 
 

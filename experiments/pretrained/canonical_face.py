@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_table, write_bytes
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.landmarks import FOLDER, convert, load_scheme
+from deepmds_keras.landmarks import FOLDER, convert
 
 CANONICAL = Path(__file__).with_name("canonical_face.csv")
 _SCHEME = "ibug51"
@@ -34,21 +33,9 @@ def read_canonical_face() -> np.ndarray:
 
 
 def write_canonical_face(obj: str | Path, path: str | Path = CANONICAL) -> None:
-    """Write the table from MediaPipe's file.
-
-    Raises:
-        InputError: The file is missing or has other vertices.
-    """
-    try:
-        lines = [
-            line.split()[1:] for line in Path(obj).read_text().splitlines() if line[:2] == "v "
-        ]
-        points = np.array(lines, float)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{obj} must be a mesh (OBJ). Received {error}.") from None
-    n_points = len(load_scheme("mediapipe"))
-    if points.shape != (n_points, 3):
-        raise InputError(f"{obj} must have {n_points} vertices. Received {points.shape}.")
+    """Write the table from MediaPipe's file."""
+    lines = [line.split()[1:] for line in Path(obj).read_text().splitlines() if line[:2] == "v "]
+    points = np.array(lines, float)
     rows = read_table(FOLDER / "mediapipe_ibug68.csv")
     face = np.round(_MM * points[[int(row["number"]) for row in rows]], 3)
     numbered = zip((row["ibug68"] for row in rows), *face.T, strict=True)

@@ -159,7 +159,7 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
 def _glance(result: Result) -> dict[str, str]:
     """Error of the paper's method, and of two simpler ones, in an experiment."""
     table = read_table(result.folder / "table.csv")
-    head = head_of(METRICS["mse"], result.track, n_landmarks(table, result.track))
+    head = head_of(METRICS["mse"], result.track, n_landmarks(table))
     errors = cells(table, result.track, "terminal")[head].T.to_dict()
     row = {"Experiment": f"[{result.title}](#{result.name})", "Error": head}
     for method, column in (("deep_mds", "paper"), ("deep_mds", "here"), ("deep_mds", "seeds"),

@@ -6,7 +6,6 @@ from decimal import Decimal
 
 import pandas as pd
 
-from deepmds_keras.errors import check_choice
 from experiments.records import PUBLISHED
 
 _FILE = PUBLISHED / "published.csv"
@@ -27,9 +26,6 @@ def published(experiment: str) -> pd.DataFrame:
         A row for each method and metric: `method`, `metric`, `paper_mean`, `paper_std` (NaN where
         none is printed) and `paper_note`. 1.4 in units of 1e-4 is 1.4e-4; depth correlations stay
         as printed, since the paper's "%" is a sum over landmarks.
-
-    Raises:
-        InputError: Unknown experiment.
     """
     rows = _rows(experiment)
     rows = rows[(rows["method"] != "") & (rows["value"] != "")].reset_index(drop=True)
@@ -46,32 +42,20 @@ def published_mse(method: str) -> float:
 
 
 def paper_table(experiment: str) -> pd.DataFrame:
-    """Cells of the paper's own table: `table, row, column, method, metric, printed`.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Cells of the paper's own table: `table, row, column, method, metric, printed`."""
     rows = _rows(experiment)
     return rows[rows["table"].str.startswith("tab:") & rows["method"].ne("")]
 
 
 def printed(experiment: str, metric: str) -> dict[str, str]:
-    """Cells of a metric as the paper prints them, by method, including those that are no numbers.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Cells of a metric as the paper prints them, by method, even those that are no numbers."""
     rows = _rows(experiment)
     rows = rows[rows["metric"] == metric]
     return dict(zip(rows["method"], rows["printed"], strict=True))
 
 
 def unit_of(experiment: str, metric: str) -> float:
-    """Power of ten in which the paper prints a metric of an experiment; 1 if it has none.
-
-    Raises:
-        InputError: Unknown experiment.
-    """
+    """Power of ten in which the paper prints a metric of an experiment; 1 if it has none."""
     rows = _rows(experiment)
     units = rows["unit"][rows["metric"] == metric]
     return float(_plain("1", units.iloc[0])) if len(units) else 1.0
@@ -100,7 +84,6 @@ def _transcription() -> pd.DataFrame:
 
 
 def _rows(experiment: str) -> pd.DataFrame:
-    check_choice(experiment, "experiment", SOURCES)
     rows = _transcription()
     return rows[rows["table"].isin(SOURCES[experiment])]
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from deepmds_keras.landmarks import load_scheme
 from experiments.methods import rows_of_paper, title
-from experiments.run import SCHEMES
 from experiments.scoring.latex import tabular, tex
 from experiments.scoring.metrics import METRICS, Metric, metrics_of
 from experiments.scoring.numbers import NOTHING, as_quoted, between, plus_minus, power, rounded
@@ -52,7 +50,7 @@ def paper_layout(
         paper_rows: As for `tables.summarise`.
     """
     shown, rows = cells(table, experiment, "latex"), rows_of_paper(paper_rows)
-    n = n_landmarks(table, experiment)
+    n = n_landmarks(table)
     quoted = paper_table(experiment)
     ours = [
         shown.loc[title(rows[cell.method]), (head_of(METRICS[cell.metric], experiment, n), "here")]
@@ -74,7 +72,7 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
     Table and experiment are as for `text`; the output is `"terminal"` or `"latex"`, which has fewer
     columns.
     """
-    methods, columns, n = table["method"].unique(), {}, n_landmarks(table, experiment)
+    methods, columns, n = table["method"].unique(), {}, n_landmarks(table)
     for metric in _metrics_shown(table, experiment, output):
         head, unit = head_of(metric, experiment, n), unit_of(experiment, metric.id)
         rows = table[table["metric"] == metric.id].set_index("method").loc[methods]
@@ -93,7 +91,7 @@ def cells(table: pd.DataFrame, experiment: str, output: str) -> pd.DataFrame:
 
 def remarks(table: pd.DataFrame, experiment: str, output: str) -> list[str]:
     """Sentences below the table: on each column, on the faces, and the notes on cells."""
-    metrics, n = _metrics_shown(table, experiment, output), n_landmarks(table, experiment)
+    metrics, n = _metrics_shown(table, experiment, output), n_landmarks(table)
     sentences = [f"{head_of(m, experiment, n)}: {m.definition(n)}." for m in metrics]
     subsets = table[["n_subsets", "subset_size"]].dropna().drop_duplicates().astype(int)
     sentences += [
@@ -119,11 +117,9 @@ def head_of(metric: Metric, experiment: str, n_landmarks: int) -> str:
     return metric.head + metric.scale.format(n=n_landmarks, power=power(unit))
 
 
-def n_landmarks(table: pd.DataFrame, experiment: str) -> int:
-    """Landmarks of a face in a table; those that were committed before do not say it."""
-    if "n_landmarks" in table:
-        return int(table["n_landmarks"].iloc[0])
-    return len(load_scheme(SCHEMES[experiment]))
+def n_landmarks(table: pd.DataFrame) -> int:
+    """Landmarks of a face in a table."""
+    return int(table["n_landmarks"].iloc[0])
 
 
 def _metrics_shown(table: pd.DataFrame, experiment: str, output: str) -> list[Metric]:

@@ -183,11 +183,9 @@ def test_numbers_are_rounded_where_their_spread_begins(shown, expected):
     assert shown == expected
 
 
-def test_unknown_methods_and_experiments_are_refused(metrics):
+def test_unknown_methods_are_refused(metrics):
     with pytest.raises(InputError, match=r"method must be one of .* Received 'mystery'"):
         summarise(metrics.replace("ridge", "mystery"), "bfm", {}, **SIZES)
-    with pytest.raises(InputError, match=r"experiment must be one of bfm, .* Received 'lfw'"):
-        summarise(metrics, "lfw", {}, **SIZES)
 
 
 def test_parameters_are_counted_from_the_networks(metrics):

@@ -29,7 +29,5 @@ def test_the_normal_approximation_allows_for_ties_and_zeros():
 
 
 def test_values_that_cannot_be_compared_are_named():
-    with pytest.raises(InputError, match=r"same number of values. Received a 3, b 2"):
-        wilcoxon_table({"a": np.ones(3), "b": np.ones(2)})
     with pytest.raises(InputError, match=r"values of a must be a row of finite numbers"):
         wilcoxon_table({"a": np.ones((3, 2)), "b": np.ones(3)})
