@@ -46,8 +46,14 @@ def main(arguments: list[str] | None = None) -> None:
     target, *given = sys.argv[1:] if arguments is None else arguments
     variables = dict(pair.partition("=")[::2] for pair in given)
     dry, drawing = variables.pop("DRY", ""), variables.pop("DAG", "")
-    more = shlex.split(variables.pop("SNAKEMAKE", ""))
+    more = variables.pop("SNAKEMAKE", "")
     with one_line_errors():
+        try:
+            more = shlex.split(more)
+        except ValueError as error:
+            raise InputError(
+                f"SNAKEMAKE must be words as a shell has them. Received {more}: {error}."
+            ) from None
         run = run_of_variables(variables, _TRACKS.get(target, "bfm"))
         check_given(run)
         if run.track == "flame" and "MEDIAPIPE" not in left_out(variables) and not has_mediapipe():

@@ -259,6 +259,7 @@ def test_folders_may_have_spaces(tmp_path):
         ("reproduce-bfm", ["SEDS=10"], "unrecognized arguments: --seds 10"),
         ("reproduce-bfm", ["PROT=posed"], "unrecognized arguments: --prot posed"),
         ("check", ["PRESET=smoke"], "PRESET must be full"),
+        ("reproduce-bfm", ["SNAKEMAKE=-n '"], "SNAKEMAKE must be words as a shell has them"),
     ],
 )
 def test_a_wrong_variable_is_one_line(tmp_path, monkeypatch, capsys, target, variables, message):
