@@ -107,12 +107,13 @@ def _run_step(module: str, run: Run, values: dict) -> None:
     step = _step(module, run, *values["items"])
     try:
         outcome = step(run, *values["items"]) or {}
-    except InputError as error:
-        if not (found := writers(str(error), run.build / run.model)):
+    except (InputError, FileNotFoundError) as error:
+        reason = str(error) if isinstance(error, InputError) else f"{error.filename} not found."
+        if not (found := writers(reason, run.build / run.model)):
             raise
         # To delete the record does not do: Snakemake skips it where what needs it is there.
         again = f"The same command with SNAKEMAKE='--forcerun {found[0]}' writes it again."
-        raise InputError(f"{error} {again}") from None
+        raise InputError(f"{reason} {again}") from None
     records = [path for path in values["inputs"] if path.parent.name == "records"]
     outside = [p for p in values["inputs"] if not {run.build, run.results} & {*p.parents}]
     folders = [Path(folder) for folder in outcome.pop("results", ())]

@@ -427,9 +427,10 @@ def load(run: Run, method_id: str):
             return model.restore(checkpoint)
         return method.restore(run, model, checkpoint)
     except InputError as error:
-        record = run.record_file(f"train-{method.trained}")
-        once = f", once {record} is deleted" if record.exists() else ""
-        raise InputError(f"{error} make reproduce-{run.track} trains it{once}.") from None
+        record, again = run.record_file(f"train-{method.trained}"), f"make reproduce-{run.track}"
+        if record.exists():  # what is made from the network may be there: it is to be forced
+            again = f"The same command with SNAKEMAKE='--forcerun {record}'"
+        raise InputError(f"{error} {again} trains it.") from None
 
 
 def predict(model, inputs, **options) -> np.ndarray:

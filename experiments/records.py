@@ -43,7 +43,7 @@ _PACKAGES = (
     "dlib-bin", "h5py", "joblib", "keras", "matplotlib", "mediapipe", "numpy", "pandas",
     "scikit-learn", "scipy", "snakemake", "tensorflow", "tensorflow-cpu", "vtk",
 )  # fmt: skip
-# What steps write for others, besides their records.
+# What steps write for others, besides their records; `{}` is the item that a step is done for.
 _WRITTEN = {
     "faces": ("train.npz", "test.npz", "landmark_model.npz"),
     "images": ("images",),
@@ -51,6 +51,15 @@ _WRITTEN = {
     "scans": ("test.npz", "scans.npz", "images/test"),
     "rings": ("rings.npz", "landmark_model.npz", "images/rings"),
     "photos": ("test.npz", "photos.npz", "images/test"),
+    "portraits": ("portraits",),
+    "predict": ("predictions/{}.npz",),
+    "audit": ("audit/{}.csv",),
+    "lifting": ("lifting/{}.npz",),
+    "object": ("objects/{}.csv",),
+    "pretrained": ("photo-networks/{}.npz",),
+    "released_weights": ("released-weights/{}.csv",),
+    "scale": ("scales/{}.csv",),
+    "variant": ("ablation/{}.json",),
 }
 # For other steps only, not for readers of the results.
 _INTERNAL = ("checksums", "rows")
@@ -103,9 +112,8 @@ def writers(message: str, folder: Path) -> list[Path]:
     """Records in a folder of runs of the steps that wrote a file which a message names."""
 
     def files(record: Path) -> Iterable[str]:
-        kind, _, method = record.stem.partition("-")
-        names = (f"predictions/{method}.npz",) if kind == "predict" else _WRITTEN.get(kind, ())
-        return (str(record.parents[1] / name) for name in names)
+        kind, _, item = record.stem.partition("-")
+        return (str(record.parents[1] / name.format(item)) for name in _WRITTEN.get(kind, ()))
 
     records = sorted(folder.glob("*/records/*.json"))
     return [record for record in records if any(file in message for file in files(record))]

@@ -324,6 +324,24 @@ def test_arrays_that_were_deleted_are_made_anew_as_the_error_says(copy, name, re
     assert in_words(work / "records" / f"{record}.json") in planned
 
 
+@pytest.mark.parametrize(
+    ("step", "record"),
+    [
+        (["studies.scales"], "scale-0.75-seed0"),
+        (["studies.ablation"], "variant-same_face-seed0"),
+        (["objects.table"], "object-chairs-seed0"),
+        (["audit.audit", "poses"], "audit-poses"),
+    ],
+)
+def test_scores_that_were_deleted_are_made_anew_as_the_error_says(tmp_path, step, record):
+    path = runs.work(tmp_path, "bfm") / "records" / f"{record}.json"
+    path.parent.mkdir(parents=True)
+    path.touch()
+    done = runs.run(step[0], tmp_path, *step[1:])
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert f"SNAKEMAKE='--forcerun {path.relative_to(tmp_path)}'" in done.stderr
+
+
 # Several commands, and ends.
 
 

@@ -25,7 +25,7 @@ def folder(whole_bfm, tmp_path, monkeypatch):
 
 
 def test_loading_never_trains(folder):
-    """The error names the target of `make`, and the record that keeps it from training."""
+    """The error names the record whose step is to be forced, or the target of `make`."""
     run = Run(preset=TINY, jobs=1)
     files = [path for path in run.work.rglob("*.npz") if path.parent.name != "predictions"]
     before = {path: path.stat().st_mtime_ns for path in files}
@@ -37,11 +37,13 @@ def test_loading_never_trains(folder):
     for networks in (run.networks, run.work / "mobileface"):
         shutil.rmtree(networks)
     for method in trained:
-        with pytest.raises(
-            InputError, match=r"does not exist.*make reproduce-bfm.*json is deleted"
-        ):
+        record = f"{run.work}/records/train-{METHODS[method].trained}.json"
+        with pytest.raises(InputError, match=f"does not exist.*--forcerun {record}' trains it"):
             load(run, method)
     assert not run.networks.exists()
+    shutil.rmtree(run.work / "records")
+    with pytest.raises(InputError, match=r"not trained yet\. make reproduce-bfm trains it"):
+        load(run, "mlp")
 
 
 def test_predictions_take_faces_whichever_way_up(whole_bfm, monkeypatch):
