@@ -18,6 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from data_gen.models.registry import TITLES
 from deepmds_keras import __version__
+from deepmds_keras.errors import InputError
 from deepmds_keras.files import sha256_of, write_bytes
 from deepmds_keras.landmarks import DETECTOR_ERRORS
 from docs.latex import Grid, in_latex
@@ -311,8 +312,9 @@ def main() -> None:
             f"error: {place.filename}:{place.lineno} must be true of results/. It is not: "
             f"{place.line}"
         )
-    except (KeyError, FileNotFoundError) as error:
-        sys.exit(f"error: results/ must be those of make all-results. Missing: {error}.")
+    except (KeyError, FileNotFoundError, InputError) as error:
+        missing = str(error).removesuffix(".")
+        sys.exit(f"error: results/ must be those of make all-results. Missing: {missing}.")
     for place, text in written.items():
         write_bytes(ROOT / place, text.encode())
         print(place)

@@ -156,6 +156,14 @@ def test_a_sentence_that_is_no_longer_true_is_named(changed, monkeypatch, tmp_pa
     assert not (tmp_path / "README.md").exists()
 
 
+def test_results_that_are_missing_are_named(changed, monkeypatch, tmp_path):
+    (tmp_path / "results" / "openhead" / "bfm" / "manifest.json").unlink()
+    monkeypatch.setattr(make_docs, "ROOT", tmp_path)
+    shutil.copytree(ROOT / "docs" / "templates", tmp_path / "docs" / "templates")
+    with pytest.raises(SystemExit, match=r"Missing: .*manifest\.json not found\.$"):
+        make_docs.main()
+
+
 # Links, paths, names
 
 
