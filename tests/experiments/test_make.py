@@ -109,16 +109,6 @@ def test_another_variable_runs_what_depends_on_it(whole_bfm, variables, expected
     assert sorted(name.split(" mean_shape ridge")[0] for name in planned) == sorted(expected)
 
 
-@pytest.mark.slow
-def test_a_row_that_was_left_out_is_added(copy):
-    status, output, _ = ended(runs.command("reproduce-bfm", copy, "MOBILEFACE=no"))
-    assert status == 0 and "left out (MOBILEFACE=no)" in output
-    assert names(runs.plan("reproduce-bfm", copy, "MOBILEFACE=no")) == []
-    steps = names(runs.plan("reproduce-bfm", copy))
-    assert [step.split()[0] for step in steps] == ["tracks.times", "tracks.bfm"]
-    assert all(" mobileface " in step for step in steps)
-
-
 def test_weights_of_the_authors_run_their_row_and_the_table(whole_bfm, tmp_path):
     planned = names(runs.plan("reproduce-bfm", whole_bfm, weights(tmp_path / "a", b"1")))
     assert planned[0] == "tracks.predict deep_mds_weights"
@@ -496,12 +486,6 @@ def test_help_has_every_variable_with_its_values():
     named = {line.split()[0] for line in makefile.splitlines() if " ?=" in line}
     named |= {*MODELS, *PROTOCOLS, *EVALUATORS, *MOBILEFACES} | {*PRESETS} - {"tiny"}
     assert named <= {*re.findall(r"[\w]+", words)}
-
-
-def test_setup_says_what_has_no_wheel_only_if_it_has_none():
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    lines = makefile.replace("\\\n", "").splitlines()
-    assert all(line.startswith("\t@") for line in lines if "has no wheel here" in line)
 
 
 def test_the_makefile_hands_on_every_variable_and_needs_all_for_all_results():

@@ -9,7 +9,6 @@ import runs
 
 from deepmds_keras.networks import build_autoencoder, forward
 from experiments.studies.seed import recalibrate_batchnorm
-from experiments.studies.seeds import seed_statistics
 from experiments.studies.study_results import statistics_cells
 
 
@@ -23,16 +22,6 @@ def test_recalibrated_statistics_are_those_of_the_given_faces():
     network.set_weights(before)
     assert np.allclose(forward(recalibrated, inputs), in_training, atol=1e-5)
     assert not np.allclose(forward(network, inputs), in_training, atol=1e-2)
-
-
-def test_spread_is_over_the_seeds_of_a_method():
-    rows = [("deep_mds", seed, "mse", value) for seed, value in enumerate((1.0, 2.0, 9.0))]
-    rows += [("deep_mds_cosine", 0, "mse", 4.0)]
-    metrics = pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
-    table = seed_statistics(metrics, ["method", "metric"]).set_index("method")
-    ours = table.loc["deep_mds", ["median", "mean", "std", "min", "max", "count"]]
-    assert ours.tolist() == [2, 4, pytest.approx(19**0.5), 1, 9, 3]
-    assert table.index.tolist() == ["deep_mds", "deep_mds_cosine"]
 
 
 def test_readers_see_words_units_and_whole_counts():
