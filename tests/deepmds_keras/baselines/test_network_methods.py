@@ -298,7 +298,7 @@ def test_rings_are_of_one_subject_and_a_stranger():
             "mobileface",
             {"landmark_basis_times_sd": BASIS[:1], "shape_gram": np.ones((1, 1))},
             {1: CODES[:, :1]},
-            "landmark_basis_times_sd must be finite, .* components >= 2",
+            "landmark_basis_times_sd must be finite, .*components >= 2",
         ),
         ("mobileface", {"standardise": "row"}, {}, "standardise must be one of face, batch"),
         ("ringnet", {}, {1: VIEWS[:5]}, r"landmarks must have shape \(24, 12, 2\)"),
