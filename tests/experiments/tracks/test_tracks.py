@@ -37,7 +37,7 @@ MEASURED = {
         "zhao_authors", "zhao_frontal", "zhao_evaluator", "aldrian", "aldrian_authors", "map",
         "mobileface",
     },
-    "flame": {"ringnet", "true_landmarks", "model_fit", "deep_mds_noise"},
+    "flame": {"ringnet", "true_landmarks", "model_fit", "map_learnt", "deep_mds_noise"},
     "celeba": {"aldrian", "aldrian_authors", "map", "mobileface", "true_landmarks"},
 }  # fmt: skip
 
