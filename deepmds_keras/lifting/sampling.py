@@ -109,7 +109,9 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
 
     All views of a shape are held out together: by other views of it they would be known.
     """
-    _, first, shape_of = np.unique(_numbers(faces.shapes), return_index=True, return_inverse=True)
+    _, first, shape_of = np.unique(
+        shape_numbers(faces.shapes), return_index=True, return_inverse=True
+    )
     n_shapes = len(first)
     if n_shapes < _FEW_SHAPES:
         warnings.warn(
@@ -138,8 +140,8 @@ def given_faces(faces: Faces, missing: float, noise: float, seed: int) -> Source
     return Source(training.shapes, held_out, block, tuple(vars(faces).values()))
 
 
-def _numbers(shapes: np.ndarray) -> np.ndarray:
-    """Number of each of the shapes `(n, 3, L)`, the same where they are equal up to rounding."""
+def shape_numbers(shapes: np.ndarray) -> np.ndarray:
+    """Number of each of the float32 arrays, the same where they are equal up to rounding."""
     flat = shapes.reshape(len(shapes), -1)
     directions = np.random.default_rng(0).standard_normal((8, flat.shape[1]), np.float32)
     numbers = np.zeros(len(flat), int)

@@ -15,8 +15,8 @@ from deepmds_keras.geometry.units import centre_to_radius_1
 from experiments.run import Run
 from experiments.streams import Stream
 
-# Objects, and the share of their shapes that is held out: of sequences the last third, whose poses
-# the training has not seen, of separate things as many at random as of 920 chairs 220.
+# Objects, and the share of their shapes that is held out: of sequences the last third, of
+# separate things as many at random as of 920 chairs 220.
 SEQUENCES = ("walking", "dance", "yoga", "stretch", "pickup", "drink", "jaws", "face")
 OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
 METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map_learnt", "landmark_lifter")

@@ -15,7 +15,7 @@ _NOTES = (
     "with scale and reflection: median [lowest, highest] over seeds.",
     "Shapes are first rotated onto the mean training shape, since views are from all sides.",
     "Views are orthographic; noise is the s.d. of a coordinate in r.m.s. radii.",
-    "Chairs: 220 of 920 are held out. Sequences: the last third is, with new poses.",
+    "Chairs: 220 of 920 are held out. Sequences: the last third of one motion is.",
     "MAP knows the noise and, in place of a face model, the principal components of the training "
     "shapes. LandmarkLifter is told the noise; the others are trained with it.",
 )

@@ -195,7 +195,8 @@ def _rows(
                 bins.append((f"{low} to {high}", (yaw >= low) & (yaw < high)))
             for name, some in bins:
                 if n := int(some.sum()):
-                    mean, error = errors[some].mean(), errors[some].std() / np.sqrt(n)
+                    mean = errors[some].mean()
+                    error = errors[some].std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
                     row = (int(scored.sum()), method, name, n, mean, error)
                     yield dict(zip(_COLUMNS, row, strict=True))
 

@@ -14,6 +14,7 @@ from deepmds_keras.geometry.units import centre_to_radius_1, normalise
 from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
 from deepmds_keras.lifting.lifter import LandmarkLifter
+from deepmds_keras.lifting.sampling import shape_numbers
 from deepmds_keras.streams import Stream
 from deepmds_keras.validation import as_numbers, find_faults
 
@@ -40,7 +41,8 @@ def train(
     A stopped training goes on from `OUT.checkpoint`, which is deleted at the end.
 
     Args:
-        source: `.npy` of shapes `(n, L, 3)`, in any unit, +y up; equal ones count once.
+        source: `.npy` of shapes `(n, L, 3)`, in any unit, +y up; equal ones count once,
+            however turned, moved and scaled.
         out: File to write, as `LandmarkLifter.save` does; it must not exist.
         steps, missing, seed: As for `LandmarkLifter`.
         noise: Likewise; the report has views with half of it, the mean in training, too.
@@ -110,13 +112,18 @@ def _read_shapes(path: Path) -> np.ndarray:
             f"{path}, shape {shape + 1} of {len(shapes)}, {fault}. "
             f"Shapes to leave out or mend: {len(faults)}."
         )
-    shapes = np.unique(shapes, axis=0)
+    shapes = centre_to_radius_1(np.unique(shapes, axis=0))
+    # Random sums of landmarks are as long however a shape is turned.
+    sums = np.random.default_rng(0).standard_normal((8, shapes.shape[1]))
+    lengths = np.linalg.norm(sums @ shapes, axis=2) / np.linalg.norm(sums, axis=1)
+    _, first = np.unique(shape_numbers(np.float32(lengths)), return_index=True)
+    shapes = shapes[np.sort(first)]
     if len(shapes) < _HELD_OUT:
         raise InputError(
             f"{path} must hold {_HELD_OUT} different shapes or more, some for the report. "
             f"Received {len(shapes)}."
         )
-    return centre_to_radius_1(shapes)
+    return shapes
 
 
 def _errors(

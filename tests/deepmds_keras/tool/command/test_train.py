@@ -12,6 +12,7 @@ from deepmds_keras.tool.command.train import train
 from experiments.objects.shapes import read_shapes
 
 L, N = 9, 70
+TURN = Rotation.from_euler("xyz", (20, 50, -70), degrees=True).as_matrix()
 OPTIONS = {"steps": 3, "noise": 0.05, "missing": 0.2, "seed": 0}
 
 
@@ -135,6 +136,7 @@ def test_the_page_on_objects_has_what_the_command_prints(tmp_path, command):
         (lambda s: s[:, :5], r"with 6 landmarks or more. Received \(90, 5, 3\)"),
         (lambda s: s[:9], "must hold 10 different shapes or more.* Received 9"),
         (lambda s: np.repeat(s[:1], 30, 0), "10 different shapes or more.* Received 1"),
+        (lambda s: np.concatenate([s[:5], 7 * np.float32(s[:5] @ TURN) + 90]), "Received 5"),
         (lambda s: np.where(s == s[4, 2, 1], np.nan, s), "shape 5 of 90, must be finite.* mend: 2"),
         (lambda s: s.astype(str), "must hold numbers"),
     ],
