@@ -116,7 +116,7 @@ def _read_shapes(path: Path) -> np.ndarray:
     # Random sums of landmarks are as long however a shape is turned.
     sums = np.random.default_rng(0).standard_normal((8, shapes.shape[1]))
     lengths = np.linalg.norm(sums @ shapes, axis=2) / np.linalg.norm(sums, axis=1)
-    _, first = np.unique(shape_numbers(np.float32(lengths)), return_index=True)
+    _, first = np.unique(shape_numbers(lengths.astype(np.float32)), return_index=True)
     shapes = shapes[np.sort(first)]
     if len(shapes) < _HELD_OUT:
         raise InputError(
