@@ -153,6 +153,15 @@ def shape_numbers(shapes: np.ndarray) -> np.ndarray:
     return numbers
 
 
+def distinct_shapes(shapes: np.ndarray) -> np.ndarray:
+    """The first of each of the shapes `(n, L, 3)`, however turned; all centred and of one size."""
+    # Random sums of landmarks are as long however a shape is turned.
+    sums = np.random.default_rng(0).standard_normal((8, shapes.shape[1]))
+    lengths = np.linalg.norm(sums @ shapes, axis=2) / np.linalg.norm(sums, axis=1)
+    _, first = np.unique(shape_numbers(lengths.astype(np.float32)), return_index=True)
+    return shapes[np.sort(first)]
+
+
 def sampled_faces(
     sample: Callable, n_landmarks: int, missing: float, noise: float, seed: int
 ) -> Source:

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.distance import pdist, squareform
 from scipy.spatial.transform import Rotation
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import align_to_mean
-from deepmds_keras.geometry.classical_scaling import pairwise_distances
 from deepmds_keras.geometry.units import centre_to_radius_1
+from deepmds_keras.lifting.sampling import distinct_shapes
 from experiments.run import Run
 from experiments.streams import Stream
 
@@ -22,7 +21,6 @@ OBJECTS = {"chairs": 220 / 920, **dict.fromkeys(SEQUENCES, 1 / 3)}
 METHODS = ("mean_shape", "ridge", "mlp", "deep_mds", "map_learnt", "landmark_lifter")
 NOISES = (0.0, 0.02)  # s.d. of a coordinate in the view, in r.m.s. radii of the shape
 _COMMON = 0.9  # share of the shapes that must have a landmark if it is to be used
-_SAME = 1e-5  # difference of two distances that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +61,8 @@ def read_shapes(path: Path) -> np.ndarray:
             f"{path}: at least 10 shapes must have the same 6 landmarks. "
             f"Received {len(points)} with {points.shape[1]}."
         )
-    shapes = centre_to_radius_1(points)
     # Jaws repeats itself, turned, after 120 frames: what is held out would be known from training.
-    distances = pairwise_distances(shapes).reshape(len(shapes), -1)
-    again = np.tril(squareform(pdist(distances, "chebyshev")) < _SAME, -1).any(1)
-    return shapes[~again]
+    return distinct_shapes(centre_to_radius_1(points))
 
 
 def views_of(run: Run, name: str, seed: int, noise: float) -> tuple[Views, Views]:

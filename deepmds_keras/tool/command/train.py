@@ -14,7 +14,7 @@ from deepmds_keras.geometry.units import centre_to_radius_1, normalise
 from deepmds_keras.geometry.views import sample_views
 from deepmds_keras.lifting.inputs import LEAST_VISIBLE
 from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.sampling import shape_numbers
+from deepmds_keras.lifting.sampling import distinct_shapes
 from deepmds_keras.streams import Stream
 from deepmds_keras.validation import as_numbers, find_faults
 
@@ -112,12 +112,7 @@ def _read_shapes(path: Path) -> np.ndarray:
             f"{path}, shape {shape + 1} of {len(shapes)}, {fault}. "
             f"Shapes to leave out or mend: {len(faults)}."
         )
-    shapes = centre_to_radius_1(np.unique(shapes, axis=0))
-    # Random sums of landmarks are as long however a shape is turned.
-    sums = np.random.default_rng(0).standard_normal((8, shapes.shape[1]))
-    lengths = np.linalg.norm(sums @ shapes, axis=2) / np.linalg.norm(sums, axis=1)
-    _, first = np.unique(shape_numbers(lengths.astype(np.float32)), return_index=True)
-    shapes = shapes[np.sort(first)]
+    shapes = distinct_shapes(centre_to_radius_1(np.unique(shapes, axis=0)))
     if len(shapes) < _HELD_OUT:
         raise InputError(
             f"{path} must hold {_HELD_OUT} different shapes or more, some for the report. "
