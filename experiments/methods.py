@@ -193,6 +193,11 @@ _ROWS = (
         colour="#5A0A3C", marker="8", drawn=False, complexity="O(t (n k^2 + k^3))",
     ),
     Method(
+        id="aldrian_learnt", title="Aldrian & Smith, learnt components",
+        description="the same fit, of the principal components of the training shapes",
+        colour="#5A0A3C", marker="d", drawn=False,
+    ),
+    Method(
         id="map", title="MAP fit (knows the model)", tracks=("bfm", "celeba"),
         description="the most probable shape and perspective camera, given the face model; nothing "
         "is trained",

@@ -78,6 +78,8 @@ class Preset:
     bench_passes: int = _size(3, 0)
     # Photos of each open face model on which `make pretrained` measures detectors and methods.
     test_portraits: int = _size(1_000, 20, 6)
+    # Further ones, from which `make real-faces` takes the s.d. of the detectors' landmarks.
+    further_portraits: int = _size(500, 20, 6)
     # Mini-batches of the lifters that ship.
     shipped_steps: int = _size(6_000, 200, 3)
     # Training views of each shape of `make objects`; an eighth of it in the tests.

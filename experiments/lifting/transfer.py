@@ -84,7 +84,7 @@ class Trained:
         given, views = views, self._filled(views)
         seen = normalise(centre(views))
         shapes = {method: model.predict(seen) for method, model in self._regressions.items()}
-        shapes["aldrian"] = fit_aldrian(*self._components, views, sd)
+        shapes["aldrian_learnt"] = fit_aldrian(*self._components, views, sd)
         with single_threaded():
             shapes["map_learnt"] = self._map.predict(given, sd)
         if truth is not None:

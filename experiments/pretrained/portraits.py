@@ -30,7 +30,7 @@ def main(run: Run) -> dict:
     detectors = [name for name, detector in DETECTORS.items() if detector.is_installed()]
     if not detectors:
         raise InputError(f"One of {', '.join(DETECTORS)} must be installed. Received none.")
-    n = run.preset.test_portraits
+    n = run.preset.test_portraits + run.preset.further_portraits
     numbers = [range(i, min(i + _PER_TASK, n)) for i in range(0, n, _PER_TASK)]
     for model in models:
         tasks = [(run, model, each, detectors) for each in numbers]
@@ -45,15 +45,17 @@ def main(run: Run) -> dict:
     return {"detectors": detectors, "left_out": left_out}
 
 
-def read_portraits(run: Run, model: str) -> dict[str, np.ndarray]:
-    """Truth and detections of all photos of a model.
+def read_portraits(run: Run, model: str, further: bool = False) -> dict[str, np.ndarray]:
+    """Truth and detections of the photos of a model on which methods are tested, or of the others.
 
     Returns:
         `yaw` `(n,)` degrees; `landmarks_…` and `pixels_…` of the schemes, as `Photo` has them;
         `dlib` `(n, 68, 2)` and `mediapipe` `(n, 51, 2)` pixels, NaN where no face was found, and
         `mediapipe_shape` `(n, 51, 3)`, y up, if the detectors are installed.
     """
-    return read_arrays(portraits_file(run, model))[0]
+    n = run.preset.test_portraits
+    part = slice(n, None) if further else slice(n)
+    return {name: of[part] for name, of in read_arrays(portraits_file(run, model))[0].items()}
 
 
 def portraits_file(run: Run, model: str) -> Path:

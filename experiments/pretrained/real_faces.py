@@ -13,7 +13,7 @@ from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.alignment import align
-from deepmds_keras.geometry.units import normalise
+from deepmds_keras.geometry.units import centre, normalise, rms_radius
 from deepmds_keras.landmarks import DETECTOR_ERRORS, load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.detection import detector_sd, measured, move
@@ -39,13 +39,18 @@ _SCHEME = "ibug51"
 _KEPT = "dlib"  # trained on iBUG 300-W: the other detector's landmarks move to its
 # Assumed variance of the errors, of both detectors together, relative to that of their difference.
 # Errors are correlated, between neighbouring landmarks and between the two detectors, and weigh
-# more than white ones of the same size: with 1, the shapes from the two agree less.
+# more than white ones of the same size: with 1, which the table has beside it, the shapes from the
+# two agree less.
 _STRENGTH = 6.0
+# Faces are one photo, in two sizes, if they differ by less than this r.m.s. distance in radii. The
+# two detectors differ by more on every photo.
+_ONE_PHOTO = 0.03
 _RESAMPLINGS = 10_000  # of the people
 _COLUMNS = {
     "Ratio": ("ratio", "low", "high"),
     "Less LandmarkLifter's": ("less", "less_low", "less_high"),
 }
+_GIVEN = {_STRENGTH: "As shipped", 1.0: "S.d. that explain the differences"}
 _NOTES = (
     "Ratio: mean squared distance between the shapes of one face from two detectors, over that "
     "between different faces; 0 if the detectors agree, 1 if a shape says nothing about a person. "
@@ -61,6 +66,8 @@ def main(run: Run) -> dict:
         raise InputError(f"{run.real} must hold arrays dlib and mediapipe. Received {[*arrays]}.")
     # To image coordinates, y down.
     faces = {name: np.float64(arrays[name]) * (1, -1) for name in ("dlib", "mediapipe")}
+    kept = different_photos(faces)
+    faces = {name: of[kept] for name, of in faces.items()}
     shipped = LandmarkLifter.pretrained(_SCHEME), DeepMDS.pretrained(f"deepmds-{_SCHEME}")
     methods = trained_beside(run, _SCHEME, *shipped)
     # First of all, since everything below reads the s.d. in it.
@@ -68,18 +75,35 @@ def main(run: Run) -> dict:
         write_csv(DETECTOR_ERRORS, detector_table(run, faces, methods.lifter))
         measured.cache_clear()
     found = of_detectors(methods.lifter, faces)
-    table = pd.DataFrame(reliability(methods, faces, found[_KEPT, "detector"], run.seed))
+    off = found[_KEPT, "detector"]
+    table = pd.DataFrame(
+        {"strength": strength} | row
+        for strength in _GIVEN
+        for row in reliability(methods, faces, off, run.seed, strength)
+    )
     tables = {
         "table": table,
         "misfit": pd.DataFrame(misfits(found)),
         "residuals": mean_residuals(found),
     }
     texts = {
-        head: [between(*ends) for ends in table[[*names]].to_numpy()]
+        (_GIVEN[strength], head): [between(*ends) for ends in rows[[*names]].to_numpy()]
+        for strength, rows in table.groupby("strength", sort=False)
         for head, names in _COLUMNS.items()
     }
-    cells = pd.DataFrame(texts, index=table["method"].map(title))
+    methods_shown = pd.Index(table["method"].map(title).unique(), name="Method")
+    cells = pd.DataFrame(texts, index=methods_shown)
     return write_results(run, "real", tables, cells, _NOTES)
+
+
+def different_photos(faces: dict[str, np.ndarray]) -> np.ndarray:
+    """Numbers of the faces without those that both detectors say are an earlier one's photo."""
+    one_photo = True
+    for landmarks in faces.values():
+        alike = centre(landmarks) / rms_radius(landmarks)[:, None, None]
+        square = np.stack([((align(alike, of) - of) ** 2).sum(2).mean(1) for of in alike])
+        one_photo = one_photo & (square < _ONE_PHOTO**2)
+    return np.flatnonzero(~np.tril(one_photo, -1).any(1))
 
 
 def differences(faces: dict[str, np.ndarray]) -> np.ndarray:
@@ -119,12 +143,17 @@ def _offset(detector: str, apart: np.ndarray, off: np.ndarray) -> np.ndarray:
 
 def _variance(run: Run, detector: str) -> np.ndarray:
     """`(L,)` of a coordinate of each landmark about its mean error on rendered photos."""
-    errors = (errors_of(read_portraits(run, model), detector) for model in OPEN)
+    photos = (read_portraits(run, model, further=True) for model in OPEN)
+    errors = (errors_of(each, detector) for each in photos)
     return np.mean([e[detected].var(0).mean(1) for e, detected in errors], axis=0)
 
 
 def reliability(
-    methods: Trained, faces: dict[str, np.ndarray], off: np.ndarray, seed: int = 0
+    methods: Trained,
+    faces: dict[str, np.ndarray],
+    off: np.ndarray,
+    seed: int = 0,
+    strength: float = _STRENGTH,
 ) -> list[dict]:
     """Similarity of a face's shapes from both detectors, for each method.
 
@@ -134,6 +163,7 @@ def reliability(
         faces: Landmarks `(n, 51, 2)` in images by detector.
         off: `(n, 51, 2)` residuals of dlib's landmarks, as from `residuals`.
         seed: Of the bootstrap.
+        strength: Of the s.d. that methods are told, as `_STRENGTH`, with which the s.d. ship.
 
     Returns:
         Rows of `method, ratio, low, high, less, less_low, less_high, within, between`: the ratio of
@@ -145,6 +175,7 @@ def reliability(
     for half in (np.arange(n) % 2, np.arange(n) // (n // 2 + 1)):
         for tested in (half == 0, half == 1):
             size = np.sqrt(apart[~tested].var(0).mean() / apart.var(0).mean())
+            size *= np.sqrt(strength / _STRENGTH)
             predicted = []
             for name, of in faces.items():
                 moved = move(of[tested], _SCHEME, _offset(name, apart[~tested], off[~tested]))

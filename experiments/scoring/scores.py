@@ -153,14 +153,24 @@ def evaluate(
     return table.astype({"subset": "Int64"}), scores
 
 
-def per_face(scores: dict[str, Scores]) -> dict[str, dict[str, np.ndarray]]:
-    """Metric of the paper → method → its values on the faces that every method found."""
+def per_face(
+    scores: dict[str, Scores], subjects: np.ndarray | None = None
+) -> dict[str, dict[str, np.ndarray]]:
+    """Metric of the paper → method → its values on the faces that every method found.
+
+    With the `subjects` `(n,)` of faces: the means of each subject's values.
+    """
     detected = np.all([of_method.detected for of_method in scores.values()], axis=0)
+    groups = np.arange(detected.sum()) if subjects is None else subjects[detected]
     return {
-        metric.id: {method: metric.per_face(scores[method])[detected] for method in scores}
+        metric.id: {
+            method: pd.Series(metric.per_face(scores[method])[detected]).groupby(groups).mean()
+            .to_numpy()
+            for method in scores
+        }
         for metric in METRICS.values()
         if metric.in_paper
-    }
+    }  # fmt: skip
 
 
 def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:

@@ -95,6 +95,7 @@ def write_tables(
     *,
     experiment: str,
     per_face: Mapping[str, Mapping[str, np.ndarray]],
+    over: str = "faces",
     seeds: pd.DataFrame | None = None,
     **options,
 ) -> pd.DataFrame:
@@ -104,6 +105,7 @@ def write_tables(
         folder: `results/<model>/<experiment>`.
         metrics, experiment, seeds, options: As for `summarise`.
         per_face: Metric → method → `(n,)`, for all test faces in one order.
+        over: What `per_face` has a value of: `"faces"`, or `"subjects"` of several faces each.
 
     Returns:
         The content of `table.csv`.
@@ -111,7 +113,7 @@ def write_tables(
     table = summarise(metrics, experiment, seeds=seeds, **options)
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
-    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds))
+    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds, over))
     return table
 
 
@@ -119,12 +121,14 @@ def wilcoxon_tests(
     metrics: pd.DataFrame,
     per_face: Mapping[str, Mapping[str, np.ndarray]],
     seeds: pd.DataFrame | None = None,
+    over_all: str = "faces",
 ) -> pd.DataFrame:
-    """Wilcoxon tests over trainings from several seeds, over subsets, and over all faces.
+    """Wilcoxon tests over trainings from several seeds, over subsets, and over all test faces.
 
     Only the first can distinguish methods: they are paired by seed, and `p_holm` is corrected for
     the number of pairs of methods. Subsets, as in the paper, differ by resampling alone, and both
-    they and the faces come from one training.
+    they and the faces come from one training. Scans of one subject are not independent: where
+    there are several, `over_all` is `"subjects"`.
     """
     # Here, since scipy.stats takes a while to import.
     from experiments.scoring.intervals import holm_adjusted
@@ -138,7 +142,7 @@ def wilcoxon_tests(
                 values = rows.pivot(index=over.removesuffix("s"), columns="method", values="value")
                 methods = [method for method in METHODS if method in values]
                 samples.append((over, metric, {m: values[m].to_numpy() for m in methods}))
-    samples += [("faces", metric, dict(values)) for metric, values in per_face.items()]
+    samples += [(over_all, metric, dict(values)) for metric, values in per_face.items()]
     tests = []
     for over, metric, values in samples:
         names = pd.DataFrame({"over": [over], "metric": [metric]})

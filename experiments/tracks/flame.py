@@ -28,7 +28,9 @@ _SHOWN_FACES = 4
 def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
     """Score the predictions against landmarks found on scans, and the true ones if known."""
     scans, _ = read_arrays(run.work / "scans.npz")
-    return evaluate_both(run, methods, scans, "scan_landmarks", {"model_fit": scans["fitted"]})
+    subjects = scans["name"][scans["status"] == USED].astype("U3")
+    fitted = {"model_fit": scans["fitted"]}
+    return evaluate_both(run, methods, scans, "scan_landmarks", fitted, subjects)
 
 
 def draw(evaluation: Evaluation, true_evaluation: Evaluation | None = None) -> None:

@@ -49,6 +49,7 @@ class Evaluation:
         shapes, descriptions: Predictions by method, as for `scores.evaluate`.
         notes: On methods, in addition to those of their rows.
         paper_rows, seeds: As for `tables.summarise`.
+        subjects: `(n,)` of the test faces, where a subject may have several.
     """
 
     run: Run
@@ -59,6 +60,7 @@ class Evaluation:
     notes: Mapping[str, str] = field(default_factory=dict)
     paper_rows: Mapping[str, str] = field(default_factory=dict)
     seeds: pd.DataFrame | None = None
+    subjects: np.ndarray | None = None
 
     @cached_property
     def _evaluated(self) -> tuple[pd.DataFrame, dict[str, Scores]]:
@@ -110,8 +112,10 @@ class Evaluation:
     def write(self) -> None:
         """Write `metrics.csv`, the tables and their figure."""
         write_csv(self._new / "metrics.csv", self.metrics)
-        values = per_face(self.scores)
-        table = write_tables(self._new, self.metrics, per_face=values, **self.table_options)
+        values = per_face(self.scores, self.subjects)
+        over = "faces" if self.subjects is None else "subjects"
+        options = {"per_face": values, "over": over, **self.table_options}
+        table = write_tables(self._new, self.metrics, **options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self._new / "table_paper.tex", layout)
         self.save(summary(table, self.table_options["n_landmarks"], self.unit), "summary")
@@ -194,6 +198,7 @@ def evaluate_both(
     table: Mapping[str, np.ndarray],
     row: str,
     references: Mapping[str, np.ndarray] = {},
+    subjects: np.ndarray | None = None,
 ) -> list[Evaluation]:
     """Score predictions against landmarks located in scans or photos, and true ones if known.
 
@@ -201,12 +206,14 @@ def evaluate_both(
         table: Table of the test faces, as from `detected_faces.find_faces`.
         row: Id of the located landmarks, in the table against the true ones.
         references: Shapes `(n, L, 3)` of further rows, by id.
+        subjects: As for `Evaluation`.
     """
     test = load_faces(run, "test")
     shapes, descriptions = predicted_shapes(run, methods)
     shapes |= references
     is_licensed = "ringnet_licensed" in shapes  # whose row the paper's is compared with
-    options = {"paper_rows": {"ringnet": "ringnet_licensed"}} if is_licensed else {}
+    paper_rows = {"ringnet": "ringnet_licensed"} if is_licensed else {}
+    options = {"paper_rows": paper_rows, "subjects": subjects}
     if "truth" not in table:
         return [Evaluation(run, run.track, test, shapes, descriptions, **options)]
     truth, landmarks = {"true_landmarks": table["truth"]}, {row: table["landmarks"]}

@@ -65,7 +65,8 @@ def draw_gallery(rng):
 
 def scans(rng, n=6):
     truth = faces(rng, n, "ibug51")
-    table = {"truth": truth, "landmarks": truth + [3.0, 0, 4], "fitted": truth + 1}
+    found = truth + rng.normal(0, 1, truth.shape)
+    table = {"truth": truth, "landmarks": found + [3.0, 0, 4], "fitted": truth + 1}
     return table | {"example_points": rng.normal(0, 40, (2, 500, 3))}
 
 
@@ -378,12 +379,13 @@ def test_gallery_marks_what_was_not_found():
     assert [len(axes.texts) for axes in others.ravel()] == [0, 0, 0, 1]
 
 
-def test_error_of_the_found_truth_is_its_distance_from_the_true_one():
+def test_error_of_the_found_truth_is_its_distance_from_the_true_one_whatever_the_pose():
     rng = np.random.default_rng(0)
     table = scans(rng)
     shares = next(a for a in draw_ground_truth(rng, **table).axes if "Share" in a.get_ylabel())
     for line in shares.lines:
-        np.testing.assert_allclose(line.get_xdata(), 5.0)
+        middle = line.get_xdata()[250]
+        assert 1.4 < middle < 1.7, "of three coordinates with an s.d. of 1 mm, moved by 5 mm"
     del table["truth"]
     assert len(draw_ground_truth(rng, **table).axes) == 6
 

@@ -10,11 +10,12 @@ from places import MEDIAPIPE, SHARED
 
 from data_gen.models.registry import load_model
 from data_gen.views import sample_photo_views
+from deepmds_keras.files import write_arrays
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import HeadPose
 from deepmds_keras.geometry.units import normalise, rms_radius
 from deepmds_keras.landmarks import convert, load_scheme
-from deepmds_keras.tool.detection import move, upright_axes
+from deepmds_keras.tool.detection import detector_sd, move, upright_axes
 from experiments.presets import TINY
 from experiments.pretrained import pretrained
 from experiments.pretrained.canonical_face import (
@@ -23,8 +24,9 @@ from experiments.pretrained.canonical_face import (
     read_canonical_face,
     write_canonical_face,
 )
+from experiments.pretrained.portraits import portraits_file, read_portraits
 from experiments.pretrained.pretrained import Views, _on_detections, detections, errors_of
-from experiments.pretrained.real_faces import differences, reliability
+from experiments.pretrained.real_faces import differences, different_photos, reliability
 from experiments.pretrained.residuals import mean_residuals, misfits, of_detectors
 from experiments.pretrained.train import sample_faces
 from experiments.run import Run
@@ -183,6 +185,42 @@ def test_shapes_that_agree_between_detectors_and_differ_between_people_are_relia
     assert lifter["low"] < lifter["ratio"] < lifter["high"] < noise["low"] < 1 < noise["high"]
     assert lifter["less"] == lifter["less_high"] == 0 < noise["less_low"] < noise["less_high"]
     assert np.isnan(rows["constant"]["ratio"]), "which tells nothing of a face"
+
+
+@pytest.mark.parametrize("strength", [6.0, 1.0])
+def test_methods_are_told_errors_of_the_assumed_strength(strength):
+    """As shipped at 6; at 1 those that explain the detectors' differences."""
+    told = []
+
+    class Methods:
+        def predict(self, views, sd):
+            told.append(sd / rms_radius(views)[:, None])
+            return {"landmark_lifter": np.dstack([views, views[..., 0]])}
+
+    faces = real_faces(np.zeros((51, 2)), 0.01)
+    reliability(Methods(), faces, np.zeros((60, 51, 2)), strength=strength)
+    shipped = detector_sd("dlib", "ibug51")
+    assert np.mean(told[0] / shipped) ** 2 == pytest.approx(strength / 6, rel=0.1)
+
+
+def test_a_photo_in_two_sizes_counts_once():
+    faces = real_faces(np.zeros((51, 2)), 0.04)
+    rng, larger = np.random.default_rng(2), {}
+    for detector, of in faces.items():
+        twice = np.concatenate([of, 1.5 * of[[7]] - 40 + rng.normal(0, 1, (1, 51, 2))])
+        larger[detector] = twice[[*range(60), 60, 3]]
+    assert different_photos(larger).tolist() == [*range(60)], "the copies are last"
+    larger["mediapipe"][-1] = faces["mediapipe"][4]
+    assert different_photos(larger).tolist() == [*range(60), 61], "for one detector alone it is not"
+
+
+def test_the_sd_of_detectors_are_of_other_photos_than_those_of_the_tests(tmp_path):
+    run = Run(preset=TINY, build=tmp_path)
+    n = TINY.test_portraits + TINY.further_portraits
+    portraits_file(run, "ict").parent.mkdir(parents=True)
+    write_arrays(portraits_file(run, "ict"), {"yaw": np.arange(n)}, {})
+    tested, further = (read_portraits(run, "ict", each)["yaw"] for each in (False, True))
+    assert len(tested) == TINY.test_portraits and [*tested, *further] == [*range(n)]
 
 
 @pytest.mark.slow

@@ -104,6 +104,11 @@ def test_faces_that_a_method_did_not_find_are_left_out_and_counted(run, faces, p
     assert values["deep_mds", "n_parameters"] == 27323
     assert "detection_rate" not in {*evaluate(run, faces, predictions, {})[0]["metric"]}
     assert {len(v) for of in per_face(scores).values() for v in of.values()} == {N - 5}
+    subjects = np.repeat(["a", "b", "c", "d"], N // 4)
+    of_subjects = per_face(scores, subjects)["mse"]["deep_mds"]
+    expected = pd.Series(per_face(scores)["mse"]["deep_mds"])
+    of_found = subjects[np.arange(N) % 5 > 0]
+    np.testing.assert_allclose(of_subjects, [expected[of_found == s].mean() for s in "abcd"])
     off = 200 * (scores["ridge"].aligned - faces.shapes)[np.arange(N) % 5 > 0]
     expected = np.sqrt((off**2).sum(2).mean(0))
     np.testing.assert_allclose(landmark_errors(scores)["ridge"], expected)

@@ -93,6 +93,8 @@ def test_everything_is_written(whole, track):
         files |= {"metrics.csv", "table.csv", "table.tex", "table_paper.tex", "wilcoxon.csv"}
         assert {*read_manifest(folder)["files"]} == files
         assert all((folder / file).stat().st_size for file in files)
+        over = {*pd.read_csv(folder / "wilcoxon.csv")["over"]}
+        assert over == {"subsets", "subjects" if track == "flame" else "faces"}
 
 
 @pytest.mark.parametrize("track", TRACKS)
