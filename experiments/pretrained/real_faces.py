@@ -77,7 +77,7 @@ def main(run: Run) -> dict:
     found = of_detectors(methods.lifter, faces)
     off = found[_KEPT, "detector"]
     table = pd.DataFrame(
-        {"strength": strength} | row
+        {"strength": strength} | row | {"n_faces": len(off)}
         for strength in _GIVEN
         for row in reliability(methods, faces, off, run.seed, strength)
     )
