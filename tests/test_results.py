@@ -23,6 +23,7 @@ OF_SEVERAL_COMMITS = (
         "bfm68/scales": 3,
         "openhead/pretrained": 3,  # the network is trained before what it is measured with is made
         "openhead/real": 2,
+        "openhead/stream": 2,
         "objects": 3,
     }
 )
