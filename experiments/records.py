@@ -201,15 +201,27 @@ def write_manifest(folder: Path, record: dict) -> None:
     """Write `manifest.json` of new results: the steps behind them, and hashes of their files."""
     new = _beside(folder)
     steps = steps_behind(record)
-    # What all steps have in common, such as the commit, is written once.
-    shared = {k: v for k, v in steps[-1].items() if all(step.get(k) == v for step in steps[:-1])}
-    shared |= {"command": record["command"]}
+    shared = _of_most(steps) | {"command": record["command"]}
     manifest = shared | {
         "published_sha256": sha256_of([PUBLISHED / "published.csv"]),
-        "steps": [{k: v for k, v in step.items() if k not in shared} for step in steps],
+        "steps": [
+            {k: v for k, v in step.items() if k not in shared or shared[k] != v} for step in steps
+        ],
         "files": {name: sha256_of([path]) for name, path in _results(new).items()},
     }
     write_json(new / MANIFEST, manifest)
+
+
+def _of_most(steps: list[dict]) -> dict:
+    """What most steps have in common, such as the commit, which is then written once."""
+    common = {}
+    for name in steps[-1]:
+        values = [step[name] for step in steps if name in step]
+        value = max(values, key=values.count)
+        # A step without it would seem to have it.
+        if len(values) == len(steps) < 2 * values.count(value):
+            common[name] = value
+    return common
 
 
 def manifests(folder: Path) -> list[Path]:
@@ -237,7 +249,7 @@ def read_manifest(folder: Path) -> dict:
 
 
 def steps_of(manifest: dict) -> list[dict]:
-    """The steps behind results, each completed by what they have in common.
+    """The steps behind results, each completed by what most of them have in common.
 
     Manifests before version 0.3 call them `stages`.
     """

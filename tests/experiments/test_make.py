@@ -393,6 +393,26 @@ def test_steps_of_one_second_stand_after_what_they_need(tmp_path):
     assert steps == [*needs, "bfm"]
 
 
+def test_what_most_steps_have_in_common_stands_once_in_a_manifest(tmp_path):
+    preset = {"name": "full", "faces": 9}
+    for name in "abc":
+        record = {"step": name, "started": name, "needs": [], "preset": preset, "commit": "1"}
+        records.write_record(tmp_path / name, record)
+    last = {"step": "d", "needs": [str(tmp_path / name) for name in "abc"], "commit": "2"}
+    last |= {"preset": {"name": "full"}, "left_out": None, "command": "make d"}
+    folder = tmp_path / "results"
+    records.new_results(folder)
+    records.write_manifest(folder, last)
+    (written,) = tmp_path.glob(".results*/manifest.json")
+    manifest = json.loads(written.read_text())
+    of_folder = {"published_sha256", "files", "command"}
+    steps = [{k: v for k, v in s.items() if k not in of_folder} for s in steps_of(manifest)]
+    behind = records.steps_behind(last)
+    del behind[-1]["command"]
+    assert steps == behind
+    assert written.read_text().count('"faces": 9') == 1 and commits_of(manifest) == {"1", "2"}
+
+
 def test_the_commit_is_that_of_the_code_and_says_if_it_was_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "git", functools.partial(records.git, folder=tmp_path))
     assert records._commit() is None
