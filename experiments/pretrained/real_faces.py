@@ -101,7 +101,7 @@ def different_photos(faces: dict[str, np.ndarray]) -> np.ndarray:
     one_photo = True
     for landmarks in faces.values():
         alike = centre(landmarks) / rms_radius(landmarks)[:, None, None]
-        square = np.stack([((align(alike, of) - of) ** 2).sum(2).mean(1) for of in alike])
+        square = 2 * _squares(alike, alike)  # of both coordinates of a landmark
         one_photo = one_photo & (square < _ONE_PHOTO**2)
     return np.flatnonzero(~np.tril(one_photo, -1).any(1))
 
@@ -204,10 +204,13 @@ def reliability(
 
 
 def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Mean squared distances of each first shape from all second ones, aligned to it: `(n, n)`."""
-    first, second = normalise(first), normalise(second)
-    stacks = (np.broadcast_to(face, second.shape) for face in first)
-    return np.stack([((align(second, of) - of) ** 2).mean((1, 2)) for of in stacks])
+    """`_squares` of shapes in the unit of `normalise`."""
+    return _squares(normalise(first), normalise(second))
+
+
+def _squares(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Mean squared differences of each first face from all second ones, aligned to it: `(n, n)`."""
+    return np.stack([((align(second, of) - of) ** 2).mean((1, 2)) for of in first])
 
 
 def _mean_of_known(distances: list[np.ndarray]) -> np.ndarray:

@@ -161,16 +161,15 @@ def per_face(
     With the `subjects` `(n,)` of faces: the means of each subject's values.
     """
     detected = np.all([of_method.detected for of_method in scores.values()], axis=0)
-    groups = np.arange(detected.sum()) if subjects is None else subjects[detected]
-    return {
-        metric.id: {
-            method: pd.Series(metric.per_face(scores[method])[detected]).groupby(groups).mean()
-            .to_numpy()
-            for method in scores
-        }
+    values = {
+        metric.id: {method: metric.per_face(scores[method])[detected] for method in scores}
         for metric in METRICS.values()
         if metric.in_paper
-    }  # fmt: skip
+    }
+    if subjects is None:
+        return values
+    means = {m: pd.DataFrame(of).groupby(subjects[detected]).mean() for m, of in values.items()}
+    return {metric: {m: of[m].to_numpy() for m in of} for metric, of in means.items()}
 
 
 def landmark_errors(scores: dict[str, Scores]) -> dict[str, np.ndarray]:

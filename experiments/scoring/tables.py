@@ -95,7 +95,7 @@ def write_tables(
     *,
     experiment: str,
     per_face: Mapping[str, Mapping[str, np.ndarray]],
-    over: str = "faces",
+    over_all: str = "faces",
     seeds: pd.DataFrame | None = None,
     **options,
 ) -> pd.DataFrame:
@@ -105,7 +105,7 @@ def write_tables(
         folder: `results/<model>/<experiment>`.
         metrics, experiment, seeds, options: As for `summarise`.
         per_face: Metric → method → `(n,)`, for all test faces in one order.
-        over: What `per_face` has a value of: `"faces"`, or `"subjects"` of several faces each.
+        over_all: What `per_face` has a value of: `"faces"`, or `"subjects"` of several faces each.
 
     Returns:
         The content of `table.csv`.
@@ -113,7 +113,7 @@ def write_tables(
     table = summarise(metrics, experiment, seeds=seeds, **options)
     write_csv(folder / "table.csv", table)
     write_text(folder / "table.tex", latex(table, experiment))
-    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds, over))
+    write_csv(folder / "wilcoxon.csv", wilcoxon_tests(metrics, per_face, seeds, over_all))
     return table
 
 

@@ -114,7 +114,7 @@ class Evaluation:
         write_csv(self._new / "metrics.csv", self.metrics)
         values = per_face(self.scores, self.subjects)
         over = "faces" if self.subjects is None else "subjects"
-        options = {"per_face": values, "over": over, **self.table_options}
+        options = self.table_options | {"per_face": values, "over_all": over}
         table = write_tables(self._new, self.metrics, **options)
         layout = paper_layout(table, self.run.track, TITLES[self.run.model], self.paper_rows)
         write_text(self._new / "table_paper.tex", layout)
