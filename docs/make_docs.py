@@ -27,7 +27,6 @@ from experiments.methods import METHODS, title
 from experiments.presets import FULL
 from experiments.records import read_manifest, steps_of
 from experiments.scoring.numbers import NOTHING, power
-from experiments.scoring.old_names import read_table
 from experiments.scoring.verdict import Order, orders
 
 ROOT = Path(__file__).parents[1]
@@ -48,7 +47,7 @@ class Results:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self._read = cache(lambda name: read_table(folder / name))
+        self._read = cache(lambda name: pd.read_csv(folder / name))
         self.of_one_seed: set[str] = set()
 
     def csv(self, *names: str) -> pd.DataFrame:
@@ -59,18 +58,6 @@ class Results:
     def has(self, folder: str) -> bool:
         """Whether there are results in a folder."""
         return (self._folder / folder / "table.csv").exists()
-
-    def figure(self, folder: str, *names: str) -> str:
-        """Path of a figure in the results, by its name or an older one.
-
-        Raises:
-            FileNotFoundError: There is none.
-        """
-        for name in names:
-            path = Path(folder, "figures", name)
-            if (self._folder / path).exists():
-                return path.as_posix()
-        raise FileNotFoundError(f"{folder}/figures/{names[0]}")
 
     def files_read(self, *folders: str) -> pd.DataFrame:
         """External files of the manifests in folders: `name` and `sha256`, a row per content."""

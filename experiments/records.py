@@ -249,12 +249,9 @@ def read_manifest(folder: Path) -> dict:
 
 
 def steps_of(manifest: dict) -> list[dict]:
-    """The steps behind results, each completed by what most of them have in common.
-
-    Manifests before version 0.3 call them `stages`.
-    """
-    shared = {name: value for name, value in manifest.items() if name not in ("steps", "stages")}
-    return [shared | step for step in manifest.get("steps", manifest.get("stages", []))]
+    """The steps behind results, each completed by what most of them have in common."""
+    shared = {name: value for name, value in manifest.items() if name != "steps"}
+    return [shared | step for step in manifest.get("steps", [])]
 
 
 def commits_of(manifest: dict) -> set[str]:

@@ -18,7 +18,6 @@ from experiments.records import PUBLISHED, new_results, write_csv, write_text
 from experiments.run import Run
 from experiments.scoring.intervals import ONE_TRAINING, Estimate
 from experiments.scoring.numbers import power, scientific
-from experiments.scoring.old_names import read_table
 from experiments.scoring.verdict import PROTOCOLS
 
 CLAIMS = PUBLISHED / "claims.csv"
@@ -91,7 +90,7 @@ def combine(root: Path) -> Path:
         The folder, `results/audit`.
     """
     files = {model: root / model / "audit" / "numbers.csv" for model in TITLES}
-    of_models = {model: read_table(file) for model, file in files.items() if file.exists()}
+    of_models = {model: pd.read_csv(file) for model, file in files.items() if file.exists()}
     claims = pd.concat(judge(table, model) for model, table in of_models.items())
     numbers = pd.concat(of_models.values())
     numbers["text"] = numbers.apply(text_of, axis=1)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from experiments.run import SCHEMES, Run
 from experiments.scoring.intervals import ONE_TRAINING, Estimate, point
-from experiments.scoring.old_names import read_table
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Tables:
         path = folder / f"{name}.csv"
         if not path.exists():
             return np.array([np.nan])
-        table = read_table(path)
+        table = pd.read_csv(path)
         for column, wanted in where.items():
             table = table[table[column].isin(np.atleast_1d(wanted))]
         return table[of].to_numpy() if len(table) else np.array([np.nan])

@@ -12,7 +12,6 @@ from deepmds_keras.errors import InputError, brief
 from experiments.progress import roughly
 from experiments.progress.step_names import in_words
 from experiments.records import manifests, read_manifest, read_record, steps_of
-from experiments.scoring.old_names import new_name
 
 # Not by SIGTERM, with which `make` ends its steps.
 _KILLED = re.compile(r"--record (\S+) .* died with <Signals\.(SIG(?!TERM)\w+)")
@@ -79,7 +78,7 @@ def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
     durations: dict[str, list[float]] = {}
     for step in _steps(build, results):
         if step.get("preset", {}).get("name") == preset and "name" in step:
-            durations.setdefault(new_name(step["name"]), []).append(step["seconds"])
+            durations.setdefault(step["name"], []).append(step["seconds"])
     return {name: median(seconds) for name, seconds in durations.items()}
 
 

@@ -18,7 +18,6 @@ from experiments.records import commits_of, manifests, read_manifest, steps_of, 
 from experiments.run import SCHEMES, Run
 from experiments.scoring.metrics import METRICS
 from experiments.scoring.numbers import NOTHING, minus, plus_minus, power, scientific
-from experiments.scoring.old_names import new_name, read_table
 from experiments.scoring.typesetting import cells, head_of, n_landmarks, remarks
 
 # Folder of results → title, in the report's order. Texts about folders and figures are in the
@@ -117,7 +116,7 @@ def report(run: Run, results: list[Result]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"md": escaped, "table": markdown_table, "duration": duration}
-    environment.filters |= {"commits": commits_of, "new_name": new_name}
+    environment.filters |= {"commits": commits_of}
     steps = [step for result in results for step in result.steps]
     given = f"MODEL={run.model}" + f" PRESET={run.preset.name}" * (run.preset.name != "full")
     text = environment.get_template("report.md.j2").render(
@@ -136,10 +135,10 @@ def report(run: Run, results: list[Result]) -> str:
 def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
     """Title, cells and remarks of the tables of a result; the first needs no title."""
     if result.track:
-        table = read_table(result.folder / "table.csv")
+        table = pd.read_csv(result.folder / "table.csv")
         of = table, result.track, "terminal"
         yield "", cells(*of), remarks(*of)
-        tests = read_table(result.folder / "wilcoxon.csv").query("metric == 'mse'")
+        tests = pd.read_csv(result.folder / "wilcoxon.csv").query("metric == 'mse'")
         tests = tests[(tests[["method_a", "method_b"]] == "deep_mds").any(axis=1)]
         columns = ["over", "method_a", "method_b", "n", "median_difference", "p_value"]
         yield "Wilcoxon's signed-rank tests of Deep-MDS", readable(tests[columns]), []
@@ -148,17 +147,17 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
         of_all_models = [result.folder.parents[1] / "audit"] if result.name == "audit" else []
         paths = (folder / "claims.csv" for folder in (*of_all_models, result.folder))
         if path := next(filter(Path.is_file, paths), None):
-            claims = read_table(path)
+            claims = pd.read_csv(path)
             if "model" in claims:
                 claims = claims[claims["model"] == result.folder.parent.name]
             yield "", readable(claims.drop(columns=["id", "model"], errors="ignore")), []
     elif "table.csv" in result.manifest["files"]:
-        yield "", readable(read_table(result.folder / "table.csv")), []
+        yield "", readable(pd.read_csv(result.folder / "table.csv")), []
 
 
 def _glance(result: Result) -> dict[str, str]:
     """Error of the paper's method, and of two simpler ones, in an experiment."""
-    table = read_table(result.folder / "table.csv")
+    table = pd.read_csv(result.folder / "table.csv")
     head = head_of(METRICS["mse"], result.track, n_landmarks(table))
     errors = cells(table, result.track, "terminal")[head].T.to_dict()
     row = {"Experiment": f"[{result.title}](#{result.name})", "Error": head}

@@ -14,7 +14,6 @@ from experiments.methods import CONSTANT, METHODS, title
 from experiments.records import git
 from experiments.run import Run
 from experiments.scoring.numbers import as_quoted, between, plus_minus, power
-from experiments.scoring.old_names import read_table
 from experiments.scoring.published import unit_of
 
 # Relative difference that another processor may cause: about the range over ten seeds of Deep-MDS
@@ -195,5 +194,5 @@ def _committed(run: Run) -> str | None:
 
 def _errors(text: str) -> pd.DataFrame:
     """Rows of a table with the MSE, by method."""
-    table = read_table(io.StringIO(text))
+    table = pd.read_csv(io.StringIO(text))
     return table[table["metric"] == "mse"].set_index("method")

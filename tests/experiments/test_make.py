@@ -436,8 +436,8 @@ def test_the_commit_is_that_of_the_code_and_says_if_it_was_changed(tmp_path, mon
     assert records._commit() is None, "of a repository around it"
 
 
-def test_commits_of_old_manifests_are_read_too():
-    assert commits_of({"commit": "abc", "stages": [{"stage": "faces"}]}) == {"abc"}
+def test_a_commit_is_that_of_the_step_or_of_most_steps():
+    assert commits_of({"commit": "abc", "steps": [{"name": "faces"}]}) == {"abc"}
     assert commits_of({"steps": [{"commit": "a"}, {"commit": "b+"}]}) == {"a", "b+"}
 
 

@@ -20,7 +20,6 @@ from experiments.objects.shapes import OBJECTS, object_file
 from experiments.plan import Plan
 from experiments.records import MANIFEST, new_results, publish, read_manifest, steps_of
 from experiments.run import Run, run_of_variables
-from experiments.scoring.old_names import new_name
 
 _GONE = ("intel", "published")  # results of another processor, and the paper's
 
@@ -80,7 +79,7 @@ def test_rows_say_how_much_memory_a_training_takes():
     taken = {}
     for path in (committed() / "results").rglob(MANIFEST):
         for step in steps_of(read_manifest(path.parent)):
-            kind, _, method = new_name(step.get("name", "")).partition("-")
+            kind, _, method = step.get("name", "").partition("-")
             if kind in ("train", "predict") and method in METHODS:
                 taken[method] = max(taken.get(method, 0), step["peak_memory_mb"])
     assert {"ringnet", "mobileface", "deep_mds"} <= taken.keys()

@@ -16,7 +16,6 @@ from experiments.presets import FULL
 from experiments.records import write_csv
 from experiments.run import Run
 from experiments.scoring.intervals import Estimate, point
-from experiments.scoring.old_names import read_table
 
 RESULTS = committed() / "results"
 MODELS = ("openhead", "ict")
@@ -97,15 +96,15 @@ def judged(run, protocol="faithful"):
 
 def test_committed_verdicts_are_those_of_the_committed_tables(copied):
     names = ("claims.csv", "numbers.csv")
-    committed = {(m, n): read_table(RESULTS / m / "audit" / n) for m in MODELS for n in names}
+    committed = {(m, n): pd.read_csv(RESULTS / m / "audit" / n) for m in MODELS for n in names}
     for run in copied:
         made = audit.numbers_table(run, run.experiment_results("audit"))
         write_csv(run.experiment_results("audit") / "numbers.csv", made)
-        made = read_table(run.experiment_results("audit") / "numbers.csv")
+        made = pd.read_csv(run.experiment_results("audit") / "numbers.csv")
         pd.testing.assert_frame_equal(made, committed[run.model, "numbers.csv"])
     folder = audit.combine(copied[0].results)
     assert {path.name for path in folder.iterdir()} == {"claims.csv", "claims.md"}
-    of_all_models = (read_table(where / "claims.csv") for where in (folder, RESULTS / "audit"))
+    of_all_models = (pd.read_csv(where / "claims.csv") for where in (folder, RESULTS / "audit"))
     pd.testing.assert_frame_equal(*of_all_models)
 
 
@@ -146,7 +145,7 @@ def test_what_was_not_run_is_not_testable(copied):
 def test_a_method_as_good_as_claimed_is_supported(copied):
     run = copied[0]
     path = run.experiment_results("seeds") / "metrics.csv"
-    table = read_table(path)
+    table = pd.read_csv(path)
     better = (table["method"] == "deep_mds") & (table["metric"] == "mse")
     table.loc[better, "value"] = 0.5e-4 + 1e-8 * table.loc[better, "seed"]
     table.to_csv(path, index=False)
@@ -156,8 +155,8 @@ def test_a_method_as_good_as_claimed_is_supported(copied):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_numbers_agree_with_the_tables_that_documents_quote(model):
-    numbers = read_table(RESULTS / model / "audit" / "numbers.csv").set_index("number")
-    seeds = read_table(RESULTS / model / "seeds" / "metrics.csv")
+    numbers = pd.read_csv(RESULTS / model / "audit" / "numbers.csv").set_index("number")
+    seeds = pd.read_csv(RESULTS / model / "seeds" / "metrics.csv")
     ours = seeds[(seeds["method"] == "deep_mds") & (seeds["metric"] == "mse")]["value"]
     assert numbers.loc["deep_mds_mse", "value"] == pytest.approx(ours.median())
     assert numbers.loc["deep_mds_mse", "low"] == pytest.approx(ours.sort_values().iloc[1])
