@@ -318,11 +318,14 @@ def environment() -> dict:
 def _processor() -> str:
     """Model of the processor, if the system tells: rounding differs between them."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\n\n")[0]
     except OSError:
         return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
+    pairs = (line.partition(":") for line in first.splitlines())
+    told = {name.strip(): value.strip() for name, _, value in pairs}
+    # Virtual machines hide the generation in the name, but not in these numbers.
+    numbers = [f"{name} {told[name]}" for name in ("cpu family", "model") if name in told]
+    return ", ".join([told.get("model name", platform.processor()), *numbers])
 
 
 def _commit() -> str | None:
