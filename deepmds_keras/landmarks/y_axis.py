@@ -115,10 +115,12 @@ def eyes_to_mouth(landmarks: np.ndarray, scheme: str) -> np.ndarray:
 def _eyes_and_mouth(
     landmarks: np.ndarray, scheme: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Checked landmarks, and the vectors from the right eye to the left, and to the mouth."""
+    """Landmarks, shifted, and the vectors from the right eye to the left, and to the mouth."""
     judged = scheme if {*_PARTS} <= {*load_scheme(scheme).groups} else "ibug51"
     faces = convert(landmarks, scheme, judged, missing="nan")[..., :2]
     faces = faces[None] if faces.ndim == 2 else faces
+    # Rounding, which differs between processors, would give landmarks that coincide a direction.
+    faces = faces - np.fmin.reduce(faces, axis=1, keepdims=True)
     # Of a part that is not known the vectors are NaN; what belongs to none may be missing.
     middles = _middles(load_scheme(judged).groups)
     parts = np.where(np.any(middles, axis=0)[:, None], faces, 0)

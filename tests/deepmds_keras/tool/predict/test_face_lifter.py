@@ -117,7 +117,8 @@ def test_missing_landmarks_are_predicted_and_do_not_touch_other_faces(landmarks)
         assert np.array_equal(shapes(faces), shapes(ways[0]), equal_nan=True)
         assert [face.angles == "gap" for face in faces] == [i == 3 for i in range(N)]
         assert np.isnan([faces[3].pose.yaw, faces[3].pose.roll, faces[3].pose.scale]).all()
-    assert np.array_equal(shapes(ways[0])[4:], shapes(whole)[4:])
+    # On some processors the rounding of a matrix product depends on how many rows it has.
+    np.testing.assert_allclose(shapes(ways[0])[4:], shapes(whole)[4:], atol=1e-6)
     jaw = ways[0][0]
     assert np.isfinite(jaw.xyz).all() and np.isfinite(jaw.landmarks_3d).all()
     assert np.isnan(jaw.residuals[:17]).all() and np.isfinite(jaw.bbox).all()
