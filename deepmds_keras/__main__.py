@@ -20,9 +20,8 @@ def main(arguments: list[str] | None = None) -> None:
     options = vars(parse(arguments))
     _be_quiet()
     stopped = _stopped_by_ctrl_c()
-    failed = 0
+    command, failed = options.pop("command"), 0
     try:
-        command = options.pop("command")
         if command == "evaluate":
             from deepmds_keras.tool.command.evaluation import evaluate
 
@@ -50,7 +49,8 @@ def main(arguments: list[str] | None = None) -> None:
     except (InputError, KeyboardInterrupt) as error:
         if isinstance(error, InputError) and not stopped():  # an import may fail by Ctrl-C
             sys.exit(f"error: {printable(str(error))}")
-        print("Stopped. The same command goes on from here.", file=sys.stderr)
+        resumes = command in ("predict", "train")
+        print("Stopped." + " The same command goes on from here." * resumes, file=sys.stderr)
         sys.exit(_STOPPED)
     except OSError as error:  # of the output: who read it has seen enough, or the disk is full
         with suppress(OSError):

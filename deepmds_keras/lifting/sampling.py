@@ -154,11 +154,16 @@ def shape_numbers(shapes: np.ndarray) -> np.ndarray:
 
 
 def distinct_shapes(shapes: np.ndarray) -> np.ndarray:
-    """The first of each of the shapes `(n, L, 3)`, however turned; all centred and of one size."""
-    # Random sums of landmarks are as long however a shape is turned.
+    """The first of each of the shapes `(n, L, 3)`, however turned; all centred and of one size.
+
+    A shape and its mirror image are two.
+    """
+    # Random sums of landmarks are as long, and span the same volume, however a shape is turned.
     sums = np.random.default_rng(0).standard_normal((8, shapes.shape[1]))
-    lengths = np.linalg.norm(sums @ shapes, axis=2) / np.linalg.norm(sums, axis=1)
-    _, first = np.unique(shape_numbers(lengths.astype(np.float32)), return_index=True)
+    sums /= np.linalg.norm(sums, axis=1, keepdims=True)
+    moved = sums @ shapes
+    same = np.column_stack([np.linalg.norm(moved, axis=2), np.linalg.det(moved[:, :3])])
+    _, first = np.unique(shape_numbers(same.astype(np.float32)), return_index=True)
     return shapes[np.sort(first)]
 
 

@@ -153,6 +153,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     add("--model", metavar="NAME|FILE",
         help="shipped weights of a lifter, or a file from LandmarkLifter.save(), for faces or "
         "other objects (default: the shipped weights for L)")  # fmt: skip
+    add("--scheme", metavar="NAME|FILE", help=_SCHEME)
     add("--eos", metavar="DIR",
         help="eos's folder share: adds its fit of the Surrey Face Model (extra eos)")  # fmt: skip
     add("--out", type=Path, default=Path("deepmds-evaluation"), metavar="DIR",
@@ -175,7 +176,7 @@ def _add_train(commands: argparse._SubParsersAction) -> None:
     )
     add = train.add_argument
     add("source", metavar="SHAPES",
-        help="npy (n, L, 3): L landmarks of n shapes, at best 50 or more; +y up")  # fmt: skip
+        help="npy (n, L, 3): L landmarks of n shapes, at best 55 or more; +y up")  # fmt: skip
     add("out", metavar="OUT", help="new file, such as chair.npz, for predict --model")
     for name, help_text in _ANGLES.items():
         default = inspect.signature(sample_views).parameters[name].default

@@ -25,6 +25,7 @@ from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
 from deepmds_keras.tool.predict.models import DEFAULT, given_scheme
+from deepmds_keras.validation import find_faults
 
 _SIZES = (51, 68)  # of shipped weights that are scored
 _YAWS = (0, 15, 30, 45, 60, 90, 180)  # edges of the bins of |yaw|, degrees
@@ -40,6 +41,7 @@ def evaluate(
     y_up: bool = False,
     image_size: tuple[float, float] | None = None,
     model: str | None = None,
+    scheme: str | Path | None = None,
     eos: str | Path | None = None,
     out: str | Path,
     overwrite: bool = False,
@@ -61,6 +63,8 @@ def evaluate(
         y_up: Whether y grows upwards in `landmarks`.
         image_size: Width and height of the image if `landmarks` are fractions of them.
         model: File of `LandmarkLifter.save`, or name of shipped weights; None is those for L.
+        scheme: Scheme of the model's landmarks, as for `load_scheme`; None is a face's, told by
+            their number, or unnamed.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
         out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
         overwrite: Whether existing files may be replaced.
@@ -78,9 +82,16 @@ def evaluate(
             raise InputError(f"{file} already exists; choose another --out or pass --overwrite.")
     if landmarks is None and (y_up or image_size):
         raise InputError("landmarks must be given with y_up or image_size. Received none.")
+    if scheme is not None and model in (None, DEFAULT):
+        raise InputError("scheme must be that of a model. Received none.")
     lifter = None if model in (None, DEFAULT) else open_lifter(model)[0]
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
-    scheme = given_scheme(None, model) or scheme_of(shapes.shape[1])
+    scheme = given_scheme(scheme, model) or scheme_of(shapes.shape[1])
+    if len(load_scheme(scheme)) != shapes.shape[1]:
+        raise InputError(
+            f"{scheme} must have the {shapes.shape[1]} landmarks of {truth}. "
+            f"Received {len(load_scheme(scheme))}."
+        )
     lifter = lifter or LandmarkLifter.pretrained(scheme)
     is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)
     shapes = _oriented(shapes, scheme, frame)
@@ -125,16 +136,20 @@ def evaluate(
         fitted = EosFit(eos).predict(views)
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")
     rows = [*_rows(predicted, shapes, scheme, frame)]
-    write_bytes(files[0], _csv(rows).encode())
     unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"
     _print(rows, counted(len(shapes), load_scheme(scheme).thing), unit)
+    # Before anything is written, since the same command refuses to replace the half.
     try:
         with needs("matplotlib", "evaluate"):
-            write_bytes(files[1], _figure(rows, unit))
-        print(*files, sep="\n")
+            picture = _figure(rows, unit)
     except MissingPackageError as error:
-        files[1].unlink(missing_ok=True)  # of the errors that this run replaced
+        files[1].unlink(missing_ok=True)  # of the errors that this run replaces
+        write_bytes(files[0], _csv(rows).encode())
         print(files[0], f"No figure: {error}", sep="\n")
+    else:
+        write_bytes(files[0], _csv(rows).encode())
+        write_bytes(files[1], picture)
+        print(*files, sep="\n")
     return rows
 
 
@@ -156,7 +171,10 @@ def read_truth(path: str | Path, sizes: tuple[int, ...] = _SIZES) -> np.ndarray:
         )
     if not np.isfinite(shapes).all():
         raise InputError(f"{path} must hold finite numbers. Received NaN, text or infinity.")
-    return shapes.astype(float)
+    shapes = shapes.astype(float)
+    for face, fault in find_faults(shapes).items():
+        raise InputError(f"{path}, face {face + 1} of {len(shapes)}, {fault}.")
+    return shapes
 
 
 def _oriented(shapes: np.ndarray, scheme: str, mean: np.ndarray) -> np.ndarray:

@@ -54,10 +54,11 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     if Path(path).exists():
         raise InputError(f"{path} must be a new file. It already exists.")
     lifter, weights = open_lifter(model)
-    described = load_scheme(given_scheme(scheme, model) or scheme_of(lifter.n_landmarks))
+    name = given_scheme(scheme, model) or scheme_of(lifter.n_landmarks)
+    described = load_scheme(name)
     if len(described) != lifter.n_landmarks:
         raise InputError(
-            f"{scheme} must have the {lifter.n_landmarks} landmarks of {model}. "
+            f"{name} must have the {lifter.n_landmarks} landmarks of {model}. "
             f"Received {len(described)}."
         )
     shipped = weights.parent == PRETRAINED

@@ -146,9 +146,9 @@ def write_npz(file: BinaryIO, faces: Sequence[Face], model: Mapping) -> None:
 
     `shape`, `image_xyz` and, if the model estimates it, `std` `(n, L, 3)`, `landmarks` `(n, L, 2)`,
     `residual` `(n, L)`, `face` `(n,)` names; for the pose `yaw`, `pitch`, `roll`, `scale`,
-    `pose_residual` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; for videos `frame`,
-    `time` and `track` `(n,)`; `landmark_numbers` and `landmark_names` `(L,)`; `description`, the
-    rest as JSON.
+    `pose_residual`, `perspective` `(n,)`, `rotation` `(n, 3, 3)` and `translation` `(n, 2)`; for
+    videos `frame`, `time` and `track` `(n,)`; `landmark_numbers` and `landmark_names` `(L,)`;
+    `description`, the rest as JSON.
     """
     scheme = load_scheme(faces[0].scheme)
 

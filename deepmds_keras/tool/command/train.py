@@ -83,10 +83,10 @@ def train(
             checkpoint=checkpoint,
             progress=lambda _: bar.update(min(STEPS_PER_BLOCK, steps - bar.n)),
         )
-    lifter.save(out)
-    checkpoint.unlink()
     levels = [*dict.fromkeys([0.0, noise / 2])]
     errors = _errors(lifter, *seen, *test, levels, rng)
+    lifter.save(out)  # after the errors: a stop before would lose them
+    checkpoint.unlink()
     print(
         f"{out}: {lifter.n_landmarks} landmarks, trained on {len(known):,} shapes. Error on "
         f"{n_held_out:,} others, in 10⁻³ of the squared r.m.s. radius:"

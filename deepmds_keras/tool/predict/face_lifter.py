@@ -25,7 +25,7 @@ from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.smoothing import check_smooth
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
-from deepmds_keras.validation import as_numbers, check_number, check_whole
+from deepmds_keras.validation import as_array, as_numbers, check_number, check_whole
 
 
 class FaceLifter:
@@ -121,9 +121,9 @@ class FaceLifter:
                 300-W has them, as those of a photo are.
             visible: `(n, L)` or `(L,)` bool, False where a landmark is missing.
             landmark_sd: Standard deviation of the errors of a coordinate, in the unit of the
-                points: one number, `(n,)` or `(n, L)`; None is what was measured of MediaPipe for
-                its landmarks, and for others 2.5 % of their r.m.s. radius, about 1 % of the
-                distance between the outer corners of the eyes.
+                points: one number, `(n,)`, `(n, L)`, or `(L,)` of one face; None is what was
+                measured of MediaPipe for its landmarks, and for others 2.5 % of their r.m.s.
+                radius, about 1 % of the distance between the outer corners of the eyes.
 
         Returns:
             A face for each row. One that seems upside down or mirrored, unlike most others, gets
@@ -136,22 +136,30 @@ class FaceLifter:
         """
         faces = as_faces(points, "landmarks")
         points = faces[..., :2]
+        n, size = points.shape[:2]
+        if visible is not None:
+            # What is masked is not known to be visible.
+            seen = _broadcast(
+                np.ma.filled(as_array(visible, "visible"), False), "visible", bool, (n, size)
+            )
+            points = np.where(seen[..., None], points, np.nan)
+        missing = np.isnan(points).any(-1)  # half a landmark is none
+        points = np.where(missing[..., None], np.nan, points)
         if np.isinf(points).any():
             raise InputError("landmarks must be finite, or NaN if missing.")
-        n, size = points.shape[:2]
         scheme = given_scheme(scheme, self.model) or scheme_of(size)
         target = target_scheme(scheme, self.model)
         if load_scheme(scheme).is_face and seem_fractions(points):
             raise InputError(f"landmarks must be in pixels. {FRACTIONS}.")
-        if visible is not None:
-            # What is masked is not known to be visible.
-            seen = _broadcast(np.ma.filled(visible, False), "visible", bool, (n, size))
-            points = np.where(seen[..., None], points, np.nan)
         if landmark_sd is not None:
             sd = as_numbers(landmark_sd, "landmark_sd")
-            sd = _broadcast(sd[:, None] if sd.ndim == 1 else sd, "landmark_sd", float, (n, size))
-            if not (np.isfinite(sd) & (sd >= 0)).all():
+            by_face = sd.ndim == 1 and not (n == 1 and len(sd) == size)
+            sd = _broadcast(sd[:, None] if by_face else sd, "landmark_sd", float, (n, size))
+            if not (np.isfinite(sd) & (sd >= 0) | missing).all():
                 raise InputError("landmark_sd must be finite and not negative.")
+            # Where none is given for what is missing, the mean of the others stands for it.
+            known = np.where(missing, 0, sd).sum(1) / np.maximum((~missing).sum(1), 1)
+            sd = np.where(missing, known[:, None], sd)
             landmark_sd = convert(np.stack([sd, sd], -1), scheme, target)[..., 0]
         needed = "y must point down; negate it if it points up."
         odd = check_y_axis(points, scheme, "landmarks", needed=needed)
@@ -230,7 +238,8 @@ def predict_photo(
     """3D landmarks of the faces in a photo: `FaceLifter.predict`, whose options are the same.
 
     Args:
-        photo: A file, its content, a Pillow image, or an array `(H, W, 3)` uint8, RGB.
+        photo: A file by name or open, its content, a Pillow image, or an array `(H, W, 3)` uint8,
+            RGB.
         detector, model, interocular: As for `FaceLifter`.
 
     Returns:

@@ -119,7 +119,7 @@ def given_scheme(scheme: str | Path | None, model: str | None) -> str | None:
     if model is None or model in FAMILIES:
         return None
     n_landmarks = load_model(model).n_landmarks
-    return None if n_landmarks in face_sizes() else unnamed(n_landmarks)
+    return None if _is_of_faces(n_landmarks) else unnamed(n_landmarks)
 
 
 def target_scheme(scheme: str, model: str | None) -> str:
@@ -148,13 +148,18 @@ def target_scheme(scheme: str, model: str | None) -> str:
     given, n_landmarks = load_scheme(scheme), load_model(name).n_landmarks
     if len(given) == n_landmarks:
         return scheme
-    if n_landmarks not in face_sizes():
+    if not _is_of_faces(n_landmarks):
         raise InputError(
             f"The model {name} needs its {n_landmarks} landmarks. They are not a face's, so it "
             f"takes no photos or videos. Received {len(given)}."
         )
     target = scheme_of(n_landmarks)
     return scheme if _lacks(scheme, target) else target
+
+
+def _is_of_faces(n_landmarks: int) -> bool:
+    """Whether a face's scheme has so many, and none that it leaves out, such as irises."""
+    return n_landmarks in face_sizes() and len(load_scheme(scheme_of(n_landmarks))) == n_landmarks
 
 
 def _lacks(scheme: str, other: str) -> bool:

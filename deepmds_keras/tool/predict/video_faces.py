@@ -38,6 +38,7 @@ _TRIED_FRAMES = 8  # of a video, in all orientations
 # Frames in a row, of which only the first is searched everywhere unless a face is lost. They are
 # one task, so that the result does not depend on the number of processes.
 _IN_A_ROW = 4
+_MOST_BYTES = 1 << 30  # of the frames in memory at a time
 
 
 def find_in_video(
@@ -70,10 +71,11 @@ def find_in_video(
     target = target_scheme(scheme, model)
     turn, in_a_row = _turn_of(video, detector, landmarker), max(1, _IN_A_ROW // every)
     bar = tqdm(total=video.n_frames, unit="frame", leave=False, disable=None)
+    rows_at_once = max(1, min(jobs, _MOST_BYTES // (in_a_row * video.frame_bytes)))
     find = delayed(_points_in)
     # Frames are sent to the processes through memory, not files.
     with Parallel(jobs, max_nbytes=None) as parallel, bar:
-        while batch := list(islice(frames_left, in_a_row * jobs)):  # a frame may take 25 MB
+        while batch := list(islice(frames_left, in_a_row * rows_at_once)):
             images = [frame.image for frame in batch]
             rows = [images[i : i + in_a_row] for i in range(0, len(images), in_a_row)]
             detections = chain(*parallel(find(row, turn, detector, landmarker) for row in rows))

@@ -65,6 +65,7 @@ class Video:
         self.path, self.every = Path(path), every
         with self._opened() as (container, stream):
             size = f"{stream.width} x {stream.height}"
+            self.frame_bytes = 3 * stream.width * stream.height
             if min(stream.width, stream.height) < MIN_SIDE:
                 raise self._unreadable(f"frames of {size} pixels")
             if stream.width * stream.height > _MAX_PIXELS:
@@ -81,8 +82,12 @@ class Video:
         self.n_frames, self.n_counted = (-(-frames // every) or None for frames in (n, counted))
 
     def __iter__(self) -> Iterator[Frame]:
-        start, time, index = None, 0.0, -1
+        start, time, index, matrix = None, 0.0, -1, None
         for index, frame in enumerate(self._decoded()):
+            if not index:
+                # Of the first alone: a frame whose side data were read is in a cycle, and stays in
+                # memory until the garbage is collected, hundreds of frames later.
+                matrix = _display_matrix(frame)
             stamp = getattr(frame, self._stamp)
             if stamp is not None:
                 start = stamp if start is None else start
@@ -92,7 +97,7 @@ class Video:
             if index % self.every == 0:
                 width = round(frame.width * self._stretch)
                 image = frame.to_ndarray(width=width, format="rgb24")
-                yield Frame(index, time, np.ascontiguousarray(_shown(image, frame)))
+                yield Frame(index, time, np.ascontiguousarray(_shown(image, matrix)))
         if index < 0:
             raise self._unreadable("no frame that can be decoded")
 
@@ -132,12 +137,17 @@ class Video:
         return InputError(f"{self.path} must be a readable video. Received: {received}.")
 
 
-def _shown(image: np.ndarray, frame) -> np.ndarray:
-    """A frame's image as a player shows it: turned and mirrored by the file's display matrix."""
+def _display_matrix(frame) -> np.ndarray | None:
+    """How a player turns and mirrors the frames of the file, `(3, 3)`; None is not at all."""
     data = frame.side_data.get(_import_av().sidedata.sidedata.Type.DISPLAYMATRIX)
-    if data is None:
+    return None if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3)
+
+
+def _shown(image: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:
+    """A frame's image as a player shows it, by `_display_matrix`."""
+    if matrix is None:
         return image
-    (x_of_x, y_of_x, _), (x_of_y, y_of_y, _), _ = np.frombuffer(data, np.int32).reshape(3, 3)
+    (x_of_x, y_of_x, _), (x_of_y, y_of_y, _), _ = matrix
     if abs(y_of_x) > abs(x_of_x):  # x becomes y
         image, x_of_x, y_of_y = image.swapaxes(0, 1), x_of_y, y_of_x
     return image[:: -1 if y_of_y < 0 else 1, :: -1 if x_of_x < 0 else 1]
@@ -190,7 +200,8 @@ def write_landmark_video(path: Path, source: Path, faces: Sequence[Face], every:
     high; all frames have the size of the first.
 
     Raises:
-        InputError: The video cannot be read any more, or the file cannot be written.
+        InputError: The video cannot be read any more.
+        OSError: The file cannot be written.
     """
     video = Video(source, every)
     shown: dict[int, list[Face]] = {}

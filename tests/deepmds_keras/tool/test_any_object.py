@@ -24,22 +24,29 @@ from deepmds_keras.tool.command.onnx_export import export
 L = 14
 
 
+def shapes_of(n_landmarks):
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(0, 30, (n_landmarks, 3)), rng.normal(0, 4, (3, n_landmarks, 3))
+    return mean + np.tensordot(rng.standard_normal((60, 3)), basis, 1)
+
+
+def write_model(path, shapes):
+    """Write a lifter that has learnt no more than the principal components."""
+    lifter, known = LandmarkLifter(shapes.shape[1]), centre_and_scale(shapes)
+    lifter.weights_ = initial_weights(np.swapaxes(known, 1, 2), 0)
+    lifter.mean_shape_, lifter.default_sd_, lifter.history_ = known.mean(0), 0.0, {}
+    lifter.save(path)
+    return path
+
+
 @pytest.fixture(scope="module")
 def shapes():
-    rng = np.random.default_rng(0)
-    mean, basis = rng.normal(0, 30, (L, 3)), rng.normal(0, 4, (3, L, 3))
-    return mean + np.tensordot(rng.standard_normal((60, 3)), basis, 1)
+    return shapes_of(L)
 
 
 @pytest.fixture(scope="module")
 def model(shapes, tmp_path_factory):
-    """File of a lifter that has learnt no more than the principal components."""
-    lifter, known = LandmarkLifter(L), centre_and_scale(shapes)
-    lifter.weights_ = initial_weights(np.swapaxes(known, 1, 2), 0)
-    lifter.mean_shape_, lifter.default_sd_, lifter.history_ = known.mean(0), 0.0, {}
-    path = tmp_path_factory.mktemp("model") / "chair.npz"
-    lifter.save(path)
-    return path
+    return write_model(tmp_path_factory.mktemp("model") / "chair.npz", shapes)
 
 
 @pytest.fixture
@@ -153,3 +160,36 @@ def test_it_is_evaluated_in_the_size_of_the_shapes(model, shapes, tmp_path, caps
     np.save(tmp_path / "few.npy", shapes[:, :12])
     with pytest.raises(InputError, match="few.npy must hold 14 landmarks"):
         evaluate(tmp_path / "few.npy", model=str(model), out=tmp_path / "few")
+
+
+def test_a_model_of_as_many_landmarks_as_a_face_with_irises_is_of_all_of_them(tmp_path, command):
+    shapes = shapes_of(478)
+    model = write_model(tmp_path / "all.npz", shapes)
+    np.save(tmp_path / "points.npy", shapes[:5, :, :2] * (4, -4) + 300)
+    np.save(tmp_path / "truth.npy", shapes)
+    out = tmp_path / "out"
+    given = ("predict", tmp_path / "points.npy", "--model", model, "--out", out, "--format", "npz")
+    status, _, errors = command(*given)
+    assert status == 0, errors
+    assert np.load(out / "points.npz")["shape"].shape == (5, 478, 3)
+    rows = evaluate(tmp_path / "truth.npy", model=str(model), out=out)
+    assert {row["landmarks"] for row in rows} == {478}
+    export(tmp_path / "all.onnx", str(model))
+
+
+def test_a_scheme_says_that_as_many_landmarks_as_a_face_has_are_none(tmp_path, command):
+    shapes = shapes_of(51)
+    model = write_model(tmp_path / "stool.npz", shapes)
+    rows = [f"{i},part_{i}" for i in range(51)]
+    (tmp_path / "stool.csv").write_text("\n".join(["number,name", *rows]))
+    np.save(tmp_path / "truth.npy", shapes)
+    given = ("evaluate", tmp_path / "truth.npy", "--model", model, "--out", tmp_path / "out")
+    status, output, errors = command(*given, "--scheme", tmp_path / "stool.csv")
+    assert status == 0, errors
+    # In the unit of other objects, and turned as little as they are.
+    assert "of the mean squared coordinate" in output and "90 to 180" not in output
+    (tmp_path / "short.csv").write_text("\n".join(["number,name", *rows[:9]]))
+    with pytest.raises(InputError, match=r"short.csv must have the 51 .* Received 9\."):
+        evaluate(tmp_path / "truth.npy", model=model, scheme=tmp_path / "short.csv", out=tmp_path)
+    with pytest.raises(InputError, match="scheme must be that of a model"):
+        evaluate(tmp_path / "truth.npy", scheme=tmp_path / "stool.csv", out=tmp_path)

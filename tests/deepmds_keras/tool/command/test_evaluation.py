@@ -149,6 +149,10 @@ def test_eos_is_scored_on_the_landmarks_that_all_have(truth, tmp_path):
         (np.zeros((3, 51, 2)), "\\(3, 51, 2\\)"),
         (np.full((3, 51, 3), np.nan), "finite"),
         (np.full((3, 51, 3), "a"), "numbers"),
+        (
+            np.arange(3 * 51 * 3).reshape(3, 51, 3) ** 3.0 * [[[1]], [[0]], [[1]]],
+            "face 2 of 3, .* all 51 landmarks coincide",
+        ),
         ("x,y,z\n" + "1,2,\n" * 51, "finite"),
         (b"no array", "one array in NumPy's format"),
         ("x,y\n1,2\n", "columns x, y, z"),

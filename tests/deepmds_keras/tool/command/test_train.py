@@ -90,6 +90,25 @@ def test_the_error_is_of_all_landmarks_in_squared_radii(source, untrained, tmp_p
     assert all(error == pytest.approx(0.0025) for row in errors.values() for error in row)
 
 
+def test_a_report_that_is_stopped_comes_with_the_same_command(
+    source, untrained, tmp_path, monkeypatch
+):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(module, "_errors", stop)
+        train(source, tmp_path / "new.npz", **OPTIONS)
+    assert not (tmp_path / "new.npz").exists() and (tmp_path / "new.npz.checkpoint").exists()
+    assert {*train(source, tmp_path / "new.npz", **OPTIONS)} >= {"lifter", "mean shape"}
+
+
+def test_a_mirror_image_is_another_shape_and_a_turned_copy_none(source, tmp_path):
+    shapes = np.unique(np.load(source), axis=0)
+    np.save(tmp_path / "pairs.npy", np.concatenate([shapes, shapes * (-1, 1, 1), shapes @ TURN]))
+    assert len(module._read_shapes(tmp_path / "pairs.npy")) == 2 * N
+
+
 @pytest.mark.slow
 def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
     monkeypatch.setattr(trainer, "STEPS_PER_BLOCK", 2)

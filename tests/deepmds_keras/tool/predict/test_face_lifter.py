@@ -170,6 +170,24 @@ def test_known_errors_of_landmarks_reach_the_model(landmarks):
     assert np.array_equal(
         shapes(alone), shapes(predict_landmarks(inner, landmark_sd=0.1 * size[0]))
     )
+    one = predict_landmarks(landmarks[0], landmark_sd=each[0])
+    assert np.array_equal(one[0].xyz, predict_landmarks(landmarks[:1], landmark_sd=each[:1])[0].xyz)
+
+
+def test_of_what_is_missing_nothing_need_be_known(landmarks):
+    size = np.ptp(landmarks, axis=1).max()
+    some, sd = landmarks.copy(), np.full(landmarks.shape[:2], 0.1 * size)
+    some[:, 40] = sd[:, 40] = np.nan
+    expected = predict_landmarks(some, landmark_sd=0.1 * size)
+    assert np.array_equal(shapes(predict_landmarks(some, landmark_sd=sd)), shapes(expected))
+    some[:, 40, 0] = 7  # half a landmark is none
+    half = predict_landmarks(some, landmark_sd=sd)
+    assert np.array_equal(half[0].landmarks_3d, expected[0].landmarks_3d)
+    some[:, 40] = np.inf
+    hidden = predict_landmarks(some, visible=np.arange(68) != 40, landmark_sd=sd)
+    assert np.array_equal(shapes(hidden), shapes(expected))
+    with pytest.raises(InputError, match="^landmarks must be finite"):
+        predict_landmarks(some)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +219,7 @@ def test_what_are_no_landmarks_is_refused(wrong, message):
     "options",
     [
         *({"interocular": mm} for mm in (-90, 0, np.nan, np.inf, "90")),
-        *({"visible": each} for each in (np.ones(67, bool), np.ones(68), "yes")),
+        *({"visible": each} for each in (np.ones(67, bool), np.ones(68), "yes", [[True], []])),
         *({"landmark_sd": sd} for sd in (-1, np.nan, [1, 2], "a")),
         {"scheme": "ibug"},
         {"model": "nix"},

@@ -1,5 +1,6 @@
 """Videos: every frame upright at its time, faces followed and smoothed, landmarks drawn."""
 
+import gc
 import json
 import re
 import struct
@@ -141,6 +142,18 @@ def test_frames_are_mirrored_and_turned_by_the_display_matrix(tmp_path, x, y, sw
     image = next(iter(Video(path))).image
     assert image.shape == upright[0].shape and image.flags.c_contiguous
     assert np.abs(image.astype(int) - upright[0]).mean() < 10
+
+
+def test_frames_that_were_seen_do_not_stay_in_memory(tmp_path):
+    path = write_video(tmp_path / "a.mp4", counted(40))
+    set_matrix(path, 0, 1, -1, 0)
+    gc.collect()
+    gc.disable()  # it finds them late
+    try:
+        most = max(sum(isinstance(o, av.VideoFrame) for o in gc.get_objects()) for _ in Video(path))
+    finally:
+        gc.enable()
+    assert most < 10
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
