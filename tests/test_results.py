@@ -21,8 +21,7 @@ OF_SEVERAL_COMMITS = (
     | {f"bfm68/{name}": 2 for name in ("bfm", "parameters", "seeds")}
     | {
         "bfm68/scales": 3,
-        "openhead/pretrained": 3,  # the network is trained before what it is measured with is made
-        "openhead/real": 2,
+        "openhead/pretrained": 2,  # the network is trained before what it is measured with is made
         "openhead/stream": 2,
         "objects": 3,
     }
