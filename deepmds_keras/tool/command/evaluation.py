@@ -24,7 +24,7 @@ from deepmds_keras.tool.detection import FOUND_BY, sd_of_landmarks, to_ibug
 from deepmds_keras.tool.predict.faces import counted
 from deepmds_keras.tool.predict.landmark_files import read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
-from deepmds_keras.tool.predict.models import DEFAULT, given_scheme
+from deepmds_keras.tool.predict.models import DEFAULT, scheme_of_model
 from deepmds_keras.validation import find_faults
 
 _SIZES = (51, 68)  # of shipped weights that are scored
@@ -86,12 +86,7 @@ def evaluate(
         raise InputError("scheme must be that of a model. Received none.")
     lifter = None if model in (None, DEFAULT) else open_lifter(model)[0]
     shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
-    scheme = given_scheme(scheme, model) or scheme_of(shapes.shape[1])
-    if len(load_scheme(scheme)) != shapes.shape[1]:
-        raise InputError(
-            f"{scheme} must have the {shapes.shape[1]} landmarks of {truth}. "
-            f"Received {len(load_scheme(scheme))}."
-        )
+    scheme = scheme_of_model(scheme, model, shapes.shape[1])
     lifter = lifter or LandmarkLifter.pretrained(scheme)
     is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)
     shapes = _oriented(shapes, scheme, frame)
@@ -138,18 +133,17 @@ def evaluate(
     rows = [*_rows(predicted, shapes, scheme, frame)]
     unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"
     _print(rows, counted(len(shapes), load_scheme(scheme).thing), unit)
-    # Before anything is written, since the same command refuses to replace the half.
+    # All before the first is written, since the same command refuses to replace the half.
+    contents, remarks = {files[0]: _csv(rows).encode()}, []
     try:
         with needs("matplotlib", "evaluate"):
-            picture = _figure(rows, unit)
+            contents[files[1]] = _figure(rows, unit)
     except MissingPackageError as error:
         files[1].unlink(missing_ok=True)  # of the errors that this run replaces
-        write_bytes(files[0], _csv(rows).encode())
-        print(files[0], f"No figure: {error}", sep="\n")
-    else:
-        write_bytes(files[0], _csv(rows).encode())
-        write_bytes(files[1], picture)
-        print(*files, sep="\n")
+        remarks = [f"No figure: {error}"]
+    for file, content in contents.items():
+        write_bytes(file, content)
+    print(*contents, *remarks, sep="\n")
     return rows
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from deepmds_keras import __version__
 from deepmds_keras.errors import InputError, needs
 from deepmds_keras.files import write_bytes
-from deepmds_keras.landmarks import load_scheme, scheme_of
+from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.onnx_graph import TYPES
 from deepmds_keras.lifting.traced import trace
@@ -17,7 +17,7 @@ from deepmds_keras.tool.predict.models import (
     DEFAULT,
     FALLBACK,
     FAMILIES,
-    given_scheme,
+    scheme_of_model,
     weights_path,
 )
 from deepmds_keras.weights import PRETRAINED
@@ -54,13 +54,7 @@ def export(path: str | Path, model: str, scheme: str | None = None) -> None:
     if Path(path).exists():
         raise InputError(f"{path} must be a new file. It already exists.")
     lifter, weights = open_lifter(model)
-    name = given_scheme(scheme, model) or scheme_of(lifter.n_landmarks)
-    described = load_scheme(name)
-    if len(described) != lifter.n_landmarks:
-        raise InputError(
-            f"{name} must have the {lifter.n_landmarks} landmarks of {model}. "
-            f"Received {len(described)}."
-        )
+    described = load_scheme(scheme_of_model(scheme, model, lifter.n_landmarks))
     shipped = weights.parent == PRETRAINED
     source = "shipped with deepmds-keras" if shipped else "given by the user"
     with needs("onnx", "onnx"):

@@ -137,13 +137,11 @@ class FaceLifter:
         faces = as_faces(points, "landmarks")
         points = faces[..., :2]
         n, size = points.shape[:2]
+        missing = np.isnan(points).any(-1)  # half a landmark is none
         if visible is not None:
             # What is masked is not known to be visible.
-            seen = _broadcast(
-                np.ma.filled(as_array(visible, "visible"), False), "visible", bool, (n, size)
-            )
-            points = np.where(seen[..., None], points, np.nan)
-        missing = np.isnan(points).any(-1)  # half a landmark is none
+            seen = np.ma.filled(as_array(visible, "visible"), False)
+            missing |= ~_broadcast(seen, "visible", bool, (n, size))
         points = np.where(missing[..., None], np.nan, points)
         if np.isinf(points).any():
             raise InputError("landmarks must be finite, or NaN if missing.")

@@ -157,6 +157,21 @@ def target_scheme(scheme: str, model: str | None) -> str:
     return scheme if _lacks(scheme, target) else target
 
 
+def scheme_of_model(scheme: str | Path | None, model: str | None, n_landmarks: int) -> str:
+    """The scheme of a model's landmarks: the given one, or that of a face of as many.
+
+    Raises:
+        InputError: There is no such model or scheme, or the scheme has another number.
+    """
+    name = given_scheme(scheme, model) or scheme_of(n_landmarks)
+    received = len(load_scheme(name))
+    if received != n_landmarks:
+        raise InputError(
+            f"{name} must have the {n_landmarks} landmarks of {model}. Received {received}."
+        )
+    return name
+
+
 def _is_of_faces(n_landmarks: int) -> bool:
     """Whether a face's scheme has so many, and none that it leaves out, such as irises."""
     return n_landmarks in face_sizes() and len(load_scheme(scheme_of(n_landmarks))) == n_landmarks

@@ -49,6 +49,7 @@ class Video:
 
     Attributes:
         n_frames: Number of frames of an iteration according to the file; None if it does not say.
+        frame_bytes: Memory that a frame takes.
         n_counted: That number, unless it only follows from the file's duration.
 
     Args:
