@@ -15,7 +15,7 @@ from deepmds_keras.files import map_npy, write_bytes
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.geometry.camera import camera_angles
 from deepmds_keras.geometry.units import centre
-from deepmds_keras.landmarks import convert, load_scheme, said_sizes, scheme_of
+from deepmds_keras.landmarks import convert, load_scheme, load_schemes, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
 from deepmds_keras.landmarks.y_axis import Y_UP_ADVICE, check_y_axis, eyes_to_mouth
 from deepmds_keras.lifting.lifter import LandmarkLifter
@@ -64,7 +64,7 @@ def evaluate(
         image_size: Width and height of the image if `landmarks` are fractions of them.
         model: File of `LandmarkLifter.save`, or name of shipped weights; None is those for L.
         scheme: Scheme of the model's landmarks, as for `load_scheme`; None is a face's, told by
-            their number, or unnamed.
+            their number, or unnamed. With a table of your own, `landmarks` are in that order too.
         eos: eos's folder `share`: adds its fit of the Surrey model (extra `eos`).
         out: Folder for `errors.csv` and the figure `errors.png` (drawn by matplotlib).
         overwrite: Whether existing files may be replaced.
@@ -90,45 +90,45 @@ def evaluate(
     lifter = lifter or LandmarkLifter.pretrained(scheme)
     is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)
     shapes = _oriented(shapes, scheme, frame)
-    sd = None
+    found_by = None
     if landmarks is None:
         views = shapes[..., :2]
+        check_y_axis(views * (1, -1), scheme, str(truth))
     else:
-        of_file = None if is_face else scheme
-        views = read_landmarks(landmarks, y_up=y_up, image_size=image_size, scheme=of_file)
-        if is_face:
-            seen = scheme_of(views.shape[1])
-            check_y_axis(views, seen, str(landmarks), needed=Y_UP_ADVICE[y_up])
-            found_by = FOUND_BY.get(seen)
-            try:
-                views = to_ibug(convert(views, seen, scheme), found_by, scheme)
-            except InputError:
-                raise InputError(
-                    f"{landmarks} must have all landmarks of {truth}, {scheme}. Received those of "
-                    f"{seen}: leave what it lacks out of {truth}; the jaw is the first 17 of 68."
-                ) from None
-        views = views * (1, -1)
-        if views.shape != shapes[..., :2].shape:
+        own = None if scheme in load_schemes() else scheme
+        views = read_landmarks(landmarks, y_up=y_up, image_size=image_size, scheme=own)
+        seen = own or scheme_of(views.shape[1])
+        check_y_axis(views, seen, str(landmarks), needed=Y_UP_ADVICE[y_up])
+        found_by = FOUND_BY.get(seen)
+        try:
+            views = to_ibug(convert(views, seen, scheme), found_by, scheme)
+        except InputError:
             raise InputError(
-                f"{landmarks} must have {shapes.shape[1]} landmarks for {len(shapes)} faces, like "
-                f"{truth}. Received {views.shape[1]} for {len(views)}."
+                f"{landmarks} must have all landmarks of {truth}, {scheme}. Received those of "
+                f"{seen}: leave what it lacks out of {truth}; the jaw is the first 17 of 68."
+            ) from None
+        views = views * (1, -1)
+        if len(views) != len(shapes):
+            raise InputError(
+                f"{landmarks} must have landmarks of {len(shapes)} faces, like {truth}. "
+                f"Received {len(views)}."
             )
         for face in np.flatnonzero(np.isnan(views).all((1, 2))).tolist():
             raise InputError(
                 f"{landmarks} must have landmarks of each face. Received none for face {face + 1}: "
                 "leave it out of both files."
             )
-        sd = sd_of_landmarks(views, found_by, scheme) if is_face else None
-    predicted = {"lifting": lifter.predict(views, landmark_sd=sd, check_orientation=is_face)}
+    sd = sd_of_landmarks(views, found_by, scheme)
+    predicted = {"lifting": lifter.predict(views, landmark_sd=sd, check_orientation=False)}
     if lifter.mean_shape_ is not None:  # as it is in older files
         predicted = {"mean shape": np.broadcast_to(lifter.mean_shape_, shapes.shape)} | predicted
     if landmarks is None:
-        exact = lifter.predict(views, landmark_sd=0, check_orientation=is_face)
+        exact = lifter.predict(views, landmark_sd=0, check_orientation=False)
         predicted["lifting, exact"] = exact
     if eos is not None:
         from deepmds_keras.baselines.eos_fit import EosFit
 
-        fitted = EosFit(eos).predict(views)
+        fitted = EosFit(eos).predict(convert(views, scheme, "ibug51"))
         predicted["eos"] = convert(fitted, "ibug51", scheme, missing="nan")
     rows = [*_rows(predicted, shapes, scheme, frame)]
     unit = "squared eye distance" if is_face else "mean squared coordinate of the truth"

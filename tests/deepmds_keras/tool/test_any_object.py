@@ -12,6 +12,7 @@ from deepmds_keras import (
     FaceLifter,
     InputError,
     LandmarkLifter,
+    load_scheme,
     predict_landmarks,
     read_landmarks,
     sample_views,
@@ -193,3 +194,28 @@ def test_a_scheme_says_that_as_many_landmarks_as_a_face_has_are_none(tmp_path, c
         evaluate(tmp_path / "truth.npy", model=model, scheme=tmp_path / "short.csv", out=tmp_path)
     with pytest.raises(InputError, match="scheme must be that of a model"):
         evaluate(tmp_path / "truth.npy", scheme=tmp_path / "stool.csv", out=tmp_path)
+
+
+def test_a_face_in_an_order_of_ones_own_is_evaluated_in_that_order(tmp_path):
+    of, order = load_scheme("ibug51"), np.arange(51)[::-1]
+    rows = [f"{i},{of.names[k]},{of.groups[k]}" for i, k in enumerate(order)]
+    (tmp_path / "own.csv").write_text("\n".join(["number,name,group", *rows]))
+    same = [f"{i},{of.numbers[k]}" for i, k in enumerate(order)]
+    (tmp_path / "own_ibug68.csv").write_text("\n".join(["number,ibug68", *same]))
+    mean = LandmarkLifter.pretrained("ibug51").mean_shape_[order]
+    shapes = mean + np.random.default_rng(0).normal(0, 0.01, (60, 51, 3))
+    model = write_model(tmp_path / "model.npz", shapes)
+    np.save(tmp_path / "truth.npy", 100 * shapes)
+    np.save(tmp_path / "seen.npy", 100 * shapes[..., :2] * (1, -1))
+    given = {"truth": tmp_path / "truth.npy", "model": model, "scheme": tmp_path / "own.csv"}
+    alone, seen = (
+        {row["method"]: row["error"] for row in evaluate(**given, **more) if row["yaw"] == "all"}
+        for more in (
+            {"out": tmp_path / "alone"},
+            {"out": tmp_path / "seen", "landmarks": tmp_path / "seen.npy"},
+        )
+    )
+    assert seen["lifting"] == alone["lifting"] < alone["mean shape"] / 2
+    np.save(tmp_path / "truth.npy", 100 * shapes * (-1, 1, 1))
+    with pytest.raises(InputError, match="truth.npy, face 1 of 60: x must point right"):
+        evaluate(**given, out=tmp_path / "mirrored")
