@@ -45,7 +45,7 @@ def prepare_views(points, n_landmarks: int, visible=None, landmark_sd=None) -> V
     points = _check_points(points, n_landmarks)
     known = np.ones(points[:, 0].shape, bool)
     if visible is not None:
-        known &= _check_visible(visible, known.shape)
+        known &= as_visible(visible, known.shape)
     if not np.isfinite(points).all():
         infinite = (known & np.isinf(points).any(1)).any(1)
         _refuse(infinite, "views must be finite or NaN", lambda _: "infinity")
@@ -110,37 +110,45 @@ def _check_points(points, n_landmarks):
     return np.ascontiguousarray(np.swapaxes(points, 1, 2))
 
 
-def _check_visible(visible, shape):
-    # What is masked is not known to be visible.
+def as_visible(visible, shape: tuple[int, int]) -> np.ndarray:
+    """Which landmarks are visible, `(n, L)` bool: none of those that are masked."""
     visible = np.ma.filled(as_array(visible, "visible"), False)
-    if visible.shape == shape[1:]:
-        visible = visible[None]
-    if visible.dtype != bool or visible.shape not in (shape, (1, shape[1])):
+    try:
+        return np.broadcast_to(visible.astype(bool, casting="safe"), shape)
+    except (TypeError, ValueError):
         raise InputError(
             f"visible must be bool of shape {shape}. "
             f"Received {visible.dtype} of shape {visible.shape}."
-        )
-    return visible
+        ) from None
 
 
-def _relative_sd(landmark_sd, known, radius):
+def as_landmark_sd(landmark_sd, known: np.ndarray) -> np.ndarray:
+    """One number, one of each face `(n,)`, or of each landmark, as `(n, L)`.
+
+    Raises:
+        InputError: Another shape, or one of the `(n, L)` known landmarks is negative or not finite.
+    """
     sd = as_numbers(landmark_sd, "landmark_sd")
-    n, n_landmarks = known.shape
     if sd.ndim == 1:
         sd = sd[None] if (1, len(sd)) == known.shape else sd[:, None]
-    if sd.shape not in ((), (n, 1), (n, n_landmarks)):
+    try:
+        sd = np.broadcast_to(sd, known.shape)
+    except ValueError:
         raise InputError(
-            f"landmark_sd must be one number, ({n},) or ({n}, {n_landmarks}). "
+            f"landmark_sd must be one number, ({len(known)},) or {known.shape}. "
             f"Received shape {np.shape(landmark_sd)}."
-        )
-    sd = np.broadcast_to(sd, known.shape)
+        ) from None
     counted = sd[known]
     if not (np.isfinite(counted).all() and (counted >= 0).all()):
         raise InputError(
             "landmark_sd must be finite and not negative. "
             f"Received numbers from {counted.min()} to {counted.max()}."
         )
-    relative = sd / radius
+    return sd
+
+
+def _relative_sd(landmark_sd, known, radius):
+    relative = as_landmark_sd(landmark_sd, known) / radius
     _refuse(
         (known & (relative > _LARGEST_SD)).any(1),
         f"landmark_sd must be at most {_LARGEST_SD:.0e} radii of the face; leave out landmarks "

@@ -15,6 +15,7 @@ from deepmds_keras.errors import InputError, check_choice
 from deepmds_keras.landmarks import convert, load_scheme, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces, seem_fractions
 from deepmds_keras.landmarks.y_axis import check_y_axis
+from deepmds_keras.lifting.inputs import as_landmark_sd, as_visible
 from deepmds_keras.tool.detection import DETECTORS, FOUND_BY, default_detector, to_ibug
 from deepmds_keras.tool.detection.photos import check_photo, read_photo
 from deepmds_keras.tool.predict.estimation import estimate_faces
@@ -25,7 +26,7 @@ from deepmds_keras.tool.predict.photo_faces import find_in_photo
 from deepmds_keras.tool.predict.smoothing import check_smooth
 from deepmds_keras.tool.predict.video_faces import find_in_video
 from deepmds_keras.tool.predict.videos import Frame, Video
-from deepmds_keras.validation import as_array, as_numbers, check_number, check_whole
+from deepmds_keras.validation import check_number, check_whole
 
 
 class FaceLifter:
@@ -139,9 +140,7 @@ class FaceLifter:
         n, size = points.shape[:2]
         missing = np.isnan(points).any(-1)  # half a landmark is none
         if visible is not None:
-            # What is masked is not known to be visible.
-            seen = np.ma.filled(as_array(visible, "visible"), False)
-            missing |= ~_broadcast(seen, "visible", bool, (n, size))
+            missing |= ~as_visible(visible, (n, size))
         points = np.where(missing[..., None], np.nan, points)
         if np.isinf(points).any():
             raise InputError("landmarks must be finite, or NaN if missing.")
@@ -150,11 +149,7 @@ class FaceLifter:
         if load_scheme(scheme).is_face and seem_fractions(points):
             raise InputError(f"landmarks must be in pixels. {FRACTIONS}.")
         if landmark_sd is not None:
-            sd = as_numbers(landmark_sd, "landmark_sd")
-            by_face = sd.ndim == 1 and not (n == 1 and len(sd) == size)
-            sd = _broadcast(sd[:, None] if by_face else sd, "landmark_sd", float, (n, size))
-            if not (np.isfinite(sd) & (sd >= 0) | missing).all():
-                raise InputError("landmark_sd must be finite and not negative.")
+            sd = as_landmark_sd(landmark_sd, ~missing)
             # Where none is given for what is missing, the mean of the others stands for it.
             known = np.where(missing, 0, sd).sum(1) / np.maximum((~missing).sum(1), 1)
             sd = np.where(missing, known[:, None], sd)
@@ -273,15 +268,3 @@ def predict_landmarks(
     """
     lifter = FaceLifter(model=model, interocular=interocular)
     return lifter.predict_landmarks(landmarks, scheme, visible, landmark_sd)
-
-
-def _broadcast(value, name: str, dtype: type, shape: tuple[int, int]) -> np.ndarray:
-    """Broadcast a value for all landmarks, for each face, or for each landmark."""
-    value = np.asarray(value)
-    try:
-        return np.broadcast_to(value.astype(dtype, casting="safe"), shape)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name} must be {dtype.__name__} of shape {shape}. "
-            f"Received {value.dtype} of shape {value.shape}."
-        ) from None
