@@ -21,6 +21,8 @@ _POSE_ERROR = 5  # root mean square error of head poses, degrees
 # the detector at that landmark.
 _ASTRAY, _ASTRAY_SIZE = 4, 0.05
 _MOST_ACCURATE = 1 / 4  # smallest s.d. relative to the mean: exact landmarks would always be astray
+# Rotations by so many quarters to the left, to be multiplied from the left.
+_TURNS = np.array([np.linalg.matrix_power([[0.0, -1.0], [1.0, 0.0]], k) for k in range(4)])
 
 
 def estimate_faces(
@@ -64,7 +66,7 @@ def estimate_faces(
     views = landmarks * (1, -1)
     quarters = quarter_turns(landmarks, detections.scheme)
     sd = _landmark_sd(detections, seen, views)
-    turns = _turns(quarters)
+    turns = _TURNS[quarters % 4]
     # 0 for faces that are not rotated, whose digits stay as they are.
     middle = np.nanmean(views, axis=1, keepdims=True) * (quarters != 0)[:, None, None]
     upright = (views - middle) @ np.swapaxes(turns, 1, 2) + middle
@@ -122,12 +124,6 @@ def _turned_back(poses: HeadPose, turns: np.ndarray, middle: np.ndarray) -> Head
     rotation[:, :2] = np.swapaxes(turns, 1, 2) @ rotation[:, :2]
     translation = (poses.translation[:, None] - middle) @ turns + middle
     return replace(poses, rotation=rotation, translation=translation[:, 0])
-
-
-def _turns(quarters: np.ndarray) -> np.ndarray:
-    """Rotations by quarters to the left, `(n, 2, 2)`, multiplied from the left."""
-    cosines, sines = np.rint(np.cos(quarters * np.pi / 2)), np.rint(np.sin(quarters * np.pi / 2))
-    return np.array([[cosines, -sines], [sines, cosines]]).transpose(2, 0, 1)
 
 
 def _misplaced(scheme: LandmarkScheme, off: np.ndarray, sd: np.ndarray | None) -> dict[int, str]:

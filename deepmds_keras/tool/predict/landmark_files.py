@@ -207,10 +207,6 @@ def _check_size(path: Path, max_bytes: int) -> None:
     raise InputError(f"{path} must be a landmark file, {most}. Received {received}.")
 
 
-def _read_npy(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
-    return as_faces(map_npy(path), str(path), sizes)
-
-
 def _read_json(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     try:
         content = json.loads(path.read_bytes())
@@ -268,12 +264,13 @@ def _read_pts(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
     return np.array([points]).reshape(1, -1, 2) - _MATLAB_ORIGIN
 
 
-def _read_csv(path: Path, sizes: tuple[int, ...]) -> np.ndarray:
-    return read_landmark_table(path, *_AXES, sizes=sizes)
-
-
 def _received(error: Exception) -> str:
     return f"Received {type(error).__name__}: {brief(str(error))}"
 
 
-_READERS = {".csv": _read_csv, ".json": _read_json, ".npy": _read_npy, ".pts": _read_pts}
+_READERS = {
+    ".csv": lambda path, sizes: read_landmark_table(path, *_AXES, sizes=sizes),
+    ".json": _read_json,
+    ".npy": lambda path, sizes: as_faces(map_npy(path), str(path), sizes),
+    ".pts": _read_pts,
+}
