@@ -173,7 +173,6 @@ class FaceLifter:
                 names=name_faces("face", n),
                 scheme=target,
                 landmarks=landmarks,
-                is_photo=False,
                 notes=notes,
                 landmark_sd=landmark_sd,
                 found_by=found_by,

@@ -53,7 +53,7 @@ class Detections:
     names: Sequence[str]
     scheme: str
     landmarks: np.ndarray
-    is_photo: bool
+    is_photo: bool = False
     faults: Mapping[int, str] = field(default_factory=dict)
     detector: dict[str, str] | None = None
     frame_refs: Sequence[FrameRef] | None = None

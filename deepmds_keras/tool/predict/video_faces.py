@@ -105,7 +105,6 @@ def find_in_video(
         landmarks=smooth_over_time(
             landmarks[order], frame, smooth, tracks=track, times=time, step=every
         ),
-        is_photo=False,
         frame_refs=[*map(FrameRef, frame.tolist(), time.tolist(), track.tolist())],
         detector=describe_detector(detector, landmarker),
         remarks=remarks,
