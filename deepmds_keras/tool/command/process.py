@@ -26,9 +26,8 @@ from deepmds_keras.tool.predict.landmark_files import find_unusable, read_faces
 from deepmds_keras.tool.predict.models import (
     DEFAULT,
     describe_model,
+    family_of,
     given_scheme,
-    load_model,
-    name_for,
     target_scheme,
 )
 from deepmds_keras.tool.predict.photo_faces import find_in_photo, no_face
@@ -108,7 +107,7 @@ def _read(source: Path, name: str, settings: dict) -> Detections:
     if target != scheme:
         faults |= find_unusable(landmarks)
     missing = np.isnan(landmarks).any(2)
-    if missing.any() and load_model(name_for(target, model)).family != DEFAULT:
+    if missing.any() and family_of(model).family != DEFAULT:
         incomplete = np.flatnonzero(missing.any(1) & ~missing.all(1))
         fault = f"must have all landmarks for the model {model}. Received some without"
         faults |= dict.fromkeys(incomplete.tolist(), fault)
@@ -128,7 +127,6 @@ def _read(source: Path, name: str, settings: dict) -> Detections:
         names=name_faces(name, n),
         scheme=target,
         landmarks=landmarks,
-        is_photo=False,
         faults=faults,
         notes={i: f"stands unlike the other faces: {fault}" for i, fault in odd.items()},
         remarks=remarks,

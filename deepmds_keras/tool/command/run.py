@@ -35,7 +35,7 @@ from deepmds_keras.tool.command.sources import (
     name_sources,
 )
 from deepmds_keras.tool.detection import DETECTORS
-from deepmds_keras.tool.predict.models import DEFAULT, FAMILIES, load_model
+from deepmds_keras.tool.predict.models import DEFAULT, FAMILIES, family_of, load_model
 from deepmds_keras.tool.predict.photo_faces import open_detector
 
 _HIDDEN = ".deepmds-"  # prefix of files that are not for users
@@ -246,10 +246,8 @@ def _results(todo: list[tuple[Path, str]], folder: Path, jobs: int, settings: di
     # Videos one by one, after the others; they, and the paper's networks, use all processes.
     videos = [pair for pair in todo if kind_of(pair[0]) == "video"]
     others = [pair for pair in todo if kind_of(pair[0]) != "video"]
-    model = settings["model"] or DEFAULT
-    family = model if model in FAMILIES else load_model(model).family
     jobs = cpu_count() if jobs == -1 else jobs
-    workers = min(jobs, len(others)) if family == DEFAULT else 1
+    workers = min(jobs, len(others)) if family_of(settings["model"]).family == DEFAULT else 1
     settings = {"folder": folder, "jobs": jobs, **settings}
     if others:
         within = settings | {"jobs": 1 if workers > 1 else jobs}

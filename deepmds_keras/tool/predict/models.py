@@ -192,12 +192,17 @@ def name_for(scheme: str, model: str | None) -> str:
 def describe_model(scheme: str, model: str | None) -> dict[str, str]:
     """Name, method, provenance and licence of a model, for the files that are written."""
     name = name_for(scheme, model)
-    kind = FAMILIES.get(model or DEFAULT) or type(load_model(name))
+    kind = family_of(model)
     described = {"name": name, "method": kind.family}
     if name not in kind.shipped.values():
         return described | {"weights": "given by the user"}
     source = f"shipped with deepmds-keras; trained on {kind.trained_on}"
     return described | {"weights": source, "licence": _MIT}
+
+
+def family_of(model: str | None) -> type[Model]:
+    """The row of `FAMILIES` of a model, which is loaded unless it is a family's name."""
+    return FAMILIES.get(model or DEFAULT) or type(load_model(str(model)))
 
 
 def load_model(name: str) -> Model:
