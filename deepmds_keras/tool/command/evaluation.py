@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
 
@@ -22,7 +23,7 @@ from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.tool.command.onnx_export import open_lifter
 from deepmds_keras.tool.detection import FOUND_BY, sd_of_landmarks, to_ibug
 from deepmds_keras.tool.predict.faces import counted
-from deepmds_keras.tool.predict.landmark_files import read_landmarks
+from deepmds_keras.tool.predict.landmark_files import find_unusable, read_landmarks
 from deepmds_keras.tool.predict.landmark_tables import read_landmark_table
 from deepmds_keras.tool.predict.models import DEFAULT, scheme_of_model
 from deepmds_keras.validation import find_faults
@@ -118,6 +119,8 @@ def evaluate(
                 f"{landmarks} must have landmarks of each face. Received none for face {face + 1}: "
                 "leave it out of both files."
             )
+        for face, fault in find_unusable(views).items():
+            raise InputError(f"{landmarks}, face {face + 1} of {len(views)}, {fault}.")
     sd = sd_of_landmarks(views, found_by, scheme)
     predicted = {"lifting": lifter.predict(views, landmark_sd=sd, check_orientation=False)}
     if lifter.mean_shape_ is not None:  # as it is in older files
@@ -185,6 +188,8 @@ def _rows(
 ) -> Iterator[dict]:
     rotation = procrustes(np.broadcast_to(mean, shapes.shape), shapes, reflection=False).rotation
     yaw = np.abs(camera_angles(np.swapaxes(rotation, 1, 2))[0])
+    bins = {f"{low} to {high}": (yaw >= low) & (yaw < high) for low, high in pairwise(_YAWS)}
+    bins = {"all": np.ones(len(yaw), bool)} | bins
     known = load_scheme(scheme)
     if known.is_face:
         right, left = known.eye_corners()
@@ -202,10 +207,7 @@ def _rows(
         for method, shape in predicted.items():
             off = align(shape[:, scored], truth, reflection=False) - truth
             errors = (off**2).mean((1, 2)) / size**2
-            bins = [("all", np.ones(len(yaw), bool))]
-            for low, high in zip(_YAWS, _YAWS[1:], strict=False):
-                bins.append((f"{low} to {high}", (yaw >= low) & (yaw < high)))
-            for name, some in bins:
+            for name, some in bins.items():
                 if n := int(some.sum()):
                     mean = errors[some].mean()
                     error = errors[some].std(ddof=1) / np.sqrt(n) if n > 1 else np.nan

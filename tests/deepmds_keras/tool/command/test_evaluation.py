@@ -98,6 +98,10 @@ def test_landmarks_are_converted_and_must_not_be_upside_down(truth, tmp_path):
     np.save(tmp_path / "up.npy", truth[:9, :, :2])
     with pytest.raises(InputError, match="up.npy.*--y-up"):
         evaluate(tmp_path / "truth.npy", landmarks=tmp_path / "up.npy", out=tmp_path / "up")
+    jaw = np.where(np.arange(68)[:, None] < 20, truth[:9, :, :2] * (1, -1), np.nan)
+    np.save(tmp_path / "jaw.npy", np.r_[truth[:8, :, :2] * (1, -1), jaw[8:]])
+    with pytest.raises(InputError, match="jaw.npy, face 9 of 9, must have at least 6 .* 3"):
+        evaluate(tmp_path / "truth.npy", landmarks=tmp_path / "jaw.npy", out=tmp_path / "jaw")
     with pytest.raises(InputError, match="51.npy.*y must point up for --y-up; omit it"):
         seen = tmp_path / "51.npy"
         evaluate(tmp_path / "truth.npy", landmarks=seen, y_up=True, out=tmp_path / "up")
