@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.units import rescaled
-from deepmds_keras.validation import check_views_and_shapes
+from deepmds_keras.validation import as_numbers, check_views_and_shapes
 
 _STEEP = 1e-7  # cosine of the pitch of a head seen from straight above or below
 
@@ -157,10 +157,11 @@ def head_pose(view: np.ndarray, shape: np.ndarray) -> HeadPose:
         InputError: Unequal numbers of landmarks, NaN, infinity or degenerate landmarks, several
             faces, or a mirrored view, which no turned head gives.
     """
-    if np.ndim(view) != 2 or np.ndim(shape) != 2:
+    view, shape = as_numbers(view, "view"), as_numbers(shape, "shape")
+    if view.ndim != 2 or shape.ndim != 2:
         raise InputError(
             "view and shape must be of one face, (L, 2) and (L, 3). "
-            f"Received shapes {np.shape(view)} and {np.shape(shape)}."
+            f"Received shapes {view.shape} and {shape.shape}."
         )
     pose = head_poses(view, shape)[0]
     if pose.rotation[2, 2] <= 0:

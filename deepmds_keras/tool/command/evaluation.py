@@ -15,7 +15,7 @@ from deepmds_keras.errors import InputError, MissingPackageError, needs
 from deepmds_keras.files import map_npy, write_bytes
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.geometry.camera import camera_angles
-from deepmds_keras.geometry.units import centre
+from deepmds_keras.geometry.units import centre, rescaled
 from deepmds_keras.landmarks import convert, load_scheme, load_schemes, said_sizes, scheme_of
 from deepmds_keras.landmarks.arrays import as_faces
 from deepmds_keras.landmarks.y_axis import Y_UP_ADVICE, check_y_axis, eyes_to_mouth
@@ -86,7 +86,8 @@ def evaluate(
     if scheme is not None and model in (None, DEFAULT):
         raise InputError("scheme must be that of a model. Received none.")
     lifter = None if model in (None, DEFAULT) else open_lifter(model)[0]
-    shapes = read_truth(truth, _SIZES if lifter is None else (lifter.n_landmarks,))
+    sizes = _SIZES if lifter is None else (lifter.n_landmarks,)
+    shapes, _ = rescaled(read_truth(truth, sizes))  # errors are relative
     scheme = scheme_of_model(scheme, model, shapes.shape[1])
     lifter = lifter or LandmarkLifter.pretrained(scheme)
     is_face, frame = load_scheme(scheme).is_face, lifter.weights_["mean"].T.astype(float)

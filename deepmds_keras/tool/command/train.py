@@ -100,7 +100,8 @@ def train(
 def _read_shapes(path: Path) -> np.ndarray:
     """The different shapes of a file, `(n, L, 3)`, centred, of r.m.s. radius 1."""
     shapes = map_npy(path)
-    if shapes.ndim != 3 or shapes.shape[1] < LEAST_VISIBLE or shapes.shape[2] != 3:
+    usable = shapes.ndim == 3 and shapes.shape[1] >= LEAST_VISIBLE and shapes.shape[2] == 3
+    if not usable or not len(shapes):
         raise InputError(
             f"{path} must hold shapes (n, L, 3) with {LEAST_VISIBLE} landmarks or more. "
             f"Received {shapes.shape}."

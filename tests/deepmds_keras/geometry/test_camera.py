@@ -96,6 +96,7 @@ def test_a_mirrored_view_is_refused_and_among_many_is_seen_from_behind(shape):
     ("view", "message"),
     [
         (lambda v: np.where(v == v[3], np.nan, v), "views must be finite"),
+        (lambda v: [*v.tolist(), [0]], "view must be one array. Received rows of unequal"),
         (lambda v: np.stack([v] * 2), r"of one face, .* Received shapes \(2, 51, 2\)"),
     ],
 )

@@ -153,6 +153,7 @@ def test_the_page_on_objects_has_what_the_command_prints(tmp_path, command):
     [
         (lambda s: s[..., :2], r"must hold shapes \(n, L, 3\).* Received \(90, 9, 2\)"),
         (lambda s: s[:, :5], r"with 6 landmarks or more. Received \(90, 5, 3\)"),
+        (lambda s: s[:0], r"must hold shapes .* Received \(0, 9, 3\)"),
         (lambda s: s[:9], "must hold 10 different shapes or more.* Received 9"),
         (lambda s: np.repeat(s[:1], 30, 0), "10 different shapes or more.* Received 1"),
         (lambda s: np.concatenate([s[:5], 7 * np.float32(s[:5] @ TURN) + 90]), "Received 5"),
