@@ -28,7 +28,7 @@ rule released_weights_training:
 IS_OPEN = RUN.model in OPEN
 
 
-rule released_networks:
+rule released_weights:
     input:
         plan.begun, plan.open if IS_OPEN else plan.model, plan.authors_files("bfm"),
         [*MEAN, *(record("bfm", f"released_weights-{name}") for name in trainings(RUN))]
@@ -55,7 +55,7 @@ AUDIT = ("curves", "bias", "constants", "depth", "perspective", "ranks", "sampli
 
 rule audited:
     input:
-        plan.begun, rules.bfm.output, rules.ablation_table.output,
+        plan.begun, rules.bfm.output, rules.ablation.output,
         [record("bfm", f"audit-{topic}") for topic in TOPICS],
     output:
         record("bfm", "audit"),
@@ -73,7 +73,7 @@ rule all_claims:
     shell: step("audit.all_models")
 
 
-rule page:
+rule report:
     input: plan.begun
     output: record("bfm", "report"), f"{RUN.model_results}/report/report.md"
     params: results=plan.other_results()

@@ -19,7 +19,7 @@ rule photo_network:
 
 
 # It also replaces the weights of the package, at full size and if both open models are there.
-rule pretrained_weights:
+rule pretrained:
     input:
         plan.begun, plan.open, plan.surrey, DETECTOR_ERRORS, record("bfm", "portraits"),
         [record("bfm", f"pretrained-{network}") for network in NETWORKS],
@@ -31,7 +31,7 @@ rule pretrained_weights:
 
 
 # It also replaces the table of detectors of the package, at full size.
-rule real_photos:
+rule real_faces:
     input: plan.begun, plan.open, plan.shipped, RUN.real or [], record("bfm", "portraits")
     output:
         record("bfm", "real"),
@@ -41,7 +41,7 @@ rule real_photos:
 
 
 # It also replaces the head of `deepmds predict --mesh`.
-rule meshes:
+rule surface:
     input: plan.begun, plan.open, plan.shipped
     output: record("bfm", "surface"), results("surface", "table.csv", "table.tex")
     threads: workflow.cores

@@ -18,7 +18,7 @@ rule seed:
     shell: step("studies.seed", seed="{params.seed}")
 
 
-rule seeds_table:
+rule seeds:
     input: plan.begun, [record("bfm", "seed", seed) for seed in plan.seeds]
     output:
         record("bfm", "seeds"),
@@ -36,7 +36,7 @@ rule scale:
     shell: step("studies.scale {wildcards.scale} {wildcards.seed}", uses=["data"])
 
 
-rule scales_table:
+rule scales:
     input:
         plan.begun,
         [record("bfm", f"scale-{scale:g}-seed{seed}") for scale, seed in scale_trainings(RUN)],
@@ -56,7 +56,7 @@ rule variant:
     shell: step("studies.variant {wildcards.variant} {wildcards.seed}")
 
 
-rule ablation_table:
+rule ablation:
     input:
         plan.begun,
         [record("bfm", f"variant-{name}-seed{seed}") for name, seed in ablation_trainings(RUN)],
@@ -74,7 +74,7 @@ rule stream_part:
     shell: step("studies.stream_part {wildcards.part}", uses=["data", "faces"])
 
 
-rule stream_table:
+rule stream:
     input: plan.begun, [record("bfm", f"stream-{part}") for part in stream_parts(RUN)]
     output: record("bfm", "stream"), results("stream", "table.csv", "table.tex", "figures/errors.png")
     shell: step("studies.stream", uses=["faces"])
@@ -87,7 +87,7 @@ rule object:
     shell: step("objects.train {wildcards.object} {wildcards.seed}", uses=["objects"])
 
 
-rule objects_table:
+rule objects:
     input:
         plan.begun,
         [record("bfm", f"object-{name}-seed{seed}") for name in OBJECTS for seed in RUN.few_seeds],
@@ -97,7 +97,7 @@ rule objects_table:
     shell: step("objects.table", uses=["objects"])
 
 
-rule speed:
+rule bench:
     input: plan.begun, plan.model, plan.surrey, plan.shipped
     output:
         record("bfm", "bench"),
@@ -107,7 +107,7 @@ rule speed:
     shell: step("bench.bench", uses=["data", "sfm"])
 
 
-rule installed:
+rule footprint:
     input: plan.begun
     output: record("bfm", "footprint"), results(plan.shared("footprint"), "footprint.csv")
     threads: workflow.cores

@@ -65,11 +65,11 @@ def test_every_committed_table_is_made_anew_where_there_are_only_results(tmp_pat
     if model == "ict":  # those of both models, but for the audit, are made with the open head
         paths = [path for path in paths if "ict" in path]
     made = planned(tmp_path, *paths, "--config", *given)
-    last = {"bfm", "bfm_evaluator_released", "flame", "celeba", "seeds_table", "ablation_table"}
+    last = {"bfm", "bfm_evaluator_released", "flame", "celeba", "seeds", "ablation"}
     last |= {"hard_views", "component_ablation", "transfer", "audited"}
     if model == "openhead":
-        last |= {"stream_table", "pretrained_weights", "real_photos", "meshes", "all_claims"}
-        last |= {"speed", "installed", "released_networks", "objects_table"}
+        last |= {"stream", "pretrained", "real_faces", "surface", "all_claims"}
+        last |= {"bench", "footprint", "released_weights", "objects"}
     assert made >= last
     assert "bfm" in planned(tmp_path, *posed, "--config", "PROTOCOL=posed", *given)
 
@@ -103,9 +103,9 @@ def test_a_file_given_later_runs_the_steps_that_read_it_and_no_other(tmp_path):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))
     by_surrey = planned(tmp_path, *targets, *tiny, f"SFM={tmp_path}")
-    assert by_surrey == {"speed", "bench", "pretrained_weights", "pretrained"}
+    assert by_surrey == {"bench", "pretrained"}
     by_ict = planned(tmp_path, *targets, *tiny, f"DATA={tmp_path}")
-    assert by_ict == {"portraits", "photo_network", "pretrained_weights", "pretrained"}
+    assert by_ict == {"portraits", "photo_network", "pretrained"}
 
 
 def test_an_option_reaches_the_steps_that_use_it(tmp_path):
