@@ -45,6 +45,7 @@ _KINDS = {
     "scale": "train on faces of scale",
     "object": "train on",
     "variant": "train for the ablation",
+    "stream": "score some of many faces",
     "lifting": "train for the studies of lifting",
     "component_ablation": "train for Deep-MDS part by part",
     "pretrained": "train weights to ship",
@@ -67,7 +68,7 @@ def _step(name: str) -> str:
         return f"{kind}{' with' * (kind == 'predict')} {method}" + (f" ({more})" if more else "")
     if kind in _KINDS:
         item, _, seed = item.partition("-seed")
-        words = item.replace("_", " ").replace("-", ", ")
+        words = re.sub(r"(\d)-(\d)", r"\1 to \2", item).replace("_", " ").replace("-", ", ")
         return f"{_KINDS[kind]}: {words}" + (f", seed {seed}" if seed else "")
     return name
 

@@ -84,6 +84,8 @@ def test_an_estimate_has_no_more_digits_than_it_knows(seconds, text):
         ("bfm-full-paper-seed0/records/scale-0.75-seed1.json",
          "train on faces of scale: 0.75, seed 1"),
         ("bfm-full-paper-seed0/records/object-chairs-seed2.json", "train on: chairs, seed 2"),
+        ("bfm-full-paper-seed0/records/stream-50000-100000.json",
+         "score some of many faces: 50000 to 100000"),
         ("flame-full-paper-seed0-coma/records/scans.json",
          "find landmarks in photos and on scans"),
     ],
