@@ -28,6 +28,7 @@ from experiments.run import left_out, run_of_variables
 
 _SNAKEFILE = Path(__file__).with_name("Snakefile")
 _TRACKS = {"reproduce-flame": "flame", "reproduce-celeba": "celeba"}  # the others are the BFM's
+_DRAWN = ("reproduce-bfm", "audit")  # which need images of the BFM track's faces
 # Code is no trigger: a comment is no reason to train again.
 _OPTIONS = (
     "--rerun-triggers", "mtime", "params", "input", "--rerun-incomplete", "--nolock",
@@ -61,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
                 "MEDIAPIPE must be no if MediaPipe is not installed; it has no wheel for "
                 "Linux on ARM or macOS on Intel. Received yes."
             )
-        draws = target == "reproduce-bfm" and "MOBILEFACE" not in left_out(variables)
+        draws = target in _DRAWN and "MOBILEFACE" not in left_out(variables)
         if draws and MODELS[run.model].scheme:
             raise InputError(
                 f"MOBILEFACE must be no with MODEL={run.model}, which has no mesh to "

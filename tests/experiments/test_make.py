@@ -231,6 +231,10 @@ def test_folders_may_have_spaces(tmp_path):
         ("reproduce-bfm", ["JOBS=0"], "JOBS must be at least 1, or -1"),
         ("scales", [], "MODEL must be bfm68, whose scale is unknown. Received openhead"),
         ("reproduce-flame", ["RINGNET=ja"], "RINGNET must be yes, no or the path"),
+        *(
+            (target, ["MODEL=bfm68"], "MOBILEFACE must be no with MODEL=bfm68, which has no mesh")
+            for target in ("reproduce-bfm", "audit")
+        ),
         ("reproduce-bfm", ["MODEL=bfm2009"], "DATA= must be the file of bfm2009"),
         ("reproduce-bfm", ["AUTHORS=."], "AUTHORS must be a folder with AE_occ2orth_BFM.h5"),
         ("reproduce-flame", ["EVALUATOR=released"], "EVALUATOR must be paper"),
