@@ -379,7 +379,7 @@ def ringnet_data(run: Run) -> tuple:
     """Images of people, the landmarks `(n, L, 2)` in them, and the person in each, `(n,)`."""
     images = load_images(run, "rings")
     subjects = np.arange(len(images)) // run.preset.ring_images
-    return images, images.landmarks(range(len(images))), subjects
+    return images, images.landmarks(), subjects
 
 
 def ringnet_file(run: Run) -> Path:

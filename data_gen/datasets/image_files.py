@@ -74,16 +74,14 @@ class ImageFiles:
             with atomic_write(path) as opened:
                 np.save(opened, array)
 
-    def landmarks(self, faces: range) -> np.ndarray:
-        """Pixel positions of the landmarks of some faces, `(n, L, 2)`."""
-        first, last = faces.start // FACES_PER_FILE, (faces.stop - 1) // FACES_PER_FILE
+    def landmarks(self) -> np.ndarray:
+        """Pixel positions of the landmarks of all faces, `(n, L, 2)`."""
         rows = []
-        for file in range(first, last + 1):
+        for file in range(len(self.ranges())):
             rows.append(map_npy(self.paths(file)[1], "a file of landmarks"))
             n_landmarks = rows[0].shape[1] if rows[0].ndim > 1 else 0
             self._check(file, rows[-1], (n_landmarks, 2), "f")
-        start = first * FACES_PER_FILE
-        return np.concatenate(rows)[faces.start - start : faces.stop - start]
+        return np.concatenate(rows)
 
     def checksums(self) -> dict[str, str]:
         """sha256 of every file of images, and of landmarks, by name."""

@@ -155,15 +155,13 @@ class Evaluation:
     def photos(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Squares `(n, 112, 112, 3)` around some test faces, and the landmarks in their pixels."""
         files = image_files(self.run, "test", len(self.test.views))
-        landmarks = files.landmarks(range(len(files)))[faces]
-        return face_squares(files[faces], landmarks, _PHOTO, _MARGIN)
+        return face_squares(files[faces], files.landmarks()[faces], _PHOTO, _MARGIN)
 
     def draw_renders(self, name: str) -> None:
         """Write the figure of the first images of test faces."""
-        files = image_files(self.run, "test", len(self.test.views))
-        first = range(min(_RENDERS, len(files)))
-        images, landmarks = files[slice(len(first))], files.landmarks(first)
-        self.save(renders(images, landmarks, load_scheme(self.run.scheme)), name)
+        files, first = image_files(self.run, "test", len(self.test.views)), slice(_RENDERS)
+        figure = renders(files[first], files.landmarks()[first], load_scheme(self.run.scheme))
+        self.save(figure, name)
 
 
 def median_face(faces: np.ndarray, mse: np.ndarray) -> int:

@@ -166,7 +166,7 @@ def readers(run):
     def images(path):
         files = image_files(run, path.parent.name)
         files.check(read_record(run.record_file("images"))["checksums"][path.parent.name])
-        return files[:], files.landmarks(range(len(files)))
+        return files[:], files.landmarks()
 
     for path in sorted(run.work.rglob("[!.]*.*")):
         if path.name == "pieces-of.json":
