@@ -52,7 +52,6 @@ class Plan:
         config: Variables of `make`.
 
     Attributes:
-        seeds: Seeds of studies, and of the BFM table with `SEEDS=`.
         published: Hash of what the paper prints and claims, with which results are compared.
         begun: File that is as old as the folder of arrays. Results that are older, such as
             committed ones, were not made from these arrays.
@@ -67,7 +66,6 @@ class Plan:
     def __init__(self, config: Mapping[str, str]):
         run = self.run = run_of(config)
         self._left_out = left_out(config)
-        self.seeds = range(run.seed, run.seed + run.n_seeds)
         self.model, self.open = model_files(run.model, run.data), open_model_files(run.data)
         self.openhead = model_files(OPEN[0])
         self.ringnet = []

@@ -94,9 +94,9 @@ class Run:
         return self.on("bfm") if self.track == "celeba" else self
 
     @property
-    def n_seeds(self) -> int:
-        """Number of seeds of `make seeds`."""
-        return self.seeds or self.preset.n_seeds
+    def all_seeds(self) -> range:
+        """Seeds of `make seeds`, and of the BFM table with `SEEDS=`."""
+        return range(self.seed, self.seed + (self.seeds or self.preset.n_seeds))
 
     @property
     def few_seeds(self) -> range:

@@ -19,7 +19,7 @@ rule seed:
 
 
 rule seeds:
-    input: plan.begun, [record("bfm", "seed", seed) for seed in plan.seeds]
+    input: plan.begun, [record("bfm", "seed", seed) for seed in RUN.all_seeds]
     output:
         record("bfm", "seeds"),
         results("seeds", "table.csv", "metrics.csv", "table.tex", "figures/errors_by_seed.png"),

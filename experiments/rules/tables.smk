@@ -17,7 +17,7 @@ rule preview:
 rule bfm:
     input:
         plan.begun, plan.predictions("bfm", plan.compared("bfm")), record("bfm", "times"),
-        [record("bfm", "seed", seed) for seed in plan.seeds] if RUN.seeds else [],
+        [record("bfm", "seed", seed) for seed in RUN.all_seeds] if RUN.seeds else [],
     output:
         record("bfm", "bfm"), results("bfm", *TABLES),
         results("parameters", "table.csv", "table.tex"),

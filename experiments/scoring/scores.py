@@ -42,19 +42,17 @@ def load_prediction(run: Run, method: str) -> tuple[dict[str, np.ndarray], dict]
     return read_arrays(run.prediction_file(method))
 
 
-def metrics_by_seed(run: Run) -> pd.DataFrame | None:
-    """Rows of `method, seed, metric, value` for the seeds of a run; None if it has one only.
+def metrics_by_seed(run: Run) -> pd.DataFrame:
+    """Rows of `method, seed, metric, value` for all seeds of a run.
 
     Raises:
         InputError: A seed was not trained.
     """
-    if run.seeds is None:
-        return None
-    runs = (replace(run, seed=seed) for seed in range(run.seed, run.seed + run.n_seeds))
+    files = {seed: replace(run, seed=seed).record_file("seed") for seed in run.all_seeds}
     rows = [
-        (method, of_seed.seed, metric, value)
-        for of_seed in runs
-        for method, metric, value in read_record(of_seed.record_file("seed"))["rows"]
+        (method, seed, metric, value)
+        for seed, file in files.items()
+        for method, metric, value in read_record(file)["rows"]
     ]
     return pd.DataFrame(rows, columns=["method", "seed", "metric", "value"])
 

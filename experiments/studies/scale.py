@@ -25,8 +25,7 @@ def scores_file(run: Run, scale: float, seed: int) -> Path:
 
 def trainings(run: Run) -> list[tuple[float, int]]:
     """Scale and seed of each training: as many seeds as the main table has at a scale of 1."""
-    seeds = {scale: run.few_seeds for scale in SCALES}
-    seeds[1.0] = range(run.seed, run.seed + run.n_seeds)
+    seeds = dict.fromkeys(SCALES, run.few_seeds) | {1.0: run.all_seeds}
     return [(scale, seed) for scale, of_scale in seeds.items() for seed in of_scale]
 
 

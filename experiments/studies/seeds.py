@@ -18,7 +18,7 @@ from experiments.studies.study_results import statistics_cells, write_results
 
 
 def main(run: Run) -> dict:
-    metrics = metrics_by_seed(replace(run, seeds=run.n_seeds))
+    metrics = metrics_by_seed(run)
     table = seed_statistics(metrics, ["method", "metric"])
     figures = {
         "errors_by_seed": errors_by_seed(metrics),

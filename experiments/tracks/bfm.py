@@ -52,7 +52,7 @@ def evaluations(run: Run, methods: Sequence[str]) -> list[Evaluation]:
     """Score the methods' predictions, as the run's evaluator does."""
     test = load_faces(run, "test")
     shapes, descriptions = predicted_shapes(run, methods)
-    options = {"seeds": metrics_by_seed(run)}
+    options = {"seeds": metrics_by_seed(run) if run.seeds else None}
     if run.evaluator == "released":
         shapes = as_released(shapes, test.shapes)
         # The authors give the net frontal views: the paper's number belongs to that row.

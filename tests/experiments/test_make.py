@@ -462,7 +462,7 @@ def test_the_command_line_of_a_run_is_that_run(tmp_path):
                  "FACES": "9", "SEEDS": "4", "COMA": ""}  # fmt: skip
     run = run_of_variables(variables, "flame")
     assert (run.model, run.seed, run.jobs, run.streamed_faces) == ("ict", 3, 2, 9)
-    assert (run.ringnet, run.coma, run.n_seeds) == ("net", None, 4)
+    assert (run.ringnet, run.coma, run.all_seeds) == ("net", None, range(3, 7))
     words = options_of(run)
     given = dict(zip(words[::2], words[1::2], strict=True))
     again = {name[2:].replace("-", "_").upper(): value for name, value in given.items()}
