@@ -69,6 +69,15 @@ def stretched_frames(views: np.ndarray, size: int) -> Frames:
     return Frames(low, high - low, size)
 
 
+def frames_of(
+    landmarks: np.ndarray, vertices: np.ndarray, size: int, margin: float | None
+) -> Frames:
+    """`square_frames` of landmarks; without a margin `stretched_frames` of vertices `(n, V, 3)`."""
+    if margin is None:
+        return stretched_frames(vertices[..., :2], size)
+    return square_frames(landmarks, size, margin)
+
+
 class Renderer:
     """Draws lit faces of one morphable model.
 
@@ -237,16 +246,14 @@ def seen_vertices(
     model: MorphableModel,
     scheme: str,
     *,
-    whole: bool = False,
-    margin: float = MARGIN,
+    margin: float | None = MARGIN,
     expressions: np.ndarray | None = None,
 ) -> np.ndarray:
     """Sorted numbers of the vertices of all triangles visible on random faces, and of neighbours.
 
     Args:
         scheme: Landmark scheme by which images are framed.
-        whole: Whether images show the whole model instead of a square around the landmarks.
-        margin: Margin of that square, as for `square_frames`.
+        margin: As for `frames_of`.
         expressions: `(m, E)` weights of expressions that the faces take in turn, including those
             that show what a neutral face hides, such as the teeth; None for neutral faces.
     """
@@ -263,11 +270,7 @@ def seen_vertices(
             shape = model.shape(coefficients, next(expression))[None]
             _, points = pose_and_project(shape, shape[:, landmarks], cameras[k : k + 1])
             views = points[..., :2]
-            frame = (
-                stretched_frames(views, _PIXELS)
-                if whole
-                else square_frames(views[:, landmarks], _PIXELS, margin)
-            )
+            frame = frames_of(views[:, landmarks], points, _PIXELS, margin)
             numbers = rasteriser.draw_numbers(frame.pixels(views)[0], points[0, :, 2])
             seen[np.minimum(numbers, len(model.triangles))] = True
     rasteriser.close()

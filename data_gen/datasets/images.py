@@ -8,15 +8,7 @@ from data_gen.appearance import Albedo, sample_lights
 from data_gen.datasets.dataset import Dataset
 from data_gen.models.expressions import sample_expressions
 from data_gen.models.morphable_model import MorphableModel
-from data_gen.renderer import (
-    MARGIN,
-    Frames,
-    Renderer,
-    part_of,
-    seen_vertices,
-    square_frames,
-    stretched_frames,
-)
+from data_gen.renderer import MARGIN, Renderer, frames_of, part_of, seen_vertices
 from deepmds_keras.geometry.views import pose_and_project
 
 _FACES_AT_A_TIME = 25  # bounds the memory: a face of the Basel model has 53,490 vertices
@@ -31,31 +23,22 @@ class Scene:
         model: Morphable model of the visible vertices.
         albedo: Colours of those.
         size: Width and height of the images in pixels.
-        margin: Margin of a square image about the landmarks, as for `renderer.square_frames`.
-        stretched: Whether images are cut to the head's bounding box, whatever its aspect, like the
-            authors', instead of to a square around the landmarks.
+        margin: Of a square image about the landmarks, as for `renderer.square_frames`; None for
+            images cut to the head's bounding box, whatever its aspect, like the authors'.
     """
 
     model: MorphableModel
     albedo: Albedo
     size: int
-    margin: float
-    stretched: bool
-
-    def frames(self, views: np.ndarray, seen: np.ndarray) -> Frames:
-        """Sections of the images, for landmarks `(n, L, 2)` and vertices `(n, V, 3)`, mm."""
-        if self.stretched:
-            return stretched_frames(seen[..., :2], self.size)
-        return square_frames(views, self.size, self.margin)
+    margin: float | None
 
 
 def make_scene(
     model: MorphableModel,
     scheme: str,
     size: int,
-    protocol: str = "paper",
     *,
-    margin: float = MARGIN,
+    margin: float | None = MARGIN,
     expressive: bool = False,
 ) -> Scene:
     """The scene for a model.
@@ -63,20 +46,17 @@ def make_scene(
     Args:
         model: Morphable model with landmarks of the scheme.
         scheme: Landmark scheme by which images are framed.
-        size: Width and height of the images in pixels.
-        protocol: As for `views.sample_cameras`; `"released"` stretches the images.
-        margin: As for `renderer.square_frames`.
+        size, margin: As for `Scene`.
         expressive: Whether faces have expressions, which show the teeth and the inside of the
             mouth.
 
     Raises:
         InputError: The rendering libraries are missing, or the model cannot be coloured.
     """
-    stretched = protocol == "released"
     looks = sample_expressions(model, _LOOKS, np.random.default_rng(0)) if expressive else None
-    vertices = seen_vertices(model, scheme, whole=stretched, margin=margin, expressions=looks)
+    vertices = seen_vertices(model, scheme, margin=margin, expressions=looks)
     albedo = Albedo(model, vertices, open_mouths=expressive)
-    return Scene(part_of(model, vertices), albedo, size, margin, stretched)
+    return Scene(part_of(model, vertices), albedo, size, margin)
 
 
 def posed_faces(
@@ -103,7 +83,7 @@ def render(
         rows = slice(start, min(start + _FACES_AT_A_TIME, faces.stop))
         posed, seen = posed_faces(scene.model, dataset, rows)
         views = dataset.views[rows].astype(float)
-        frames = scene.frames(views, seen)
+        frames = frames_of(views, seen, scene.size, scene.margin)
         albedo, lights = scene.albedo.sample(len(posed), rng), sample_lights(len(posed), rng)
         images.append(renderer.draw(seen, posed, albedo, frames, lights))
         pixels.append(np.float32(frames.pixels(views)))

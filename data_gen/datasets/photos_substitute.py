@@ -174,7 +174,7 @@ class PhotosSubstitute(Portraits):
 
     def __init__(self, model: MorphableModel, n: int, seed: Sequence[int]):
         self._n = n
-        self._set_up(model, seed, make_scene(model, SCHEME, HEIGHT, "released"))
+        self._set_up(model, seed, make_scene(model, SCHEME, HEIGHT, margin=None))
         mean = self._scene.model.mean
         self._rim = mean[:, 1] < mean[:, 1].min() + _RIM_MM
         self._crown = mean[:, 1] > mean[:, 1].max() - _CROWN_MM

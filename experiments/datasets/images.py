@@ -6,6 +6,7 @@ import numpy as np
 
 from data_gen.datasets.dataset import load_dataset
 from data_gen.datasets.images import Scene, make_scene, render
+from data_gen.renderer import MARGIN
 from deepmds_keras.baselines.images import IMAGE_SIZE
 from experiments.inputs import CROP_MARGIN, face_model, image_files
 from experiments.progress import Progress
@@ -58,7 +59,8 @@ def _scene(run: Run) -> Scene:
     model = face_model(run)
     if run.track == "flame":
         return make_scene(model, run.scheme, IMAGE_SIZE, margin=CROP_MARGIN, expressive=True)
-    return make_scene(model, run.scheme, IMAGE_SIZE, run.protocol)
+    margin = None if run.protocol == "released" else MARGIN
+    return make_scene(model, run.scheme, IMAGE_SIZE, margin=margin)
 
 
 def main(run: Run) -> dict:
