@@ -55,10 +55,6 @@ class Results:
         read = [(name, self._read(name)) for name in names]
         return pd.concat(t if "model" in t else t.assign(model=n.split("/")[0]) for n, t in read)
 
-    def has(self, folder: str) -> bool:
-        """Whether there are results in a folder."""
-        return (self._folder / folder / "table.csv").exists()
-
     def files_read(self, *folders: str) -> pd.DataFrame:
         """External files of the manifests in folders: `name` and `sha256`, a row per content."""
         files = [
@@ -66,7 +62,7 @@ class Results:
             for folder in folders
             for path in (self._folder / folder).rglob("manifest.json")
             for step in steps_of(read_manifest(path.parent))
-            for file in step.get("inputs", {}).items()
+            for file in step["inputs"].items()
         ]
         return pd.DataFrame(sorted({*files}), columns=["name", "sha256"])
 
@@ -150,7 +146,7 @@ class Results:
         rows, heads = [], []
         for name, table in tables.items():
             folders = [f"{model}/{table}" for model in columns.values()]
-            known = [folder for folder in folders if self.has(folder)]
+            known = [f for f in folders if (self._folder / f / "table.csv").exists()]
             cells = [self._beside_mean_shape(f) if f in known else NOTHING for f in folders]
             paper = self.rows(known[0]).loc["deep_mds"]["paper_mean"] / 1e-4
             found = [*zip(*(orders(self.rows(folder)) for folder in known), strict=True)]

@@ -148,9 +148,8 @@ def _tables(result: Result) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
         paths = (folder / "claims.csv" for folder in (*of_all_models, result.folder))
         if path := next(filter(Path.is_file, paths), None):
             claims = pd.read_csv(path)
-            if "model" in claims:
-                claims = claims[claims["model"] == result.folder.parent.name]
-            yield "", readable(claims.drop(columns=["id", "model"], errors="ignore")), []
+            claims = claims[claims["model"] == result.folder.parent.name]
+            yield "", readable(claims.drop(columns=["id", "model"])), []
     elif "table.csv" in result.manifest["files"]:
         yield "", readable(pd.read_csv(result.folder / "table.csv")), []
 

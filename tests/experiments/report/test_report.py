@@ -60,7 +60,9 @@ def run(tmp_path):
         ("openhead", "It is a % of 72.", "holds", "1 < 2"),
         ("ict", "It is unbiased.", "does not hold", ""),
     ]
-    claims = pd.DataFrame(claims, columns=["model", "claim", "verdict", "evidence"])
+    claims = pd.DataFrame(claims, columns=["model", "claim", "verdict", "evidence"]).assign(
+        id="unseen"
+    )
     write_csv(tmp_path / "smoke" / "audit" / "claims.csv", claims)
     write_result(run.experiment_results("audit"), processor="B")
     hard = pd.DataFrame(
