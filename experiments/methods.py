@@ -362,30 +362,21 @@ def rows_of_paper(paper_rows: Mapping[str, str] = {}) -> dict[str, str]:
     return rows | dict(paper_rows)
 
 
-def methods_of(
-    track: str,
-    *,
-    authors: str | Path | None = None,
-    model: str | None = None,
-    ringnet: str | None = None,
-) -> list[Method]:
-    """Methods that predict on a track, in the order of the tables.
+def methods_of(run: Run) -> list[Method]:
+    """Methods that predict on a run's track, of what the run was given, in the order of the tables.
 
-    Args:
-        track: `"bfm"`, `"flame"` or `"celeba"`.
-        authors: Folder of the authors' released weights, if it was given.
-        model: Face model; None leaves out methods for a single one.
-        ringnet: Prefix of the licensed RingNet, if it was given; it takes the place of ours.
+    The licensed RingNet, if it was given, takes the place of ours.
     """
 
     def is_given(method: Method) -> bool:
-        if method.id == _other_ringnet(ringnet) or _wants_renders(method, model):
+        if run.track not in method.tracks or method.of_model not in (None, run.model):
             return False
-        files = method.authors[track] if method.authors else ()
-        return not files or (authors and all(Path(authors, file).is_file() for file in files))
+        if method.id == _other_ringnet(run.ringnet) or _wants_renders(method, run.model):
+            return False
+        files = method.authors[run.track] if method.authors else ()
+        return not files or (run.authors and all(Path(run.authors, f).is_file() for f in files))
 
-    methods = (m for m in METHODS.values() if track in m.tracks and m.of_model in (None, model))
-    return [method for method in methods if is_given(method)]
+    return [method for method in METHODS.values() if is_given(method)]
 
 
 def _other_ringnet(ringnet: str | None) -> str:
@@ -393,7 +384,7 @@ def _other_ringnet(ringnet: str | None) -> str:
     return "ringnet" if ringnet else "ringnet_licensed"
 
 
-def _wants_renders(method: Method, model: str | None) -> bool:
+def _wants_renders(method: Method, model: str) -> bool:
     """Whether a method learns from renders of people that nobody can make of the face model."""
     return method.id == "ringnet" and model == "flame"
 

@@ -133,8 +133,7 @@ class Plan:
 
     def compared(self, track: str, *, images: bool = True) -> list[str]:
         """Ids of the methods that a track compares; those that see images may be left out."""
-        given = {"authors": self.run.authors, "ringnet": self.run.ringnet}
-        methods = methods_of(track, model=self.run.model, **given)
+        methods = methods_of(self.run.on(track))
         methods = (method for method in methods if method.switch not in self._left_out)
         return [method.id for method in methods if images or not method.sees_images]
 

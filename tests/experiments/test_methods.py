@@ -29,7 +29,7 @@ def test_loading_never_trains(folder):
     run = Run(preset=TINY, jobs=1)
     files = [path for path in run.work.rglob("*.npz") if path.parent.name != "predictions"]
     before = {path: path.stat().st_mtime_ns for path in files}
-    trained = [method.id for method in methods_of("bfm") if method.trained]
+    trained = [method.id for method in methods_of(Run()) if method.trained]
     assert len(trained) == 9
     for method in trained:
         load(run, method)
@@ -97,21 +97,22 @@ def test_methods_that_share_a_network_are_trained_one_after_the_other():
 
 
 def test_a_method_is_run_where_its_row_says(tmp_path):
-    ids = {track: [m.id for m in methods_of(track)] for track in ("bfm", "flame")}
+    ids = {track: [m.id for m in methods_of(Run(track=track))] for track in ("bfm", "flame")}
     assert "aldrian" in ids["bfm"] and "aldrian" not in ids["flame"]
     for name in (*AUTHORS_FILES["bfm"], *recipes.ZHAO_FILES["bfm"]):
         (tmp_path / name).touch()
-    given = {m.id for m in methods_of("bfm", authors=tmp_path)} - {*ids["bfm"]}
+    given = {m.id for m in methods_of(Run(authors=tmp_path))} - {*ids["bfm"]}
     assert given == {"deep_mds_weights", "zhao_weights"}
     (tmp_path / recipes.MOBILEFACE_FILES["bfm"][0]).touch()
-    given = {m.id for m in methods_of("bfm", authors=tmp_path, model="bfm2009")}
+    given = {m.id for m in methods_of(Run("bfm2009", authors=tmp_path))}
     assert "mobileface_weights" in given
     assert all(method.build for method in METHODS.values() if method.tracks)
 
 
 def test_ringnet_is_left_out_of_flame_whose_expressions_have_no_names():
-    ids = {model: {m.id for m in methods_of("flame", model=model)} for model in ("ict", "flame")}
+    runs = {model: Run(model, track="flame") for model in ("ict", "flame")}
+    ids = {model: {m.id for m in methods_of(run)} for model, run in runs.items()}
     assert ids["ict"] - ids["flame"] == {"ringnet"}
     assert "no names" in notes(Run(model="flame", track="flame"), {})["ringnet"]
-    licensed = methods_of("flame", model="flame", ringnet="prefix")
+    licensed = methods_of(Run("flame", track="flame", ringnet="prefix"))
     assert "ringnet_licensed" in {method.id for method in licensed}

@@ -11,6 +11,7 @@ from experiments.audit.audit import judge
 from experiments.audit.claims import NOT_TESTABLE, REFUTED
 from experiments.audit.measure import TOPICS
 from experiments.methods import methods_of
+from experiments.run import Run
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.slow
 def audited(whole_bfm, tmp_path_factory):
     folder = shutil.copytree(whole_bfm, tmp_path_factory.mktemp("audit") / "whole")
     for topic in TOPICS:
-        runs.succeed("audit.measure", folder, topic, *(m.id for m in methods_of("bfm")))
+        runs.succeed("audit.measure", folder, topic, *(m.id for m in methods_of(Run())))
     runs.succeed("audit.audit", folder, *TOPICS)
     return folder
 

@@ -79,7 +79,7 @@ def step(name, folder, track, *items, recorded=None, **options):
 
 
 def ids(track):
-    return [m.id for m in methods_of(track) if m.switch != "MEDIAPIPE" or MEDIAPIPE]
+    return [m.id for m in methods_of(Run(track=track)) if m.switch != "MEDIAPIPE" or MEDIAPIPE]
 
 
 @pytest.mark.parametrize("track", TRACKS)
