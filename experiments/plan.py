@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from data_gen.models.registry import OPEN, model_files, open_model_files
+from data_gen.models.registry import OPEN, model_files, open_models
 from deepmds_keras.baselines.eos_fit import surrey_files
 from deepmds_keras.files import sha256_of
 from deepmds_keras.landmarks import DETECTOR_ERRORS
@@ -66,7 +66,8 @@ class Plan:
     def __init__(self, config: Mapping[str, str]):
         run = self.run = run_of(config)
         self._left_out = left_out(config)
-        self.model, self.open = model_files(run.model, run.data), open_model_files(run.data)
+        self.model = model_files(run.model, run.data)
+        self.open = [f for name in open_models(run.data)[0] for f in model_files(name, run.data)]
         self.openhead = model_files(OPEN[0])
         self.ringnet = []
         if run.ringnet:  # which has its landmarks on FLAME's mesh
@@ -84,8 +85,8 @@ class Plan:
         """The run of a track; its seed may be a wildcard."""
         return replace(self.run.on(track), seed=self.run.seed if seed is None else seed)
 
-    def work(self, track: str, seed: int | str | None = None) -> str:
-        return str(self.at(track, seed).work)
+    def work(self, track: str) -> str:
+        return str(self.at(track).work)
 
     def record(self, track: str, name: str, seed: int | str | None = None) -> str:
         return str(self.at(track, seed).record_file(name))

@@ -37,14 +37,6 @@ class FaceModel:
     scheme: str | None = None
 
 
-def _ict_place(file: Path) -> Path:
-    return file.parent if file.name == NEUTRAL else file  # one mesh of many
-
-
-def _ict_files(place: Path) -> list[Path]:
-    return sorted(place.glob("*.obj")) if place.is_dir() else [place]
-
-
 _ICT = "https://github.com/ICT-VGL/ICT-FaceKit (MIT licence)"
 _BASEL = "https://faces.dmi.unibas.ch/bfm/ (free for research, by web form)"
 _FLAME = "https://flame.is.tue.mpg.de/ (free for research, after registration)"
@@ -55,8 +47,8 @@ MODELS = {
         load_ict,
         (NEUTRAL, "ict_light.npz"),
         _ICT,
-        place=_ict_place,
-        parts=_ict_files,
+        place=lambda file: file.parent if file.name == NEUTRAL else file,  # one mesh of many
+        parts=lambda place: sorted(place.glob("*.obj")) if place.is_dir() else [place],
     ),
     "bfm2009": FaceModel("Basel Face Model 2009", load_bfm2009, ("01_MorphableModel.mat",), _BASEL),
     "bfm68": FaceModel(
@@ -171,11 +163,6 @@ def model_files(name: str, path: str | Path | None = None) -> list[Path]:
             f"Received none at {', '.join(missing)}."
         )
     return files
-
-
-def open_model_files(path: str | Path | None) -> list[Path]:
-    """Files of all open models that are here."""
-    return [file for name in open_models(path)[0] for file in model_files(name, path)]
 
 
 def open_models(path: str | Path | None) -> tuple[list[str], list[str]]:
