@@ -92,7 +92,9 @@ def main(arguments: list[str] | None = None) -> None:
         words = [f"{name}={shlex.quote(value)}" for name, value in variables.items() if value]
         with locked(run.build / run.model):
             if dry:
-                _plan([*snakemake, "--dry-run", "--quiet", "host"])
+                lines = _planned([*snakemake, "--dry-run", "--quiet", "host"]).splitlines()
+                steps = [line for line in lines if line.startswith("Step ")]
+                print("\n".join(steps) or "Nothing to do.")
                 return
             for path in (run.build / run.model).rglob(".*.partial"):  # of steps that were killed
                 path.unlink(missing_ok=True)
@@ -131,12 +133,6 @@ def locked(folder: Path) -> Iterator[None]:
         held = lock.acquire()
     with held:
         yield
-
-
-def _plan(command: list[str]) -> None:
-    """Print the steps of a dry run of Snakemake, and nothing else of its output."""
-    steps = [line for line in _planned(command).splitlines() if line.startswith("Step ")]
-    print("\n".join(steps) or "Nothing to do.")
 
 
 def _planned(command: list[str]) -> str:

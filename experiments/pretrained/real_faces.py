@@ -184,7 +184,8 @@ def reliability(
             first, second = predicted
             for method in first:
                 distances = np.full((n, n), np.nan)
-                distances[np.ix_(tested, tested)] = _distances(first[method], second[method])
+                pair = normalise(first[method]), normalise(second[method])
+                distances[np.ix_(tested, tested)] = _squares(*pair)
                 found.setdefault(method, []).append(distances)
     pairs = {method: _mean_of_known(distances) for method, distances in found.items()}
     rng = np.random.default_rng([seed, Stream.PEOPLE])
@@ -201,11 +202,6 @@ def reliability(
         row |= _interval(less, "less", "less_low", "less_high")
         rows.append(row | {"within": own[0].item(), "between": others[0].item()})
     return rows
-
-
-def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """`_squares` of shapes in the unit of `normalise`."""
-    return _squares(normalise(first), normalise(second))
 
 
 def _squares(first: np.ndarray, second: np.ndarray) -> np.ndarray:
