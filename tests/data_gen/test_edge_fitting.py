@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from faces import cameras, degrees_between, rotation_of
 from writers.scans import hull
 
 from data_gen.appearance import Albedo, sample_lights
@@ -16,7 +16,7 @@ from data_gen.renderer import Frames, Renderer
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
-from deepmds_keras.geometry.views import Cameras, in_camera_frame, rotations
+from deepmds_keras.geometry.views import in_camera_frame, rotations
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 N, SIZE, SCALE, NOISE = 60, 218, 0.6, 1.5  # faces, pixels, pixels per mm, mm
@@ -28,8 +28,8 @@ def portraits():
     model, rng = load_openhead(), np.random.default_rng(0)
     identity, shapes = model.sample(N, rng)
     yaw, pitch, roll = rng.normal(0, [[20], [7], [3]], (3, N)).clip(-40, 40)
-    cameras = Cameras(np.zeros(N, int), yaw, pitch, roll, np.zeros(N))
-    posed = in_camera_frame(shapes, cameras)
+    poses = cameras(yaw, pitch, roll)
+    posed = in_camera_frame(shapes, poses)
     landmarks = posed[:, model.landmarks["ibug68"], :2]
     extent = np.full((N, 2), SIZE / SCALE)
     frames = Frames(landmarks.mean(1) - extent / 2, extent, SIZE)
@@ -38,7 +38,7 @@ def portraits():
     walls = np.linspace(40, 90, SIZE)[:, None, None] + rng.normal(0, 2, (N, SIZE, SIZE, 3))
     images = renderer.draw(posed, posed, albedo, frames, sample_lights(N, rng), np.uint8(walls))
     renderer.close()
-    return identity, rotations(cameras), images, frames.pixels(landmarks)
+    return identity, rotations(poses), images, frames.pixels(landmarks)
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,7 @@ def fits(model, faces):
 
 
 def angles(fits, poses):
-    turns = [fit.camera.rotation.T @ pose for fit, pose in zip(fits, poses, strict=True)]
-    return np.rad2deg(Rotation.from_matrix(turns).magnitude())
+    return degrees_between(np.array([fit.camera.rotation for fit in fits]), poses)
 
 
 def error(model, fits, identity):
@@ -116,7 +115,7 @@ def test_the_edge_matched_is_the_nearest_that_runs_the_same_way():
 def test_the_occluding_edges_of_a_ball_are_its_rim_from_wherever_it_is_seen():
     surface = surface_of(ball(grown=10.0))
     for yaw, growth in ((0.0, 0.0), (70.0, 1.0), (160.0, -1.0)):
-        turn = rotations(Cameras(0, *np.array([[yaw], [20.0], [0.0]]), 0))[0]
+        turn = rotation_of(yaw, 20)
         rim = surface.occluding_edges(np.array([growth]), turn)
         x, y, z = turn @ rim.points.T
         radius = 50 + 10 * growth

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from faces import degrees_between, rotation_of
 
 from data_gen import landmark_fitting
 from data_gen.landmark_fitting import LandmarkFitter
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.views import Cameras, rotations
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SCALE, SHIFT = 2.5, np.array([320.0, -240.0])  # pixels per mm, pixels
@@ -20,10 +19,6 @@ def fitter(model):
     return LandmarkFitter(model)
 
 
-def rotation_of(*angles):
-    return rotations(Cameras(np.zeros(1, int), *np.reshape(angles, (3, 1)), np.zeros(1)))[0]
-
-
 def landmarks_of(model, identity, expression=None):
     return model.shape(identity, expression)[model.landmarks["ibug51"]]
 
@@ -31,10 +26,6 @@ def landmarks_of(model, identity, expression=None):
 def seen(points, rotation, noise=0.0, rng=None):
     pixels = SCALE * points @ rotation[:2].T + SHIFT
     return pixels if rng is None else pixels + rng.normal(0, noise * SCALE, pixels.shape)
-
-
-def angle(a, b):
-    return np.rad2deg(Rotation.from_matrix(a.T @ b).magnitude())
 
 
 def rms(model, fit, pixels):
@@ -52,7 +43,7 @@ def test_face_and_pose_come_back_from_an_exact_view_where_the_prior_is_weak(mode
     )
     assert fit.converged and fit.n_iterations < 15
     assert rms(model, fit, seen(truth, pose)) / SCALE < 0.005
-    assert angle(fit.camera.rotation, pose) < 0.1
+    assert degrees_between(fit.camera.rotation, pose) < 0.1
     assert fit.camera.scale == pytest.approx(SCALE, rel=1e-3)
     np.testing.assert_allclose(fit.identity, identity, atol=0.05)
     assert fit.expression is None
@@ -60,7 +51,7 @@ def test_face_and_pose_come_back_from_an_exact_view_where_the_prior_is_weak(mode
 
 def test_an_expression_is_explained_by_expression_and_not_by_identity(model, fitter):
     opened = 0.7 * (np.array(model.expression_names) == "jawOpen")
-    pixels = seen(landmarks_of(model, np.zeros(1), opened), rotation_of(0, 0, 0))
+    pixels = seen(landmarks_of(model, np.zeros(1), opened), rotation_of())
     fit, neutral = fitter.fit(pixels), LandmarkFitter(model, n_expression=0).fit(pixels)
     assert np.linalg.norm(fit.identity) < 1 < 3 < np.linalg.norm(neutral.identity)
     assert rms(model, fit, pixels) < rms(model, neutral, pixels) / 5
@@ -110,7 +101,7 @@ def test_more_steps_never_make_a_worse_fit_however_far_the_model_is(model, monke
 
 
 def test_points_that_cannot_be_a_face_are_refused(model, fitter):
-    pixels = seen(landmarks_of(model, np.zeros(1)), rotation_of(0, 0, 0))
+    pixels = seen(landmarks_of(model, np.zeros(1)), rotation_of())
     for points, message in (
         (np.ones((51, 2)), "not lie on one line. Received an extent of 0 by 0"),
         (pixels * (1, -1), "seen from the front, x to the right and y up"),

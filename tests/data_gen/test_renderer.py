@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from faces import cameras
 
 from data_gen import renderer
 from data_gen.appearance import Albedo, Lights
@@ -12,7 +13,7 @@ from data_gen.models.morphable_model import MorphableModel
 from data_gen.models.openhead import load_openhead
 from data_gen.renderer import Renderer, part_of, seen_vertices, square_frames, stretched_frames
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.views import Cameras, in_camera_frame, pose_and_project, project
+from deepmds_keras.geometry.views import in_camera_frame, pose_and_project, project
 
 SIZE = 96
 NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN = 28, 6, 50, 33
@@ -47,17 +48,12 @@ def drawn(colours, pose, light=None, whole=True, background=None, stretched=Fals
     return image, frames.pixels(seen[..., :2])[0]
 
 
-def camera(**angles):
-    values = {name: np.array([angles.get(name, 0.0)]) for name in Cameras.__dataclass_fields__}
-    return Cameras(**values | {"projection": np.array([int("field_of_view" in angles)])})
-
-
 POSES = [
-    camera(),
-    camera(yaw=45.0),
-    camera(yaw=-45.0),
-    camera(yaw=-30.0, pitch=-20.0, field_of_view=5.0),
-    camera(roll=40.0, pitch=-15.0),
+    cameras(),
+    cameras(yaw=45.0),
+    cameras(yaw=-45.0),
+    cameras(yaw=-30.0, pitch=-20.0, field_of_view=5.0),
+    cameras(roll=40.0, pitch=-15.0),
 ]
 
 
@@ -91,12 +87,12 @@ def test_a_landmark_lies_on_what_is_painted_there(apart, model, landmark):
 
 def test_what_lies_behind_is_hidden(apart, model):
     back = (model.mean[:, 2] < 0) & (np.abs(model.mean[:, 0]) < 40)
-    assert redness(apart, back, camera()).max() < 30
+    assert redness(apart, back, cameras()).max() < 30
     # Turned to its left, the face shows its right cheek and hides its left ear.
     ear = model.landmarks["ibug68"][[0, 16]]
     for yaw, vertex, seen in ((45.0, ear[0], True), (45.0, ear[1], False), (-45.0, ear[1], True)):
         near = np.linalg.norm(model.mean - model.mean[vertex], axis=1) < 10
-        assert (redness(apart, near, camera(yaw=yaw)).max() > 100) == seen
+        assert (redness(apart, near, cameras(yaw)).max() > 100) == seen
 
 
 @pytest.mark.parametrize("pose", POSES)
@@ -113,7 +109,7 @@ def test_the_silhouette_is_that_of_the_vertices_in_either_frame(apart, pose):
 
 def test_a_background_is_seen_where_the_head_is_not(apart):
     background = np.random.default_rng(0).integers(0, 256, (1, SIZE, SIZE, 3)).astype(np.uint8)
-    white, other = (apart(drawn, GREY, camera(), None, True, b)[0] for b in (None, background))
+    white, other = (apart(drawn, GREY, cameras(), None, True, b)[0] for b in (None, background))
     outside, inside = (white == 255).all(-1), (white == 102).all(-1)
     assert 0.02 < outside.mean() < 0.6 and inside.mean() > 0.3
     assert np.array_equal(other[outside], background[0][outside])

@@ -8,10 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+from faces import mean_landmarks
 from places import ROOT
 
 import deepmds_keras
-from data_gen.models.registry import load_model
 from deepmds_keras.lifting.lifter import LandmarkLifter
 from deepmds_keras.lifting.unrolled_fit import initial_weights
 
@@ -49,13 +49,6 @@ def python(code, *arguments):
 
 
 @pytest.fixture(scope="module")
-def landmarks():
-    """`(51, 2)`, y down, of the mean of the open head."""
-    model = load_model("openhead", None, "ibug51")
-    return model.mean[model.landmarks["ibug51"]][:, :2] * (1, -1)
-
-
-@pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     """Of a lifter that has learnt nothing."""
     rng = np.random.default_rng(0)
@@ -69,8 +62,8 @@ def weights(tmp_path_factory):
     return path
 
 
-def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path, weights, landmarks):
-    np.save(tmp_path / "face.npy", landmarks)
+def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path, weights):
+    np.save(tmp_path / "face.npy", mean_landmarks("ibug51")[:, :2] * (1, -1))
     code = "from deepmds_keras.__main__ import main; main(sys.argv[1:])"
     out = tmp_path / "out"
     done = python(code, "predict", tmp_path / "face.npy", "--model", weights, "--out", out)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from faces import cameras
 
 from data_gen.datasets.dataset import make_dataset
 from data_gen.datasets.images import make_scene, render
 from data_gen.models.openhead import load_openhead
-from deepmds_keras.geometry.views import Cameras, project
+from deepmds_keras.geometry.views import project
 
 CANTHI = [19, 28]  # of the 51 inner landmarks
 NOSE_TIP = 13
@@ -19,12 +20,10 @@ def drawn_heads(size=256):
     """Five open heads, yaw -20 to 20 degrees, and their 51 inner landmarks in pixels."""
     model = load_openhead()
     faces = make_dataset(model, 5, np.random.default_rng(4), scheme="ibug51")
-    angles = {name: np.zeros(5) for name in Cameras.__dataclass_fields__}
-    angles |= {"yaw": np.linspace(-20, 20, 5), "projection": np.zeros(5, int)}
-    cameras = Cameras(**angles)
-    views = np.float32(project(faces.landmarks.astype(float), cameras))
+    turned = cameras(np.linspace(-20, 20, 5))
+    views = np.float32(project(faces.landmarks.astype(float), turned))
     scene = make_scene(model, "ibug51", size, margin=2.0)
-    faces = replace(faces, cameras=cameras, views=views)
+    faces = replace(faces, cameras=turned, views=views)
     return render(scene, faces, range(5), np.random.default_rng(0))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from faces import cameras
 from PIL import Image
 from writers.scans import HALF_TURN, asc, scan_of, vrml
 
@@ -17,7 +18,7 @@ from data_gen.datasets.casia import (
 from data_gen.models.registry import load_model
 from data_gen.registration import GroundTruth
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.views import Cameras, project
+from deepmds_keras.geometry.views import project
 
 MODEL = load_model("openhead", scheme="ibug51")
 
@@ -110,7 +111,7 @@ def scan(k, angles=None, shoulders=False):
     rng = np.random.default_rng(k)
     shape = MODEL.shape(rng.standard_normal(MODEL.n_identity))
     pose = rng.uniform(-1, 1, 3) * (20, 10, 5) if angles is None else np.array(angles)
-    camera = Cameras(np.zeros(1, int), *pose[:, None], np.zeros(1))
+    camera = cameras(*pose)
     landmarks = shape[MODEL.landmarks["ibug51"]]
     pixels = project(landmarks[None], camera)[0] * (2, -2) + 300
     return scan_of(shape, MODEL.triangles, camera, landmarks, rng, shoulders), landmarks, pixels

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faces import cameras, mean_landmarks
 
-from data_gen.models.openhead import load_openhead
 from deepmds_keras import InputError
 from deepmds_keras.geometry.camera import (
     affine_cameras,
@@ -15,14 +15,9 @@ from deepmds_keras.geometry.camera import (
     orthographic_cameras,
     refit,
 )
-from deepmds_keras.geometry.views import Cameras, project, rotations
+from deepmds_keras.geometry.views import project, rotations
 
 N = 40
-
-
-def cameras(yaw, pitch, roll):
-    none = np.zeros(len(yaw))
-    return Cameras(none.astype(int), np.array(yaw), np.array(pitch), np.array(roll), none)
 
 
 def random_cameras(n=N):
@@ -33,8 +28,7 @@ def random_cameras(n=N):
 @pytest.fixture(scope="module")
 def shape():
     """`(51, 3)` of the mean head, its middle anywhere but at the origin."""
-    model = load_openhead()
-    return model.mean[model.landmarks["ibug51"]] + [30.0, -20, 10]
+    return mean_landmarks("ibug51") + [30.0, -20, 10]
 
 
 def seen(shape, turned, scale=1.0, shift=(0, 0)):
@@ -46,8 +40,8 @@ def test_affine_cameras_are_recovered_and_orthographic_are_the_nearest():
     shapes, truth = rng.normal(size=(8, 20, 3)), rng.normal(size=(8, 2, 4))
     views = shapes @ np.swapaxes(truth[..., :3], 1, 2) + truth[:, None, :, 3]
     np.testing.assert_allclose(affine_cameras(views, shapes), truth, atol=1e-9)
-    cameras = orthographic_cameras(views, shapes)
-    rotations, scales, translations = cameras.rotation, cameras.scale, cameras.translation
+    found = orthographic_cameras(views, shapes)
+    rotations, scales, translations = found.rotation, found.scale, found.translation
     np.testing.assert_allclose(rotations @ np.swapaxes(rotations, 1, 2), [np.eye(3)] * 8, atol=1e-9)
     assert np.allclose(np.linalg.det(rotations), 1)
     # No other scale is nearer to the affine camera.
@@ -122,10 +116,10 @@ def test_many_poses_are_those_of_each_face_with_their_perspective(shape):
         for name, value in far[i].as_dict().items():
             assert np.allclose(getattr(alone, name), value, atol=1e-9), name
     views[:, :3] = np.nan
-    cameras = refit(near, views, np.stack([1.2 * centred] * N))
-    assert np.allclose(cameras.scale, 2.5 / 1.2, rtol=0.01)
-    assert np.allclose(cameras.perspective, near.perspective / 1.2, rtol=0.01)
-    off = cameras.project(np.stack([1.2 * centred] * N)) - views
+    again = refit(near, views, np.stack([1.2 * centred] * N))
+    assert np.allclose(again.scale, 2.5 / 1.2, rtol=0.01)
+    assert np.allclose(again.perspective, near.perspective / 1.2, rtol=0.01)
+    off = again.project(np.stack([1.2 * centred] * N)) - views
     assert np.nanmax(np.abs(off)) < 0.5, "of some 300"
     with pytest.raises(TypeError):
         len(near[0])

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from faces import cameras, mean_landmarks
 
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.errors import InputError
-from deepmds_keras.geometry.views import Cameras, project
+from deepmds_keras.geometry.views import project
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.landmarks.y_axis import check_y_axis, quarter_turns
 
@@ -14,12 +14,8 @@ DOWN = np.array((1, -1))
 
 def seen(yaw=0.0, pitch=0.0, roll=0.0, scheme="bfm72", field_of_view=0.0):
     """The open head's landmarks in an image, `(n, L, 2)`: x right, y down."""
-    angles = np.broadcast_arrays(*(np.ravel(a).astype(float) for a in (yaw, pitch, roll)))
-    n = len(angles[0])
-    camera = Cameras(np.full(n, int(field_of_view > 0)), *angles, np.full(n, field_of_view))
-    head = load_openhead()
-    shape = head.mean[head.landmarks[scheme]]
-    return project(np.repeat(shape[None], n, 0), camera) * DOWN
+    seen_by = cameras(yaw, pitch, roll, field_of_view)
+    return project(np.stack([mean_landmarks(scheme)] * len(seen_by)), seen_by) * DOWN
 
 
 @pytest.mark.parametrize("scheme", ["bfm72", "ibug68", "ibug51"])

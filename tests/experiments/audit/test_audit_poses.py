@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from faces import cameras
 
 from deepmds_keras.geometry.units import normalise, unit
-from deepmds_keras.geometry.views import Cameras, project
+from deepmds_keras.geometry.views import project
 from deepmds_keras.landmarks import load_scheme
 from experiments.audit import poses
 from experiments.audit.poses import NOISE_PERCENTS, SWEEPS
@@ -36,10 +37,9 @@ class AddsDepth:
 def evidence():
     landmarks = np.random.default_rng(0).uniform(-60, 60, (N, L, 3))
     landmarks[:, CORNERS[1]] = landmarks[:, CORNERS[0]] + (60, 0, 80)
-    shapes, nothing = normalise(landmarks), np.zeros(N)
-    cameras = Cameras(nothing.astype(int), nothing, nothing, nothing, nothing)
-    views = project(landmarks, cameras)
-    faces = Faces(normalise(views), shapes, unit(landmarks)[1].ravel(), shapes, cameras)
+    shapes, frontal = normalise(landmarks), cameras(np.zeros(N))
+    views = project(landmarks, frontal)
+    faces = Faces(normalise(views), shapes, unit(landmarks)[1].ravel(), shapes, frontal)
     models = {name: AddsDepth(shapes[AUDITED]) for name in ("zhao", "deep_mds", "deep_mds_cosine")}
     mean = SimpleNamespace(predict=lambda views: np.stack([shapes.mean(0)] * len(views)))
     return SimpleNamespace(

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faces import mean_landmarks
 
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.tool.command.overlay import cut_out, overlay
@@ -15,8 +15,7 @@ from deepmds_keras.tool.predict.faces import Face
 
 @pytest.fixture(scope="module")
 def face():
-    model = load_openhead()
-    shape = normalise(model.mean[model.landmarks["bfm72"]][None])[0]
+    shape = normalise(mean_landmarks("bfm72"))
     view = 400 * shape[:, :2] + (300, -700)
     photo = Path("photo.jpg")
     pose = head_pose(view, shape)

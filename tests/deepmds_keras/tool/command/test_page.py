@@ -11,10 +11,9 @@ from urllib.parse import unquote
 import numpy as np
 import pandas as pd
 import pytest
+from faces import mean_landmarks, rotation_of
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.tool.command.overlay import cut_out
@@ -33,17 +32,11 @@ HOSTILE = "<img src=x onerror=window.ran=1>\"'&amp;{{faces}}</script><script>win
 POSE = (20, 12, -8)
 
 
-def rotation(yaw, pitch, roll):
-    """By degrees, in the convention of `HeadPose`."""
-    return Rotation.from_euler("yxz", (yaw, -pitch, roll), degrees=True).as_matrix()
-
-
 @pytest.fixture(scope="module")
 def face():
     """A head that is turned, looks up and leans, in a photo of 640 x 480."""
-    model = load_openhead()
-    shape = normalise(model.mean[model.landmarks["bfm72"]][None])[0]
-    view = 180 * shape @ rotation(*POSE)[:2].T + (330, -420)
+    shape = normalise(mean_landmarks("bfm72"))
+    view = 180 * shape @ rotation_of(*POSE)[:2].T + (330, -420)
     pose = head_pose(view, shape)
     photo = Path("/somewhere/private/photo.jpg")
     return Face("photo", photo, photo, "bfm72", view * (1, -1), shape, "normalised", pose)
@@ -142,7 +135,7 @@ def test_each_button_turns_the_shape_as_it_says(page_of, face, photo, button, an
     extent = face.xyz.min(0), face.xyz.max(0)
     centred = face.xyz - np.mean(extent, axis=0)
     radius = np.linalg.norm(centred, axis=1).max()
-    seen = (centred @ rotation(*angles).T)[:, :2]
+    seen = (centred @ rotation_of(*angles).T)[:, :2]
     gaps = np.linalg.norm(seen[:, None] - seen, axis=2) + 9 * np.eye(len(seen))
     lonely = int(gaps.min(1).argmax())  # no other is as near the pointer
     canvas = page.locator("canvas").bounding_box()

@@ -13,9 +13,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import av
 import numpy as np
 import pytest
+from faces import rotation_of
 from PIL import Image
 from places import MEDIAPIPE, ROOT
-from scipy.spatial.transform import Rotation
 
 from deepmds_keras import InputError, LandmarkLifter, predict_photo
 from deepmds_keras.files import read_table, write_bytes
@@ -101,11 +101,6 @@ def frontal(middle=(300, 220), size=250):
     return MEAN[:, :2] * (size, -size) + middle
 
 
-def turned(yaw, pitch, roll):
-    """A rotation by degrees, in the convention of `HeadPose`."""
-    return Rotation.from_euler("yxz", (yaw, -pitch, roll), degrees=True).as_matrix()
-
-
 def show(page, *faces, time=0.0):
     """Have the page show one frame with these faces, landmarks `(51, 2)` in pixels."""
     page.evaluate(
@@ -140,7 +135,7 @@ def saved(page, button, folder):
 def test_the_shape_is_that_of_python(opened, angles):
     rng, lifter = np.random.default_rng(0), LandmarkLifter.pretrained("ibug51")
     shape = MEAN + 0.02 * rng.standard_normal((L, 3))
-    found = 300 * (shape @ turned(*angles).T)[:, :2] * (1, -1) + (320, 240)
+    found = 300 * (shape @ rotation_of(*angles).T)[:, :2] * (1, -1) + (320, 240)
     page = opened()
     face = page.evaluate(
         """(points) => {
@@ -226,7 +221,7 @@ def test_smoothing_takes_jitter_and_hardly_lags(opened):
 def test_the_pose_is_said_and_turns_the_view_until_someone_else_does(opened):
     page = opened()
     for angles in ((30, 0, 0), (-20, 10, 15)):
-        view = 250 * (MEAN @ turned(*angles).T)[:, :2] * (1, -1) + (300, 220)
+        view = 250 * (MEAN @ rotation_of(*angles).T)[:, :2] * (1, -1) + (300, 220)
         page.evaluate("begin('test')")
         show(page, view)
         yaw = float(page.locator("#pose").inner_text().split("°")[0][4:].replace("−", "-"))

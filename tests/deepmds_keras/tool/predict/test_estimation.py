@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faces import cameras, mean_landmarks
 
 from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
@@ -12,7 +13,7 @@ from deepmds_keras import DeepMDS, InputError
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.camera import HeadPose, head_poses
 from deepmds_keras.geometry.units import normalise
-from deepmds_keras.geometry.views import Cameras, rotations
+from deepmds_keras.geometry.views import project, rotations
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.metrics import mse
 from deepmds_keras.tool.predict.estimation import estimate_faces
@@ -133,10 +134,7 @@ def test_where_and_how_large_a_face_is_does_not_change_its_shape(landmarks):
 
 @pytest.mark.parametrize("yaw", [-90, -75, 75, 90])
 def test_a_profile_is_beyond_the_training_of_one_model_and_in_order_for_the_other(yaw):
-    turned = load_openhead().mean[load_openhead().landmarks["ibug51"]]
-    angle = np.deg2rad(yaw)
-    x = np.cos(angle) * turned[:, 0] + np.sin(angle) * turned[:, 2]
-    profile = [np.stack([x, -turned[:, 1]], 1)]
+    profile = project(mean_landmarks("ibug51")[None], cameras(yaw)) * (1, -1)
     assert notes(profile) == [""]  # the lifters have seen profiles
     (note,) = notes(profile, model="deepmds")
     assert note.startswith("turned farther than the shapes of the training: yaw ")
@@ -145,13 +143,12 @@ def test_a_profile_is_beyond_the_training_of_one_model_and_in_order_for_the_othe
 
 @pytest.mark.parametrize("scheme", ["ibug68", "bfm72"])
 def test_angles_of_exact_near_views_are_those_of_the_camera(scheme):
-    head = load_openhead()
-    mean = head.mean[head.landmarks[scheme]]
+    mean = mean_landmarks(scheme)
     mean -= mean.mean(0)  # the camera looks there
     grid = [(yaw, pitch) for yaw in (-30, 0, 30) for pitch in (-10, 0, 10)]
     yaw, pitch = np.array(grid, float).T
     zeros = np.zeros(len(grid))
-    turns = rotations(Cameras(zeros.astype(int), yaw, pitch, zeros, zeros))
+    turns = rotations(cameras(yaw, pitch))
     camera = HeadPose(turns, zeros + 1, np.zeros((len(grid), 2)), zeros + 1 / 350)  # mm
     views = camera.project(np.stack([mean] * len(grid)))
     exact = np.zeros(views.shape[:2])
