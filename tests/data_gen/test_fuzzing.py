@@ -82,6 +82,7 @@ TARGETS = {
     "photo.jpg": (content(PHOTO.save, "jpeg"), open_photo),
     "photo.png": (content(PHOTO.save, "png"), open_photo),
     "photo.tif": (content(PHOTO.save, "tiff", compression="tiff_lzw"), open_photo),
+    "a.npy": (content(np.save, np.random.default_rng(0).uniform(1, 500, (68, 2))), read_landmarks),
     "a.csv": ("\n".join(["x,y", *POINTS]).replace(" ", ",").encode(), read_landmarks),
     "a.pts": ("\n".join(["version: 1\nn_points: 68\n{", *POINTS, "}"]).encode(), read_landmarks),
 }
@@ -143,9 +144,11 @@ def test_a_small_file_that_claims_to_be_huge_is_refused(name, tmp_path):
 def test_nothing_in_a_file_is_run(name, tmp_path):
     path, harm = tmp_path / name, tmp_path / "harm"
     call = Calls(os.mkdir, str(harm))
-    npz = content(np.savez, allow_pickle=True, mean=np.array([call], object))
+    objects = np.array([call], object)
+    numpy = content(np.savez, allow_pickle=True, mean=objects), content(np.save, objects)
     postscript = b"%!PS-Adobe-3.0 EPSF-3.0\n(" + str(harm).encode() + b") (w) file closefile\n"
-    for hostile in (*(pickle.dumps([call], protocol) for protocol in (0, 2, 4)), npz, postscript):
+    pickles = (pickle.dumps([call], protocol) for protocol in (0, 2, 4))
+    for hostile in (*pickles, *numpy, postscript):
         path.write_bytes(hostile)
         with pytest.raises(InputError, match=name):
             TARGETS[name][1](path)

@@ -1,12 +1,9 @@
 """Files of landmarks: every layout gives the same numbers, and a bad file gets one clear line."""
 
 import json
-import os
-import pickle
 
 import numpy as np
 import pytest
-from writers.pickles import Calls
 
 from deepmds_keras import InputError
 from deepmds_keras.landmarks import face_sizes
@@ -356,16 +353,6 @@ def test_a_bad_file_gets_one_line_that_names_it_and_the_fault(tmp_path, fault):
     assert message.startswith((f"{tmp_path / name} ", f"{tmp_path / name}, face "))
     assert "\n" not in message
     assert len(message) < len(str(tmp_path)) + 250
-
-
-def test_a_file_of_objects_is_refused_and_not_executed(tmp_path):
-    ran, path = tmp_path / "ran", tmp_path / "f.npy"
-    evil = Calls(os.mkdir, str(ran))
-    np.save(path, np.array([evil], object), allow_pickle=True)
-    for file in (path, written(tmp_path, "g.npy", pickle.dumps(evil))):
-        with pytest.raises(InputError, match="NumPy's format"):
-            read_landmarks(file)
-    assert not ran.exists()
 
 
 def test_files_that_are_too_large_missing_or_no_files_are_refused(tmp_path):
