@@ -5,7 +5,6 @@ import pickle
 
 import numpy as np
 import pytest
-from places import SHARED
 from scipy.io import loadmat, savemat
 from scipy.sparse import coo_array, csc_matrix, csr_matrix
 from writers.pickles import PYTHON2, Calls, chumpy_pickle
@@ -45,13 +44,6 @@ def test_python_2_wrote_bytes_as_text(tmp_path):
     content = load(tmp_path, PYTHON2)
     np.testing.assert_array_equal(content["a"], [1.5, -2])
     assert content["name"] == "r\xe9"
-
-
-@pytest.mark.skipif(not (SHARED / "tf_flame").is_dir(), reason="../shared/tf_flame is absent")
-def test_the_public_embedding_of_flame_is_read():
-    content = load_plain_pickle(SHARED / "tf_flame" / "flame_static_embedding.pkl")
-    assert content.keys() == {"lmk_face_idx", "lmk_b_coords"}
-    np.testing.assert_allclose(content["lmk_b_coords"].sum(1), 1)
 
 
 @PROTOCOLS
