@@ -135,23 +135,17 @@ def test_another_file_of_a_face_model_makes_everything_anew(tmp_path):
     "lost",
     [pytest.param("table.csv", marks=pytest.mark.slow), "figures/summary.png", "manifest.json"],
 )
-def test_results_that_were_deleted_are_written_again(copy, lost):
+def test_results_that_were_deleted_are_written_again_and_a_dry_run_says_so(copy, lost):
     path = runs.results(copy, "bfm") / lost
     path.unlink()
-    _, planned, _ = ended(runs.command("reproduce-bfm", copy, "DRY=1"))
-    assert planned.startswith("Step 1 of 1: score each method and draw")
+    before = stamps(copy)
+    status, planned, errors = ended(runs.command("reproduce-bfm", copy, "DRY=1"))
+    assert (status, errors) == (0, "")
+    assert planned.startswith("Step 1 of 1: score each method and draw") and "left" not in planned
+    assert stamps(copy) == before
     if lost == "table.csv":
         assert ended(runs.command("reproduce-bfm", copy))[0] == 0
         assert path.exists()
-
-
-def test_a_dry_run_says_what_would_be_done_and_does_nothing(copy):
-    shutil.rmtree(copy / "results")
-    before = stamps(copy / "build")
-    status, output, errors = ended(runs.command("reproduce-bfm", copy, "DRY=1"))
-    assert (status, errors) == (0, "")
-    assert output.startswith("Step 1 of 1: score each method and draw") and "left" not in output
-    assert stamps(copy / "build") == before and not (copy / "results").exists()
 
 
 def test_the_steps_of_a_target_are_drawn(tmp_path):
@@ -229,6 +223,16 @@ def test_folders_may_have_spaces(tmp_path):
         ("reproduce-bfm", ["MOBILEFACE=nein"], "MOBILEFACE must be one of"),
         ("reproduce-bfm", ["SEEDS=1"], "SEEDS must be at least 2. Received 1."),
         ("reproduce-bfm", ["JOBS=0"], "JOBS must be at least 1, or -1"),
+        ("reproduce-bfm", ["BFM_SCALE=2"], "BFM_SCALE must be a positive number, and 1 unless"),
+        ("scales", ["MODEL=bfm68", "BFM_SCALE=0"], "BFM_SCALE must be a positive number"),
+        ("scales", ["MODEL=bfm68", "BFM_SCALE=nan"], "BFM_SCALE must be a positive number"),
+        ("reproduce-flame", ["MODEL=bfm68"], "MODEL=bfm68 works only on the BFM track"),
+        ("reproduce-flame", ["MODEL=flame", "DATA=empty"], "COMA= must be the folder of"),
+        (
+            "reproduce-flame",
+            ["MODEL=flame", "DATA=empty", "COMA=empty"],
+            "CASIA= must be the folder",
+        ),
         ("scales", [], "MODEL must be bfm68, whose scale is unknown. Received openhead"),
         ("reproduce-flame", ["RINGNET=ja"], "RINGNET must be yes, no or the path"),
         *(
@@ -242,8 +246,7 @@ def test_folders_may_have_spaces(tmp_path):
             ("ablation", [f"{name}=missing"], f"{name} must be a file or folder")
             for name in ("DATA", "COMA", "CASIA", "CASIA_INDEX", "CELEBA", "TF_FLAME")
         ),
-        ("lifting", ["SFM=empty"], "empty must hold sfm_shape_3448.bin"),
-        ("pretrained", ["SFM=empty"], "empty must hold sfm_shape_3448.bin"),
+        ("lifting", ["SFM=empty"], "must hold sfm_shape_3448.bin, from eos's folder share"),
         ("reproduce-flame", ["COMA=empty"], "empty: must hold the data set CoMA"),
         ("reproduce-flame", ["CASIA=empty"], "empty: must hold CASIA-3D FaceV1"),
         ("reproduce-celeba", ["CELEBA=empty"], "empty: must hold CelebA"),
@@ -438,11 +441,6 @@ def test_the_commit_is_that_of_the_code_and_says_if_it_was_changed(tmp_path, mon
     assert records._commit() == f"{commit}+"
     monkeypatch.setattr(records, "git", functools.partial(records.git, folder=code))
     assert records._commit() is None, "of a repository around it"
-
-
-def test_a_commit_is_that_of_the_step_or_of_most_steps():
-    assert commits_of({"commit": "abc", "steps": [{"name": "faces"}]}) == {"abc"}
-    assert commits_of({"steps": [{"commit": "a"}, {"commit": "b+"}]}) == {"a", "b+"}
 
 
 def test_a_listing_goes_through_links_to_folders_and_takes_those_to_nothing(tmp_path):

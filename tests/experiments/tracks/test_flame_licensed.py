@@ -1,6 +1,5 @@
 """The FLAME track on files in the layouts of FLAME, CoMA and CASIA-3D, made from the open head."""
 
-import os
 import pickle
 
 import numpy as np
@@ -162,13 +161,3 @@ def test_the_licensed_ringnet_is_run_on_the_photos(folder):
     refused = run("tracks.predict", folder, "ringnet_licensed", "--ringnet", nothing)
     assert refused.returncode == 2
     assert "nothing.meta does not exist" in refused.stderr.splitlines()[-1]
-
-
-def test_a_data_set_that_is_missing_is_named(folder, tmp_path):
-    (tmp_path / "data").mkdir()
-    for name in ("generic_model.pkl", "flame_static_embedding.pkl"):
-        os.link(folder / "data" / name, tmp_path / "data" / name)
-    for step, dataset in (("datasets.frames", "COMA"), ("datasets.scans", "CASIA")):
-        refused = run(step, tmp_path)
-        assert refused.returncode == 2
-        assert f"{dataset}= must be the folder of" in refused.stderr.splitlines()[-1]
