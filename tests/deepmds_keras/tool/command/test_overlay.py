@@ -73,7 +73,3 @@ def test_without_a_photo_each_face_has_two_tiles(face):
 @pytest.mark.parametrize("name", ["a$b", "顔\udcff\n<b>", "long" * 60])
 def test_any_name_can_be_drawn_and_equal_faces_give_equal_pictures(face, name):
     assert overlay([replace(face, name=name)], None) == overlay([replace(face, name=name)], None)
-
-
-def test_an_angle_that_rounds_to_nothing_has_no_sign(face):
-    assert face.angles == "yaw 0°, pitch 0°, roll 0°"
