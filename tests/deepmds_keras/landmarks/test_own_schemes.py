@@ -18,12 +18,14 @@ number,name,mirror
 
 @pytest.fixture
 def stool(tmp_path):
-    """Writes the table, perhaps changed, and its lines; gives its path."""
+    """Writes the table, perhaps changed, its lines and points of iBUG; gives its path."""
 
-    def write(old="", new="", lines="1,3-6-4\n2,5-6\n"):
+    def write(old="", new="", lines="1,3-6-4\n2,5-6\n", ibug68=None):
         path = tmp_path / "stool.csv"
         path.write_text(STOOL.replace(old, new) if old else STOOL)
         (tmp_path / "stool_polylines.csv").write_text("polyline,landmarks\n" + lines)
+        if ibug68:
+            (tmp_path / "stool_ibug68.csv").write_text(ibug68)
         return path
 
     return write
@@ -46,35 +48,16 @@ def test_a_table_that_was_changed_is_read_again(stool):
 
 
 def test_a_table_with_points_of_ibug_is_a_face_and_converts(stool):
-    path = stool()
-    path.with_name("stool_ibug68.csv").write_text("number,ibug68\n3,37\n4,46\n5,31\n6,58\n")
+    path = stool(ibug68="number,ibug68\n3,37\n4,46\n5,31\n6,58\n")
     assert load_scheme(path).is_face
     points = np.random.default_rng(0).random((2, 68, 2))
     np.testing.assert_array_equal(convert(points, "ibug68", str(path)), points[:, [36, 45, 30, 57]])
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("number,ibug\n3,37\n", "stool.csv must .*number and ibug68. Received KeyError: 'ibug68'"),
-        ("number,ibug68\n9,37\n", "_ibug68.csv must have a different number .* from 3 to 6"),
-        ("number,ibug68\n3,69\n", "_ibug68.csv must have a different ibug68 .* from 1 to 68"),
-        ("number,ibug68\n3,37\n4,37\n", r"different ibug68 .* Received \[37, 37\]"),
-    ],
-)
-def test_points_of_ibug_that_there_are_not_are_refused(stool, text, message):
-    path = stool()
-    path.with_name("stool_ibug68.csv").write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_scheme(path)
-
-
 def test_corners_of_the_eyes_are_found_by_their_points_of_ibug(stool):
-    path = stool()
     with pytest.raises(InputError, match="iBUG's landmarks 37 and 46. Received .*stool.csv"):
-        load_scheme(path).eye_corners()
-    path.with_name("stool_ibug68.csv").write_text("number,ibug68\n4,37\n3,46\n")
-    assert load_scheme(path).eye_corners() == (1, 0)
+        load_scheme(stool()).eye_corners()
+    assert load_scheme(stool(ibug68="number,ibug68\n4,37\n3,46\n")).eye_corners() == (1, 0)
     names = load_scheme("bfm72").names
     corners = [names.index(f"{side}_eye_outer_corner") for side in ("right", "left")]
     assert load_scheme("bfm72").eye_corners() == tuple(corners)
@@ -92,36 +75,43 @@ def test_landmarks_without_names_are_named_by_their_numbers(name, n, last, face)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("changes", "message"),
     [
-        ("5,back", "7,back", r"consecutive numbers. Received \[3, 4, 7, 6\]"),
-        ("seat", "back_leg", "each landmark a different name"),
-        ("seat", "", "each landmark a different name"),
+        ({"old": "5,back", "new": "7,back"}, r"consecutive numbers. Received \[3, 4, 7, 6\]"),
+        ({"old": "seat", "new": "back_leg"}, "each landmark a different name"),
+        ({"old": "seat", "new": ""}, "each landmark a different name"),
         (
-            "front_left_leg,3",
-            "front_left_leg,5",
+            {"old": "left_leg,3", "new": "left_leg,5"},
             "mirror, each with the other. Received 4 for .* 3",
         ),
-        ("number,name", "id,name", "columns number and name.* Received KeyError: 'number'"),
-        ("3,front", "three,front", "columns number and name.* Received ValueError"),
-        ("3,front_right_leg,4\n4,front_left_leg,3\n5,back_leg,\n6,seat,6\n", "", "consecutive"),
+        (
+            {"old": "number,name", "new": "id,name"},
+            "columns number and name.* Received KeyError: 'number'",
+        ),
+        ({"old": "3,front", "new": "three,front"}, "columns number and name.* Received ValueError"),
+        ({"old": STOOL.partition("mirror\n")[2]}, "consecutive"),
+        ({"lines": "1\n"}, "values such as 1-2-3"),
+        ({"lines": "1,3-9\n"}, "_polylines.csv must join .* Received 9, which"),
+        ({"ibug68": "number,ibug\n3,37\n"}, "number and ibug68. Received KeyError: 'ibug68'"),
+        (
+            {"ibug68": "number,ibug68\n9,37\n"},
+            "_ibug68.csv must have a different number .* from 3 to 6",
+        ),
+        (
+            {"ibug68": "number,ibug68\n3,69\n"},
+            "_ibug68.csv must have a different ibug68 .* from 1 to 68",
+        ),
+        ({"ibug68": "number,ibug68\n3,37\n4,37\n"}, r"different ibug68 .* \[37, 37\]"),
     ],
 )
-def test_a_table_that_contradicts_itself_is_refused(stool, old, new, message):
-    with pytest.raises(InputError, match=f"stool.csv must .*{message}"):
-        load_scheme(stool(old, new))
+def test_tables_that_contradict_each_other_are_refused(stool, changes, message):
+    with pytest.raises(InputError, match=f"stool.*{message}"):
+        load_scheme(stool(**changes))
 
 
-def test_a_line_without_landmarks_is_refused(stool):
-    with pytest.raises(InputError, match="stool.csv must have .* values such as 1-2-3"):
-        load_scheme(stool(lines="1\n"))
-
-
-def test_lines_of_unknown_landmarks_and_missing_tables_are_refused(stool, tmp_path):
-    with pytest.raises(InputError, match="stool_polylines.csv must join .* Received 9, which"):
-        load_scheme(stool(lines="1,3-9\n"))
+def test_what_is_neither_a_scheme_nor_a_table_is_refused(tmp_path):
     with pytest.raises(InputError, match="none.csv must be a table"):
         load_scheme(tmp_path / "none.csv")
-    for name in ("stool", "unnamed-0"):
-        with pytest.raises(InputError, match=f"or your own table .* Received '{name}'"):
+    for name in ("stool", "unnamed-0", ".", "..", "/"):
+        with pytest.raises(InputError, match=rf"or your own table \(CSV\). Received '{name}'"):
             load_scheme(name)

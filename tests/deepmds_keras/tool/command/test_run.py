@@ -335,12 +335,6 @@ def test_y_up_of_landmarks_whose_y_points_down_is_to_be_omitted(tmp_path, predic
     assert status == 1 and "y must point up for --y-up; omit it if y points down." in line
 
 
-@pytest.mark.parametrize("scheme", [".", "..", "/"])
-def test_a_scheme_that_is_no_table_gets_one_line(tmp_path, predict, landmarks, scheme):
-    status, _, (line,) = predict(save(tmp_path / "a.npy", landmarks), "--scheme", scheme)
-    assert status == 1 and f"or your own table (CSV). Received '{scheme}'" in line
-
-
 def test_weights_that_were_trained_again_are_other_weights(tmp_path, predict, landmarks):
     points, weights = save(tmp_path / "a.npy", landmarks), tmp_path / "mine.npz"
     weights.write_bytes(pretrained_path("lifting-ibug51").read_bytes())
