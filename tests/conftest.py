@@ -15,6 +15,8 @@ from filelock import FileLock
 from places import MEDIAPIPE, SHARED
 from threadpoolctl import threadpool_limits
 
+from data_gen.models.ict import load_ict
+from data_gen.models.openhead import load_openhead
 from experiments.__main__ import prepare
 
 prepare()  # before TensorFlow is loaded
@@ -40,6 +42,19 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture
 def rng():
     return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def head():
+    return load_openhead()
+
+
+@pytest.fixture(scope="session")
+def ict():
+    path = SHARED / "ict-facekit" / "ict_light.npz"
+    if not path.is_file():
+        pytest.skip("../shared/ict-facekit is absent")
+    return load_ict(path)
 
 
 @pytest.fixture(scope="session")

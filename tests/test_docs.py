@@ -13,11 +13,12 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from faces import mean_landmarks
 from places import MEDIAPIPE, ROOT, SHARED, committed
 from scipy.spatial.distance import pdist
 
 from data_gen.models import basel, flame
-from data_gen.models.registry import MODELS, load_model
+from data_gen.models.registry import MODELS
 from data_gen.views import PROTOCOLS
 from deepmds_keras import (
     build_autoencoder,
@@ -230,17 +231,14 @@ def test_python_in_the_pages_imports_what_exists(page):
 
 
 def test_python_for_views_runs():
-    head = load_model("openhead")
-    views = head.mean[head.landmarks["bfm72"]][None, :, :2]
-    names = {"views": views}
+    names = {"views": mean_landmarks("bfm72")[None, :, :2]}
     blocks = python_of(FOLDER / "docs" / "photos.md")
     exec(next(block for block in blocks if "(views" in block), names)
     assert names["shapes"].shape == (1, 72, 3)
 
 
 @pytest.mark.slow
-def test_the_method_in_the_readme_runs_and_finds_the_shape_of_a_face():
-    head = load_model("openhead")
+def test_the_method_in_the_readme_runs_and_finds_the_shape_of_a_face(head):
     faces = head.restrict(head.landmarks["ibug51"])
     rng = np.random.default_rng(0)
     shapes = faces.shape(rng.standard_normal((300, faces.n_identity)))

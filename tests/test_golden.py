@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import runs
+from faces import mean_landmarks
 
 from data_gen.datasets.dataset import load_dataset
-from data_gen.models.openhead import load_openhead
 from deepmds_keras import DeepMDS, LandmarkLifter, align, metrics, normalise
 from deepmds_keras.embedding import embed
 from deepmds_keras.files import read_arrays
@@ -71,9 +71,8 @@ def numbers(folder):
     rows = [*of_tables(folder), *of_trainings(folder), *of_shipped_weights(test)]
     for name in ("views", "landmarks", "identity"):
         rows.append((f"mean size of {name}", np.abs(getattr(test, name)).mean(dtype=float), 1e-6))
-    head = load_openhead()
-    shape = head.mean[head.landmarks["bfm72"]][None]
-    sizes = np.linalg.norm(embed(pairwise_distances(shape))[0], axis=1)
+    distances = pairwise_distances(mean_landmarks("bfm72")[None])
+    sizes = np.linalg.norm(embed(distances)[0], axis=1)
     rows.append(("distance of an embedded point of the chin to the centre", sizes[33], 1e-6))
     return pd.DataFrame(rows, columns=["quantity", "value", "tolerance"])
 

@@ -12,7 +12,6 @@ from sklearn.exceptions import NotFittedError
 from writers.keras2 import write_keras2
 
 from data_gen.datasets.dataset import make_dataset
-from data_gen.models.openhead import load_openhead
 from deepmds_keras import DeepMDS, InputError, align, metrics, normalise
 from deepmds_keras.baselines.zhao import build_zhao_net
 from deepmds_keras.files import read_arrays, write_arrays
@@ -21,8 +20,8 @@ from deepmds_keras.networks import build_autoencoder, build_dissimilarity_net
 
 
 @pytest.fixture(scope="module")
-def faces():
-    return make_dataset(load_openhead(), 200, np.random.default_rng(1))
+def faces(head):
+    return make_dataset(head, 200, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from places import SHARED
+from faces import mean_landmarks
 
 from data_gen.landmarks import load_vertices
-from data_gen.models.ict import load_ict
-from data_gen.models.openhead import load_openhead, read_openhead
+from data_gen.models.openhead import read_openhead
 from deepmds_keras import landmarks
 from deepmds_keras.errors import InputError
 from deepmds_keras.files import read_table
@@ -36,14 +35,9 @@ def scheme(request):
     return load_scheme(request.param)
 
 
-@pytest.fixture(params=["openhead", "ict"])
+@pytest.fixture(params=["head", "ict"])
 def model(request):
-    if request.param == "openhead":
-        return load_openhead()
-    path = SHARED / "ict-facekit" / "ict_light.npz"
-    if not path.is_file():
-        pytest.skip("../shared/ict-facekit is absent")
-    return load_ict(path)
+    return request.getfixturevalue(request.param)
 
 
 def numbered(scheme, n=None):
@@ -86,7 +80,7 @@ def test_mirror_is_an_involution_that_swaps_right_and_left_also_on_the_open_head
     np.testing.assert_array_equal(read_openhead()["mirror"][vertices], vertices[scheme.mirror])
     swap = {"right": "left", "left": "right"}
     for i, (name, x) in enumerate(
-        zip(scheme.names, load_openhead().mean[vertices, 0], strict=True)
+        zip(scheme.names, mean_landmarks(scheme.name)[:, 0], strict=True)
     ):
         side, _, rest = name.partition("_")
         mirrored = f"{swap[side]}_{rest}" if side in swap else name

@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import runs
-from faces import rotation_of
+from faces import mean_landmarks, rotation_of
 from scipy.spatial.distance import pdist
 
 from data_gen.datasets.dataset import make_dataset
-from data_gen.models.registry import load_model
 from deepmds_keras import proximities
 from deepmds_keras.deep_mds import DeepMDS
 from deepmds_keras.embedding import embed
@@ -26,22 +25,17 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
-def model():
-    return load_model("openhead")
-
-
-@pytest.fixture(scope="module")
 def networks():
     return DeepMDS.pretrained("deepmds-bfm72")
 
 
 @pytest.fixture(scope="module")
-def faces(model):
-    return make_dataset(model, 8, np.random.default_rng(0))
+def faces(head):
+    return make_dataset(head, 8, np.random.default_rng(0))
 
 
-def test_faces_one_by_one_are_those_of_a_batch(model, faces):
-    landmarks, views = released.make_faces(model, faces, len(faces), "bfm72")
+def test_faces_one_by_one_are_those_of_a_batch(head, faces):
+    landmarks, views = released.make_faces(head, faces, len(faces), "bfm72")
     np.testing.assert_allclose(landmarks, faces.landmarks, atol=1e-4)
     np.testing.assert_allclose(views, faces.views, atol=1e-4)
 
@@ -60,8 +54,8 @@ def test_one_predict_a_face_gives_the_dissimilarities_of_a_batch(networks, faces
     np.testing.assert_allclose(matrices, networks.dissimilarities(faces.views[:2]), atol=1e-5)
 
 
-def test_one_classical_start_recovers_the_points_of_exact_distances(model):
-    shape = model.mean[model.landmarks["ibug51"]]
+def test_one_classical_start_recovers_the_points_of_exact_distances():
+    shape = mean_landmarks("ibug51")
     (points,) = released.embed(np.linalg.norm(shape[:, None] - shape, axis=-1))
     assert np.corrcoef(pdist(points), pdist(shape))[0, 1] > 0.99
 

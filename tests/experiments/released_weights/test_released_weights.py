@@ -11,7 +11,6 @@ import runs
 from places import SHARED, committed
 from writers.models import write_bfm2009
 
-from data_gen.models.registry import load_model
 from deepmds_keras.errors import InputError
 from deepmds_keras.geometry.alignment import align, procrustes
 from deepmds_keras.landmarks import load_scheme
@@ -25,11 +24,6 @@ RELEASED = SHARED / "released" / "bfm"
 needs_weights = pytest.mark.skipif(
     not RELEASED.is_dir(), reason="the authors' weights (../shared) are absent"
 )
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_model("openhead", None, SCHEME)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from data_gen.datasets.dataset import make_dataset
-from data_gen.models.openhead import load_openhead
 from deepmds_keras.geometry.alignment import align
 from deepmds_keras.geometry.units import normalise
 from deepmds_keras.metrics import depth_corr, mse
@@ -12,8 +11,8 @@ from experiments.tracks.bfm import TRUE_DEPTH, as_released
 
 
 @pytest.fixture(scope="module")
-def truth():
-    faces = make_dataset(load_openhead(), 200, np.random.default_rng(0))
+def truth(head):
+    faces = make_dataset(head, 200, np.random.default_rng(0))
     return normalise(faces.landmarks)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from places import SHARED
 
-from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_expressive
 from deepmds_keras import InputError, convert, predict_landmarks
 from deepmds_keras.geometry.alignment import align
@@ -21,10 +20,9 @@ CAMERAS = sample_perspective_cameras(
 
 
 @pytest.fixture(scope="module")
-def truth():
+def truth(head):
     """`(60, 68, 3)` landmarks of turned faces, x right, y up, z towards the viewer."""
-    model, rng = load_openhead(), np.random.default_rng(1)
-    model = model.restrict(model.landmarks["ibug68"])
+    rng, model = np.random.default_rng(1), head.restrict(head.landmarks["ibug68"])
     return in_camera_frame(model.shape(*sample_expressive(model, 60, rng)), CAMERAS)
 
 

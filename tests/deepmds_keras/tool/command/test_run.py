@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 from places import ROOT
 
-from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.command import process, run
@@ -165,11 +164,11 @@ def test_wrong_arguments_are_named(command, arguments, message):
 
 
 @pytest.mark.parametrize("n", [51, 68, 72, 478])
-def test_landmarks_of_every_order_are_taken(tmp_path, predict, landmarks, n):
+def test_landmarks_of_every_order_are_taken(tmp_path, predict, head, landmarks, n):
     scheme = {51: "ibug51", 68: "ibug68", 72: "bfm72"}.get(n, "mediapipe")
     points = convert(landmarks, "ibug51", scheme, missing="nan")
     if n == 72:
-        points = sample_photo_views(load_openhead(), "bfm72", 2, np.random.default_rng(0))[0]
+        points = sample_photo_views(head, "bfm72", 2, np.random.default_rng(0))[0]
         points = points * (1, -1)
     points = np.where(np.isnan(points), 0, points)  # what is not among the 51 is not looked at
     points = np.concatenate([points, np.zeros((n - len(points), 2))]) if n == 478 else points

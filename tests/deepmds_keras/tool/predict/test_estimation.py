@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from faces import cameras, mean_landmarks
 
-from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras import DeepMDS, InputError
 from deepmds_keras.geometry.alignment import align
@@ -35,17 +34,17 @@ def detections(landmarks, scheme="ibug51", is_photo=False):
 
 
 @pytest.fixture(scope="module", params=["ibug51", "bfm72"])
-def drawn(request):
+def drawn(request, head):
     """Scheme, landmarks in pixels, true shapes and cameras of faces that no weights have seen."""
     rng = np.random.default_rng(77)
-    views, shapes, cameras = sample_photo_views(load_openhead(), request.param, N, rng)
+    views, shapes, cameras = sample_photo_views(head, request.param, N, rng)
     return request.param, 3 * views * (1, -1) + (700, 500), shapes, cameras
 
 
 @pytest.fixture(scope="module")
-def landmarks():
+def landmarks(head):
     """Of five faces."""
-    views, _, _ = sample_photo_views(load_openhead(), "ibug51", 5, np.random.default_rng(78))
+    views, _, _ = sample_photo_views(head, "ibug51", 5, np.random.default_rng(78))
     return views * (1, -1)
 
 

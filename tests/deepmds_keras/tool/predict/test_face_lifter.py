@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from data_gen.models.openhead import load_openhead
 from data_gen.views import sample_photo_views
 from deepmds_keras import InputError, predict_landmarks, predict_photo
 from deepmds_keras.landmarks import convert
@@ -20,10 +19,10 @@ N = 12
 
 
 @pytest.fixture(scope="module")
-def landmarks():
+def landmarks(head):
     """`(12, 68, 2)` pixels of faces that no weights have seen."""
     rng = np.random.default_rng(79)
-    views, _, _ = sample_photo_views(load_openhead(), "ibug68", N, rng, detector_sd=0.5)
+    views, _, _ = sample_photo_views(head, "ibug68", N, rng, detector_sd=0.5)
     return 3 * views * (1, -1) + (700, 500)
 
 

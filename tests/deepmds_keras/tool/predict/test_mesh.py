@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from places import SHARED
 from scipy.spatial.transform import Rotation
 
 from data_gen.build_openhead.components import write_surface
-from data_gen.models.openhead import load_openhead
-from data_gen.models.registry import load_model
 from data_gen.views import sample_expressive
 from deepmds_keras.files import read_npz
 from deepmds_keras.tool.predict.mesh import FILE, fit_surfaces, surface_landmarks
@@ -15,9 +12,8 @@ from experiments.pretrained.surface import measure
 
 
 @pytest.fixture(scope="module")
-def heads():
-    model = load_openhead()
-    return model.shape(*sample_expressive(model, 8, np.random.default_rng(0)))
+def heads(head):
+    return head.shape(*sample_expressive(head, 8, np.random.default_rng(0)))
 
 
 def test_the_file_in_the_package_is_what_the_head_model_gives(tmp_path):
@@ -33,12 +29,12 @@ def test_the_file_in_the_package_is_what_the_head_model_gives(tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["ibug51", "ibug68", "bfm72"])
-def test_a_head_lies_on_its_landmarks_and_nearer_to_the_true_one_than_the_mean(heads, scheme):
+def test_a_head_lies_on_its_landmarks_and_nearer_to_the_true_one_than_the_mean(head, heads, scheme):
     numbers = surface_landmarks(scheme)
     fitted = fit_surfaces(heads[:, numbers], scheme)
     assert fitted.shape == heads.shape
     assert np.linalg.norm(fitted[:, numbers] - heads[:, numbers], axis=2).mean() < 0.6
-    front = load_openhead().mean[:, 2] > 60
+    front = head.mean[:, 2] > 60
     mean = fit_surfaces(heads[:, numbers].mean(0, keepdims=True), scheme)
     off, off_mean = (np.linalg.norm((a - heads)[:, front], axis=2).mean() for a in (fitted, mean))
     assert off < 0.6 * off_mean
@@ -52,12 +48,9 @@ def test_frame_and_unit_are_those_of_the_landmarks(heads):
     assert np.abs(fit_surfaces(moved, "ibug51") - expected).max() < 1e-4
 
 
-@pytest.mark.parametrize("model", ["openhead", "ict"])
-def test_distances_from_the_true_surface_are_less_than_those_of_the_mean_head(model):
-    data = SHARED / "ict-facekit"
-    if model == "ict" and not data.exists():
-        pytest.skip("no ICT-FaceKit in ../shared")
-    rows = measure(load_model(model, data), 6)
+@pytest.mark.parametrize("model", ["head", "ict"])
+def test_distances_from_the_true_surface_are_less_than_those_of_the_mean_head(request, model):
+    rows = measure(request.getfixturevalue(model), 6)
     exact, disturbed, lifted, detected = ([*row.values()] for row in rows)
     for _, mean, mesh, _ in (exact, disturbed, lifted):
         assert mesh < mean
