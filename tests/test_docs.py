@@ -239,7 +239,7 @@ def test_python_for_views_runs():
 
 @pytest.mark.slow
 def test_the_method_in_the_readme_runs_and_finds_the_shape_of_a_face(head):
-    faces = head.restrict(head.landmarks["ibug51"])
+    faces = head.at_landmarks("ibug51")
     rng = np.random.default_rng(0)
     shapes = faces.shape(rng.standard_normal((300, faces.n_identity)))
     views, shapes = sample_views(shapes, 1, yaw=40, pitch=20, roll=0, rng=rng)

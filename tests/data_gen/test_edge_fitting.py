@@ -63,7 +63,7 @@ def angles(fits, poses):
 
 def error(model, fits, identity):
     """Mean squared error of the paper's landmarks after alignment."""
-    part = model.restrict(model.landmarks["bfm72"])
+    part = model.at_landmarks("bfm72")
     truth = normalise(part.shape(identity))
     return (
         (align(part.shape(np.array([fit.identity for fit in fits])), truth) - truth) ** 2

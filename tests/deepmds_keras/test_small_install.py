@@ -7,13 +7,10 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from faces import mean_landmarks
 from places import ROOT
 
 import deepmds_keras
-from deepmds_keras.lifting.lifter import LandmarkLifter
-from deepmds_keras.lifting.unrolled_fit import initial_weights
 
 # Modules of the packages that each extra brings, none of which the small installation has.
 EXTRAS = {
@@ -48,34 +45,19 @@ def python(code, *arguments):
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """Of a lifter that has learnt nothing."""
-    rng = np.random.default_rng(0)
-    shapes = rng.normal(size=(51, 3)) + 0.1 * rng.normal(size=(40, 51, 3))
-    path = tmp_path_factory.mktemp("weights") / "lifter.npz"
-    lifter = LandmarkLifter(51)
-    lifter.weights_ = initial_weights(np.swapaxes(shapes, 1, 2), 0)
-    lifter.mean_shape_ = shapes.mean(0)
-    lifter.default_sd_, lifter.history_ = 0.0, {}
-    lifter.save(path)
-    return path
-
-
-def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path, weights):
+def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path):
     np.save(tmp_path / "face.npy", mean_landmarks("ibug51")[:, :2] * (1, -1))
     code = "from deepmds_keras.__main__ import main; main(sys.argv[1:])"
-    out = tmp_path / "out"
-    done = python(code, "predict", tmp_path / "face.npy", "--model", weights, "--out", out)
+    done = python(code, "predict", tmp_path / "face.npy", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    assert (out / "face.csv").exists()
+    assert (tmp_path / "out" / "face.csv").exists()
     code = """
 import numpy as np
 import deepmds_keras
-face, = deepmds_keras.predict_landmarks(np.load(sys.argv[1]), model=sys.argv[2])
+face, = deepmds_keras.predict_landmarks(np.load(sys.argv[1]))
 print(face.xyz.shape, face.std.shape)
 """
-    done = python(code, tmp_path / "face.npy", weights)
+    done = python(code, tmp_path / "face.npy")
     assert done.stdout == "(51, 3) (51, 3)\n", done.stderr
 
 

@@ -28,7 +28,7 @@ def people(identity, run):
     """Landmarks `(n, L, 3)` of the faces, or of the people in several of them."""
     model = face_model(run)
     identity = np.unique(identity, axis=0).astype(float)
-    return model.restrict(model.landmarks[run.scheme]).shape(identity)
+    return model.at_landmarks(run.scheme).shape(identity)
 
 
 @pytest.fixture(scope="module")

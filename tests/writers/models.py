@@ -86,7 +86,7 @@ def write_3ddfa(folder, face_model, *, n_vertices=53_215):
 
     Its identity varies as in that model, and its ten expressions are components too.
     """
-    landmarks = face_model.restrict(face_model.landmarks["ibug68"])
+    landmarks = face_model.at_landmarks("ibug68")
     offsets = 1000 * landmarks.identity_basis_times_sd[:50].reshape(50, -1).astype(float)
     configs, weights = folder / "train.configs", folder / "c++" / "weights"
     for place in (configs, weights):

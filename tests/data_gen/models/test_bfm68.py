@@ -27,7 +27,7 @@ def checkout(tmp_path, head):
 
 
 def test_a_checkout_gives_the_model_that_is_in_it(checkout, head):
-    model, known = load_bfm68(checkout), head.restrict(head.landmarks["ibug68"])
+    model, known = load_bfm68(checkout), head.at_landmarks("ibug68")
     offsets = known.identity_basis_times_sd
     np.testing.assert_allclose(model.mean, known.mean, atol=1e-4)
     np.testing.assert_allclose(model.identity_basis_times_sd, offsets[:40], atol=1e-4)

@@ -60,7 +60,7 @@ def test_landmarks_are_those_of_the_tables_and_closed_under_mirroring(model, arr
 
 def test_landmarks_vary_as_much_as_in_ict_facekit(model, ict):
     def sds(head):
-        faces = head.restrict(head.landmarks["bfm72"]).sample(3000, np.random.default_rng(0))[1]
+        faces = head.at_landmarks("bfm72").sample(3000, np.random.default_rng(0))[1]
         mean = faces.mean(0) - faces.mean((0, 1))
         return align(faces, mean / np.linalg.norm(mean[0] - mean[56])).std(0)
 

@@ -432,7 +432,7 @@ def model_faces(name, scheme):
         pytest.skip("../shared/ict-facekit is absent")
     head, rng = load_model(name, SHARED, scheme), np.random.default_rng(0)
     identity = rng.standard_normal((200, head.n_identity))
-    return centre(normalise(head.restrict(head.landmarks[scheme]).shape(identity)))
+    return centre(normalise(head.at_landmarks(scheme).shape(identity)))
 
 
 def exact_views(shapes, rng):

@@ -66,7 +66,7 @@ def test_no_face_is_in_the_regression_that_predicts_it():
 @pytest.fixture(scope="module")
 def openhead():
     model = load_model("openhead", None, "ibug51")
-    return model.restrict(model.landmarks["ibug51"])
+    return model.at_landmarks("ibug51")
 
 
 def test_faces_differ_more_than_those_of_the_models_a_third_of_which_are_of_the_open_head(openhead):

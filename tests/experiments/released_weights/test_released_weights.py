@@ -51,7 +51,7 @@ def test_without_weights_there_is_no_mean(tmp_path):
 
 
 def test_faces_vary_about_the_mean_as_those_of_the_model_do(head, mean):
-    unmoved = head.restrict(head.landmarks[SCHEME])
+    unmoved = head.at_landmarks(SCHEME)
     assert np.allclose(about_mean(head, 0.0, mean).sample(3, np.random.default_rng(0))[1], mean)
     sizes = []
     for scale in (1.0, 2.0):

@@ -11,6 +11,7 @@ from writers.scans import vrml, write_ply
 
 from data_gen.datasets.dataset import load_dataset, make_performances
 from data_gen.models.registry import load_model
+from deepmds_keras.files import read_npz
 
 N_FRAMES, N_SCANS = 40, 4
 
@@ -112,7 +113,7 @@ def test_frames_are_those_of_coma_but_for_the_one_that_is_cut_short(folder):
     train = load_dataset(work / "train.npz")
     model = load_model("openhead", scheme="ibug51")
     frames = make_performances(model, 1, N_FRAMES, np.random.default_rng(0))
-    landmarks = model.restrict(model.landmarks["ibug51"])
+    landmarks = model.at_landmarks("ibug51")
     expected = np.delete(landmarks.shape(*frames), 6, axis=0)
     assert np.allclose(train.landmarks, expected, atol=1e-3)
 
@@ -124,20 +125,17 @@ def test_scans_are_those_of_casia_that_the_index_names(folder, scans):
     index = work / "casia-index.csv"
     assert f"copy {index.relative_to(folder)} to another folder" in done.stdout
     assert index.read_text().count(",yes,") == N_SCANS
-    with np.load(work / "scans.npz", allow_pickle=False) as scans_file:
-        used = scans_file["status"] == "used"
-        assert used.sum() >= N_SCANS - 1
-        assert "truth" not in scans_file
-        landmarks = scans_file["landmarks"]
+    found = read_npz(work / "scans.npz")
+    used = found["status"] == "used"
+    assert used.sum() >= N_SCANS - 1 and "truth" not in found
     truth = np.array([scan.truth for scan in scans])[used]
-    assert 0.5 < np.linalg.norm(landmarks - truth, axis=2).mean() < 8
+    assert 0.5 < np.linalg.norm(found["landmarks"] - truth, axis=2).mean() < 8
 
     chosen = folder / "chosen.csv"
     chosen.write_text(index.read_text().replace("001,2,yes", "001,2,no"))
     done = run("datasets.scans", folder, "--casia-index", str(chosen))
     assert done.returncode == 0, done.stderr
-    with np.load(work / "scans.npz", allow_pickle=False) as scans_file:
-        assert [*scans_file["name"]] == ["001-001", "001-003", "001-004"]
+    assert [*read_npz(work / "scans.npz")["name"]] == ["001-001", "001-003", "001-004"]
     refused = run("datasets.scans", folder, "--casia-index", "/nowhere.csv")
     assert refused.returncode == 2
     assert "/nowhere.csv" in refused.stderr.splitlines()[-1]
@@ -153,8 +151,7 @@ def test_the_licensed_ringnet_is_run_on_the_photos(folder):
     done = run("tracks.predict", folder, "ringnet_licensed", "--ringnet", str(prefix))
     assert done.returncode == 0, done.stderr
     work = work_of(folder)
-    with np.load(work / "predictions" / "ringnet_licensed.npz", allow_pickle=False) as file:
-        shapes = file["shapes"]
+    shapes = read_npz(work / "predictions" / "ringnet_licensed.npz")["shapes"]
     assert shapes.shape == (len(load_dataset(work / "test.npz")), 51, 3)
     assert len(np.unique(shapes[:, 0, 0])) == len(shapes)
     nothing = str(folder / "nothing")

@@ -22,7 +22,7 @@ CAMERAS = sample_perspective_cameras(
 @pytest.fixture(scope="module")
 def truth(head):
     """`(60, 68, 3)` landmarks of turned faces, x right, y up, z towards the viewer."""
-    rng, model = np.random.default_rng(1), head.restrict(head.landmarks["ibug68"])
+    rng, model = np.random.default_rng(1), head.at_landmarks("ibug68")
     return in_camera_frame(model.shape(*sample_expressive(model, 60, rng)), CAMERAS)
 
 

@@ -25,7 +25,7 @@ L = 51
 @pytest.fixture(scope="module")
 def shapes():
     model = load_model("openhead", scheme="ibug51")
-    model = model.restrict(model.landmarks["ibug51"])
+    model = model.at_landmarks("ibug51")
     rng = np.random.default_rng(0)
     return normalise(model.shape(rng.standard_normal((300, 199)), 0.3 * rng.random((300, 51))))
 

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from deepmds_keras import __version__
+from deepmds_keras.files import read_npz
 from deepmds_keras.geometry.camera import head_pose
 from deepmds_keras.landmarks import load_scheme
 from deepmds_keras.tool.command.outputs import FORMATS, output_files, write_output
@@ -87,8 +88,7 @@ def test_json_and_archive_give_everything_back(tmp_path):
         assert record["std"] is None
         for key, value in face.pose.as_dict().items():
             assert_close(record["pose"][key], value)
-    with np.load(archive, allow_pickle=False) as file:
-        arrays = dict(file)
+    arrays = read_npz(archive)
     for key, field in FIELDS.items():
         assert np.array_equal(arrays[key], np.float32([getattr(face, field) for face in faces]))
     assert arrays["face"].tolist() == [ODD, "b"]

@@ -14,6 +14,7 @@ from PIL import Image
 from places import ROOT
 
 from data_gen.views import sample_photo_views
+from deepmds_keras.files import read_npz
 from deepmds_keras.landmarks import convert, load_scheme
 from deepmds_keras.tool.command import process, run
 from deepmds_keras.tool.detection import (
@@ -73,11 +74,6 @@ def written(folder):
     """Names of the files in a folder, but for the lock and the records."""
     own = (".deepmds-lock", ".deepmds-results")
     return sorted(path.name for path in folder.iterdir() if path.name not in own)
-
-
-def arrays_of(path):
-    with np.load(path) as file:
-        return dict(file)
 
 
 def save(path, landmarks):
@@ -192,7 +188,7 @@ def test_gaps_and_odd_faces_stop_nothing_and_stay_in_the_results(tmp_path, predi
     assert f"{points}: 2 of 8 faces cannot be used and are gaps: 6, 7. The first must" in line
     assert "f.npy: 5 faces, 3 gaps →" in output
     out, seen = tmp_path / "out", [0, 3, 4, 7]
-    arrays, expected = arrays_of(out / "f.npz"), arrays_of(out / "alone.npz")
+    arrays, expected = read_npz(out / "f.npz"), read_npz(out / "alone.npz")
     for key in ("shape", "landmarks", "yaw", "roll", "rotation"):
         np.testing.assert_allclose(arrays[key][seen], expected[key], atol=1e-6)
         assert np.isnan(arrays[key][[1, 5, 6]]).all(), key
@@ -215,7 +211,7 @@ def test_options_reach_the_results(tmp_path, predict, landmarks, way):
     arguments = (points, "--y-up", "--interocular", 90, "--format", "npz")
     for folder, options in (("rough", ()), ("smooth", ("--smooth", way))):
         assert predict(*arguments, *options, "--out", tmp_path / folder)[0] == 0
-    rough, smooth = (arrays_of(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
+    rough, smooth = (read_npz(tmp_path / folder / "frames.npz") for folder in ("rough", "smooth"))
     assert np.allclose(rough["landmarks"], frames, equal_nan=True)
     assert json.loads(str(rough["description"]))["unit"] == "mm"
     seen = ~np.isnan(rough["yaw"])

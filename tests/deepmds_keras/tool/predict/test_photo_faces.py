@@ -10,7 +10,7 @@ from PIL import Image
 from places import MEDIAPIPE, ROOT
 
 from deepmds_keras import FaceLifter, LandmarkLifter, convert
-from deepmds_keras.files import read_table
+from deepmds_keras.files import read_npz, read_table
 from deepmds_keras.geometry.units import rms_radius
 from deepmds_keras.landmarks import DETECTOR_ERRORS
 from deepmds_keras.tool.detection import detector_sd, to_ibug
@@ -137,8 +137,8 @@ def test_mediapipes_own_landmarks_give_what_the_photo_gives(predict, head, tmp_p
         [sys.executable, "-m", "deepmds_keras", "predict", "points.npy", "--format", "npz"],
         cwd=tmp_path, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    with np.load(tmp_path / "deepmds-out/points.npz") as saved:
-        np.testing.assert_array_equal(saved["shape"][0], face.xyz.astype(np.float32))
+    saved = read_npz(tmp_path / "deepmds-out/points.npz")
+    np.testing.assert_array_equal(saved["shape"][0], face.xyz.astype(np.float32))
 
 
 def test_the_first_picture_of_an_animation_is_read_and_a_note_says_so(predict, head, tmp_path):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from deepmds_keras import InputError
+from deepmds_keras.files import read_npz
 from deepmds_keras.tool.predict import videos
 from deepmds_keras.tool.predict.face_lifter import FaceLifter
 from deepmds_keras.tool.predict.faces import FrameRef
@@ -314,8 +315,7 @@ def test_the_command_writes_a_row_for_each_frame_and_face(tmp_path, squares, cli
     status, output, _ = command(*given, "--format", "npz,json")
     assert status == 0
     assert re.search(r"track 1: 0.0 to 1.2 s, .* 27 frames", output)
-    with np.load(out / "clip.npz") as file:
-        arrays = dict(file)
+    arrays = read_npz(out / "clip.npz")
     frames = [i for i in range(30) if not 12 <= i < 15]
     one, two = (arrays["track"] == track for track in (1, 2))
     assert list(arrays["frame"][one]) == frames and [*arrays["frame"][two]] == [*range(20, 30)]
