@@ -392,22 +392,16 @@ def test_files_of_others_are_replaced_only_if_asked_for(tmp_path, predict, landm
     assert (out / "a.csv").read_text().startswith("# 3D landmarks")
 
 
-def test_results_do_not_go_where_sources_are(tmp_path, predict, heads):
-    Image.fromarray(heads[0][1]).save(tmp_path / "a.jpg")
-    for options in ((), ("--overwrite",)):
-        status, _, (line,) = predict(tmp_path, "--out", tmp_path, *options)
-        assert (status, "must not be a folder of sources" in line) == (1, True)
-    assert written(tmp_path) == ["a.jpg"]
-
-
-def test_results_do_not_go_into_a_given_folder_whose_photos_are_all_further_down(
-    tmp_path, predict, heads
-):
-    (tmp_path / "within").mkdir()
-    Image.fromarray(heads[0][1]).save(tmp_path / "within" / "a.jpg")
-    status, _, (line,) = predict(tmp_path, "--recursive", "--out", tmp_path)
+@pytest.mark.parametrize(
+    ("photo", "options"),
+    [("a.jpg", ()), ("a.jpg", ("--overwrite",)), ("b/a.jpg", ("--recursive",))],
+)
+def test_results_do_not_go_into_a_folder_of_sources(tmp_path, predict, heads, photo, options):
+    (tmp_path / photo).parent.mkdir(exist_ok=True)
+    Image.fromarray(heads[0][1]).save(tmp_path / photo)
+    status, _, (line,) = predict(tmp_path, "--out", tmp_path, *options)
     assert (status, "must not be a folder of sources" in line) == (1, True)
-    assert written(tmp_path) == ["within"]
+    assert written(tmp_path) == [photo.split("/")[0]]
 
 
 def test_two_runs_at_once_do_not_share_a_folder(tmp_path, predict, landmarks):

@@ -90,47 +90,30 @@ def test_the_error_is_of_all_landmarks_in_squared_radii(source, untrained, tmp_p
     assert all(error == pytest.approx(0.0025) for row in errors.values() for error in row)
 
 
-def test_a_report_that_is_stopped_comes_with_the_same_command(
+def test_a_command_that_is_stopped_goes_on_from_its_checkpoint_with_the_same_faces(
     source, untrained, tmp_path, monkeypatch
 ):
+    """Of which a checkpoint is, or another run is refused."""
+
     def stop(*_):
         raise KeyboardInterrupt
 
+    checkpoint = tmp_path / "new.npz.checkpoint"
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         patched.setattr(module, "_errors", stop)
         train(source, tmp_path / "new.npz", **OPTIONS)
-    assert not (tmp_path / "new.npz").exists() and (tmp_path / "new.npz.checkpoint").exists()
+    assert not (tmp_path / "new.npz").exists() and checkpoint.exists()
     assert {*train(source, tmp_path / "new.npz", **OPTIONS)} >= {"lifter", "mean shape"}
+    assert not checkpoint.exists()
+    for first, again in zip(untrained[:2], untrained[2:], strict=True):
+        np.testing.assert_array_equal(first.views, again.views)
+        np.testing.assert_array_equal(first.shapes, again.shapes)
 
 
 def test_a_mirror_image_is_another_shape_and_a_turned_copy_none(source, tmp_path):
     shapes = np.unique(np.load(source), axis=0)
     np.save(tmp_path / "pairs.npy", np.concatenate([shapes, shapes * (-1, 1, 1), shapes @ TURN]))
     assert len(module._read_shapes(tmp_path / "pairs.npy")) == 2 * N
-
-
-@pytest.mark.slow
-def test_a_stopped_training_goes_on_where_it_was(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(trainer, "STEPS_PER_BLOCK", 2)
-    whole, stopped = tmp_path / "whole.npz", tmp_path / "stopped.npz"
-    train(source, whole, **OPTIONS)
-
-    class Bar(module.tqdm):
-        def update(self, n):
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(module, "tqdm", Bar)
-        train(source, stopped, **OPTIONS)
-    assert not stopped.exists() and (tmp_path / "stopped.npz.checkpoint").exists()
-    with pytest.raises(InputError, match="stopped.npz.checkpoint is from another run"):
-        train(source, stopped, **OPTIONS | {"seed": 1})
-    train(source, stopped, **OPTIONS)
-    assert not (tmp_path / "stopped.npz.checkpoint").exists()
-    first, second = map(LandmarkLifter.load, (whole, stopped))
-    assert first.history_ == second.history_ and len(first.history_["train"]) == 2
-    for name, array in first.weights_.items():
-        assert np.array_equal(array, second.weights_[name]), name
 
 
 @pytest.mark.slow
