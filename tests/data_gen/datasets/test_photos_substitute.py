@@ -15,10 +15,9 @@ RIGHT_EYE, LEFT_EYE = slice(36, 42), slice(42, 48)  # of iBUG's landmarks
 
 @functools.cache  # in the process that draws, since a scene takes seconds
 def source(kind):
-    model = load_openhead()
-    return (
-        PhotosSubstitute(model, 100, (0, 11)) if kind == "substitute" else Portraits(model, (0, 3))
-    )
+    if kind == "photos":
+        return PhotosSubstitute(load_openhead(), 100, (0, 11))
+    return Portraits(load_openhead(), (0, 3))
 
 
 def take(kind, *numbers):
@@ -35,7 +34,7 @@ def take_two_at_once(kind):
 
 @pytest.fixture(scope="module")
 def photos(apart):
-    return apart(take, "substitute", N)
+    return apart(take, "photos", N)
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +47,9 @@ def of(photos, name, scheme=None):
     return np.array([value[scheme] for value in values] if scheme else values)
 
 
-@pytest.mark.parametrize("kind", ["substitute", "portraits"])
-def test_a_photo_is_the_same_whichever_others_are_drawn(apart, photos, portraits, kind):
-    first = photos if kind == "substitute" else portraits
-    again = apart(take_two_at_once, kind)
+@pytest.mark.parametrize("kind", ["photos", "portraits"])
+def test_a_photo_is_the_same_whichever_others_are_drawn(request, apart, kind):
+    first, again = request.getfixturevalue(kind), apart(take_two_at_once, kind)
     assert [photo.name for photo in again] == ["000005.jpg", "000004.jpg", "000003.jpg"]
     for photo, other in zip(again, first[4:1:-1], strict=True):
         assert np.array_equal(photo.image, other.image)
@@ -90,10 +88,10 @@ def test_landmarks_are_those_of_the_neutral_face_and_pixels_those_seen_from_its_
         assert missed < 0.06 * np.ptp(places)
 
 
-@pytest.mark.parametrize("kind", ["substitute", "portraits"])
-def test_eyes_are_dark_where_the_landmarks_are(photos, portraits, kind):
+@pytest.mark.parametrize("kind", ["photos", "portraits"])
+def test_eyes_are_dark_where_the_landmarks_are(request, kind):
     darker = []
-    for photo in photos if kind == "substitute" else portraits:
+    for photo in request.getfixturevalue(kind):
         grey, at = photo.image.mean(2), np.rint(photo.pixels["ibug68"] - 0.5).astype(int)
         x, y = np.rint(at[RIGHT_EYE if photo.yaw > 0 else LEFT_EYE].mean(0)).astype(int)
         nose_x, nose_y = at[29]
