@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import atexit
 import functools
+import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -34,3 +36,10 @@ def committed() -> Path:
     checkout = ["git", "checkout-index", "-z", "--stdin", f"--prefix={folder}/"]
     subprocess.run(checkout, cwd=ROOT, input=files, check=True)
     return Path(folder)
+
+
+def python(*words, folder=ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run Python on the repository: words of its command line, variables of its environment."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | variables
+    words = [sys.executable, *map(str, words)]
+    return subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)

@@ -1,13 +1,11 @@
 """The folders show the architecture: imports never point against the flow of the data."""
 
 import ast
-import subprocess
-import sys
 from graphlib import TopologicalSorter
 
 import pytest
 import runs
-from places import ROOT
+from places import ROOT, python
 
 MAY_IMPORT = {
     "data_gen": (
@@ -83,4 +81,4 @@ def test_only_embedding_imports_mds():
 )
 def test_what_needs_no_framework_loads_none(code, absent):
     code += f"; import sys; sys.exit(bool({absent} & sys.modules.keys()))"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+    assert python("-c", code).returncode == 0

@@ -7,14 +7,12 @@ import inspect
 import pkgutil
 import re
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 from faces import mean_landmarks
-from places import MEDIAPIPE, ROOT, SHARED, committed
+from places import MEDIAPIPE, ROOT, SHARED, committed, python
 from scipy.spatial.distance import pdist
 
 from data_gen.models import basel, flame
@@ -213,8 +211,7 @@ def test_every_target_and_variable_of_make_is_in_the_makefile(page):
 def test_every_option_of_the_command_is_one():
     options = set()
     for command in ("predict", "live", "export", "train", "evaluate"):
-        words = [sys.executable, "-m", "deepmds_keras", command, "--help"]
-        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+        done = python("-m", "deepmds_keras", command, "--help")
         assert done.returncode == 0, done.stderr
         options |= {*re.findall(r"--[a-z][a-z-]*", done.stdout)}
     code = [code for page in PAGES for code in code_of(page)]

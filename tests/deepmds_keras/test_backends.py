@@ -1,14 +1,11 @@
 """The networks train behind either backend of Keras, and the same weights give the same shapes."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import python
 
 from deepmds_keras.errors import InputError, needs
 
@@ -56,21 +53,18 @@ def test_a_backend_that_is_there_in_part_is_named():
         ({"floatx": "float16"}, r"keras.json\) must be one of float32. Received 'float16'"),
     ],
 )
-def test_other_settings_of_keras_are_refused_by_name(setting, message, tmp_path):
+def test_other_settings_of_keras_are_refused_by_name(setting, message, tmp_path, monkeypatch):
     (tmp_path / "keras.json").write_text(json.dumps(setting))
-    environment = {k: v for k, v in os.environ.items() if k != "KERAS_BACKEND"}
-    environment |= {"KERAS_HOME": str(tmp_path)}
-    words = [sys.executable, "-c", "from deepmds_keras import DeepMDS"]
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True)
+    monkeypatch.delenv("KERAS_BACKEND", raising=False)
+    done = python("-c", "from deepmds_keras import DeepMDS", KERAS_HOME=str(tmp_path))
     assert re.search(f"InputError: .*{message}", done.stderr), done.stderr
 
 
 @pytest.mark.slow
 def test_both_backends_train_and_give_the_same_shapes_from_the_same_weights(tmp_path):
     for backend in BACKENDS:
-        environment = os.environ | {"KERAS_BACKEND": backend}
-        words = [sys.executable, "-c", CODE, str(tmp_path / f"{backend}.npy"), backend]
-        done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True)
+        words = ("-c", CODE, tmp_path / f"{backend}.npy", backend)
+        done = python(*words, KERAS_BACKEND=backend)
         assert done.returncode == 0, done.stderr
     tensorflow, jax = (np.load(tmp_path / f"{backend}.npy") for backend in BACKENDS)
     assert np.ptp(tensorflow) > 0.5

@@ -3,12 +3,10 @@
 import ast
 import configparser
 import re
-import subprocess
-import sys
 
 import numpy as np
 from faces import mean_landmarks
-from places import ROOT
+from places import ROOT, python
 
 import deepmds_keras
 
@@ -39,16 +37,15 @@ sys.meta_path[:] = map(Without, sys.meta_path)
 """
 
 
-def python(code, *arguments):
-    """Run code in an installation without any extra."""
-    command = [sys.executable, "-c", HIDE + code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+def run(code, *arguments):
+    """In an installation without any extra."""
+    return python("-c", HIDE + code, *arguments)
 
 
 def test_a_lifter_predicts_from_the_command_and_from_python(tmp_path):
     np.save(tmp_path / "face.npy", mean_landmarks("ibug51")[:, :2] * (1, -1))
     code = "from deepmds_keras.__main__ import main; main(sys.argv[1:])"
-    done = python(code, "predict", tmp_path / "face.npy", "--out", tmp_path / "out")
+    done = run(code, "predict", tmp_path / "face.npy", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "face.csv").exists()
     code = """
@@ -57,7 +54,7 @@ import deepmds_keras
 face, = deepmds_keras.predict_landmarks(np.load(sys.argv[1]))
 print(face.xyz.shape, face.std.shape)
 """
-    done = python(code, tmp_path / "face.npy")
+    done = run(code, tmp_path / "face.npy")
     assert done.stdout == "(51, 3) (51, 3)\n", done.stderr
 
 
@@ -71,7 +68,7 @@ for name in deepmds_keras.__all__:
         assert "from the repository, pip install '.[keras]'" in str(error)
         print(name)
 """
-    done = python(code)
+    done = run(code)
     assert not done.returncode, done.stderr
     assert {*done.stdout.split()} == {
         *("DeepMDS", "build_autoencoder", "build_dissimilarity_net", "embed")

@@ -1,9 +1,7 @@
 """Times are of all methods, in turns, on one thread."""
 
-import subprocess
-import sys
-
 import runs
+from places import python
 
 from deepmds_keras.files import read_arrays
 from experiments.records import read_record
@@ -35,8 +33,7 @@ print(*order, *timed)
 
 
 def test_methods_take_turns_on_one_thread():
-    words = [sys.executable, "-c", _STEP]
-    done = subprocess.run(words, env=runs.ENVIRONMENT, capture_output=True, text=True)
+    done = python("-c", _STEP)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == 3 * ["mean_shape", "mobileface"]
 

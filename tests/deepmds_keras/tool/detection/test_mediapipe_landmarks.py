@@ -2,7 +2,6 @@
 
 import csv
 import shutil
-import subprocess
 import sys
 import zipfile
 from types import ModuleType
@@ -10,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from PIL import Image
-from places import MEDIAPIPE, ROOT, SHARED
+from places import MEDIAPIPE, ROOT, SHARED, python
 from writers.heads import CANTHI, NOSE_TIP, nme
 
 from deepmds_keras.errors import InputError
@@ -161,7 +160,7 @@ from deepmds_keras.tool.detection.photos import open_photo
 print(len(shared_detector().detect_all(open_photo("docs/pictures/portraits.jpg"))))
 print({"tensorflow", "cv2", "matplotlib", "jax"} & {*sys.modules})
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", code)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == ["3", "set()"]
 

@@ -1,13 +1,11 @@
 """Any detector finds the landmarks of photos, whichever side is up; its errors are known."""
 
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from PIL import Image
-from places import MEDIAPIPE, ROOT
+from places import MEDIAPIPE, ROOT, python
 
 from deepmds_keras import FaceLifter, LandmarkLifter, convert
 from deepmds_keras.files import read_npz, read_table
@@ -133,10 +131,8 @@ def test_mediapipes_own_landmarks_give_what_the_photo_gives(predict, head, tmp_p
     assert np.array_equal(partly.landmarks, raw, equal_nan=True), "it stays where it is"
     assert partly.std.mean() > 0.9 * face.std.mean(), "the errors are MediaPipe's nevertheless"
     np.save(tmp_path / "points.npy", points)
-    subprocess.run(
-        [sys.executable, "-m", "deepmds_keras", "predict", "points.npy", "--format", "npz"],
-        cwd=tmp_path, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    words = ("-m", "deepmds_keras", "predict", "points.npy", "--format", "npz")
+    assert python(*words, folder=tmp_path).returncode == 0
     saved = read_npz(tmp_path / "deepmds-out/points.npz")
     np.testing.assert_array_equal(saved["shape"][0], face.xyz.astype(np.float32))
 
@@ -220,7 +216,6 @@ if __name__ == "__main__":
 def test_in_a_fork_it_is_refused_instead_of_waiting_for_ever(library, use):
     if library == "MediaPipe" and not MEDIAPIPE:
         pytest.skip("MediaPipe is not installed")
-    command = [sys.executable, "-c", FORKED.replace("{use}", use)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", FORKED.replace("{use}", use))
     assert done.stdout.startswith(f"{library} cannot be used in a fork")
     assert "get_context('spawn')" in done.stdout
