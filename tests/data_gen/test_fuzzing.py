@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.io import savemat
-from scipy.sparse import csc_matrix
+from writers.models import flame_arrays
 from writers.pickles import PYTHON2, Calls, chumpy_pickle
 from writers.scans import asc, vrml
 
@@ -38,15 +38,7 @@ BASIS = np.random.default_rng(0).normal(size=(24, 2)).astype(np.float32)
 MEAN_BASIS_SD = {"MU": CUBE.reshape(-1, 1) * 1e5, "PC": BASIS, "EV": np.ones((2, 1))}
 BFM2009 = {prefix + k: a for prefix in ("shape", "tex") for k, a in MEAN_BASIS_SD.items()}
 BFM2017 = {"mean": CUBE.ravel(), "pcaBasis": BASIS, "pcaVariance": np.ones(2)}
-FLAME = {
-    "v_template": CUBE * 0.1,
-    "f": TRIANGLES.astype(np.uint32),
-    "shapedirs": np.ones((8, 3, 400), np.float32),
-    "posedirs": np.ones((8, 3, 36), np.float32),
-    "J_regressor": csc_matrix(np.full((5, 8), 0.125)),
-    "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
-    "weights": np.full((8, 5), 0.2),
-}
+FLAME = flame_arrays(CUBE * 0.1, TRIANGLES)
 PLY = (
     b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
 )

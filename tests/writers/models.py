@@ -7,6 +7,7 @@ import pickle
 import h5py
 import numpy as np
 from scipy.io import savemat
+from scipy.sparse import csc_matrix
 
 from data_gen.landmarks import load_vertices
 from data_gen.models.ict import KEPT, N_VERTICES
@@ -107,3 +108,24 @@ def write_3ddfa(folder, face_model, *, n_vertices=53_215):
     }
     (configs / "param_whitening.pkl").write_bytes(pickle.dumps(parameters, protocol=2))
     return folder
+
+
+def flame_arrays(vertices, triangles, **given):
+    """Contents of `generic_model.pkl`, of vertices in metres; what is not given moves nothing."""
+    n = len(vertices)
+    return {
+        "v_template": vertices,
+        "f": triangles.astype(np.uint32),
+        "shapedirs": np.zeros((n, 3, 400)),
+        "posedirs": np.zeros((n, 3, 36)),
+        "J_regressor": csc_matrix(np.full((5, n), 1 / n)),
+        "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
+        "weights": np.full((n, 5), 0.2),
+        "bs_style": "lbs",
+    } | given
+
+
+def corners_of(vertices, triangles):
+    """Vertices as FLAME has landmarks: a triangle of each, and the weights of its corners."""
+    numbers = np.array([np.flatnonzero((triangles == v).any(1))[0] for v in vertices])
+    return numbers, (triangles[numbers] == vertices[:, None]).astype(float)

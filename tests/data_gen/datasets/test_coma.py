@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from writers.models import corners_of
 from writers.scans import write_ply
 
 from data_gen.datasets.coma import find_meshes, load_coma
@@ -19,8 +20,7 @@ LANDMARKS = HEAD.landmarks["ibug51"]
 @pytest.fixture(scope="module")
 def embedding():
     """The open head's landmarks as corners of triangles."""
-    triangles = np.array([np.flatnonzero((v == TRIANGLES).any(1))[0] for v in LANDMARKS])
-    return LandmarkEmbedding(triangles, np.float64(TRIANGLES[triangles] == LANDMARKS[:, None]))
+    return LandmarkEmbedding(*corners_of(LANDMARKS, TRIANGLES))
 
 
 @pytest.fixture

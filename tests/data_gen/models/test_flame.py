@@ -9,6 +9,7 @@ import pytest
 from places import SHARED
 from scipy.linalg import expm
 from scipy.sparse import coo_matrix, csc_matrix
+from writers.models import flame_arrays
 from writers.pickles import chumpy_pickle
 from writers.scans import hull
 
@@ -40,16 +41,14 @@ def arrays(ball):
     regressor = rng.dirichlet(np.ones(V), 5)
     system = np.vstack([vertices.T, np.ones(V)])
     regressor[2] = np.linalg.lstsq(system, np.append(JAW_JOINT, 1), rcond=None)[0]
-    return {
-        "v_template": vertices,
-        "f": triangles.astype(np.uint32),
-        "shapedirs": rng.normal(size=(V, 3, 400)) * 1e-3,
-        "posedirs": rng.normal(size=(V, 3, 36)) * 1e-5,
-        "J_regressor": csc_matrix(regressor),
-        "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
-        "weights": weights,
-        "bs_style": "lbs",
-    }
+    return flame_arrays(
+        vertices,
+        triangles,
+        shapedirs=rng.normal(size=(V, 3, 400)) * 1e-3,
+        posedirs=rng.normal(size=(V, 3, 36)) * 1e-5,
+        J_regressor=csc_matrix(regressor),
+        weights=weights,
+    )
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import runs
 from PIL import Image
-from scipy.sparse import csc_matrix
+from writers.models import corners_of, flame_arrays
 from writers.scans import vrml, write_ply
 
 from data_gen.datasets.dataset import load_dataset, make_performances
@@ -32,24 +32,10 @@ def write_flame(folder, model):
     shapedirs = np.zeros((model.n_vertices, 3, 400))
     for start, basis in ((0, model.identity_basis_times_sd), (300, model.expression_basis)):
         shapedirs[..., start : start + len(basis)] = np.moveaxis(basis, 0, -1) / 1e3
-    weights = np.zeros((model.n_vertices, 5))
-    weights[:, 0] = 1
-    arrays = {
-        "v_template": model.mean / 1e3,
-        "f": model.triangles.astype(np.uint32),
-        "shapedirs": shapedirs,
-        "posedirs": np.zeros((model.n_vertices, 3, 36)),
-        "J_regressor": csc_matrix(np.full((5, model.n_vertices), 1 / model.n_vertices)),
-        "J": np.zeros((5, 3)),
-        "kintree_table": np.array([[2**32 - 1, 0, 1, 1, 1], range(5)], np.uint32),
-        "weights": weights,
-        "bs_style": "lbs",
-        "bs_type": "lrotmin",
-    }
+    still = np.eye(5)[np.zeros(model.n_vertices, int)]  # nothing follows the jaw
+    arrays = flame_arrays(model.mean / 1e3, model.triangles, shapedirs=shapedirs, weights=still)
     (folder / "generic_model.pkl").write_bytes(pickle.dumps(arrays, 2))
-    landmarks = model.landmarks["ibug51"]
-    triangles = np.array([np.flatnonzero((model.triangles == v).any(1))[0] for v in landmarks])
-    weights = (model.triangles[triangles] == landmarks[:, None]).astype(float)
+    triangles, weights = corners_of(model.landmarks["ibug51"], model.triangles)
     embedding = {"lmk_face_idx": triangles.astype(np.uint32), "lmk_b_coords": weights}
     (folder / "flame_static_embedding.pkl").write_bytes(pickle.dumps(embedding, 0))
 
