@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from data_gen.photographs import (
-    KINDS,
-    clothes_depth,
-    composite,
-    crop,
-    paint,
-    photograph,
-)
+from data_gen.photographs import KINDS, clothes_depth, composite, crop, paint, photograph
 
 SIZE = 109
 TRIANGLE = np.array([[40.0, 30.0], [70.0, 30.0], [55.0, 50.0]])

@@ -35,13 +35,7 @@ from experiments.records import (
     read_record,
     steps_of,
 )
-from experiments.run import (
-    AUTHORS_FILES,
-    EVALUATORS,
-    MOBILEFACES,
-    options_of,
-    run_of_variables,
-)
+from experiments.run import AUTHORS_FILES, EVALUATORS, MOBILEFACES, options_of, run_of_variables
 
 
 @pytest.fixture

@@ -7,13 +7,7 @@ import re
 import numpy as np
 import pytest
 from places import SHARED
-from writers.models import (
-    write_bfm2009,
-    write_h5,
-    write_ict_folder,
-    write_ict_npz,
-    write_mat,
-)
+from writers.models import write_bfm2009, write_h5, write_ict_folder, write_ict_npz, write_mat
 
 from data_gen.landmarks import load_basel_anchors, load_vertices
 from data_gen.models import ict

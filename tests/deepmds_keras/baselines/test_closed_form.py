@@ -142,15 +142,9 @@ def test_mean_is_the_answer_without_information_and_bad_faces_are_refused(method
         ({"basis_times_sd": np.full((K, L, 3), "a")}, "basis_times_sd must hold numbers"),
         ({"basis_times_sd": np.ma.masked_equal(np.eye(20, 3)[None], 1)}, "_sd must be finite, of"),
         ({"basis_times_sd": np.ones((4, 7, 3))}, r"basis_times_sd must be finite, of shape"),
-        (
-            {"basis_times_sd": 3.0},
-            r"must be finite, .* Received shape \(\)",
-        ),
+        ({"basis_times_sd": 3.0}, r"must be finite, .* Received shape \(\)"),
         ({"mean": np.random.default_rng(1).random((2, 20, 3))}, "mean must be one face"),
-        (
-            {"mean": np.arange(60.0).reshape(20, 3)},
-            "mean must not be degenerate: .* on one line",
-        ),
+        ({"mean": np.arange(60.0).reshape(20, 3)}, "mean must not be degenerate: .* on one line"),
         ({"mean": np.random.default_rng(1).random((20, 3)) * [1, 1, 0]}, "must not be flat"),
     ],
 )

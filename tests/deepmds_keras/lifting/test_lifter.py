@@ -442,8 +442,7 @@ def exact_views(shapes, rng):
 
 @pytest.mark.parametrize("landmark_sd", [None, 0.0])
 @pytest.mark.parametrize(
-    "kind",
-    ["openhead", "openhead mean", "ict", "ict mean", "trained mean", "other means", "flat"],
+    "kind", ["openhead", "openhead mean", "ict", "ict mean", "trained mean", "other means", "flat"]
 )
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_views_without_noise_do_not_lead_astray(scheme, kind, landmark_sd):

@@ -9,14 +9,7 @@ import pytest
 
 from deepmds_keras.errors import InputError
 from experiments.report import check_results
-from experiments.report.check_results import (
-    Made,
-    check,
-    compare,
-    find_results,
-    main,
-    small_run,
-)
+from experiments.report.check_results import Made, check, compare, find_results, main, small_run
 
 TABLE = pd.DataFrame(
     {

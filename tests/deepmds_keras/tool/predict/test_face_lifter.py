@@ -203,10 +203,7 @@ def test_of_what_is_missing_nothing_need_be_known(landmarks):
         (np.full((68, 2), np.nan), "not all be missing"),
         (np.full((68, 2), np.inf), "finite, or NaN"),
         (np.array([[(i, i) if i < 20 else (np.nan, 0) for i in range(68)]]), "on one line"),
-        (
-            np.array([[(i, i * i) if i < 5 else (np.nan, 0) for i in range(68)]]),
-            "at least 6",
-        ),
+        (np.array([[(i, i * i) if i < 5 else (np.nan, 0) for i in range(68)]]), "at least 6"),
     ],
 )
 def test_what_are_no_landmarks_is_refused(wrong, message):
