@@ -79,9 +79,10 @@ def make(target: str, folder: Path, *variables: str) -> list[list[str]]:
     Returns:
         Words of each step that was run.
     """
-    steps, command = plan(target, folder, *variables), ["make", target, *_with_preset(variables)]
+    steps = plan(target, folder, *variables)
+    command = " ".join(["make", target, *variables, f"PRESET={PRESET}"])
     for words in steps:
-        succeed(words[0], folder, *words[1:], command=" ".join(command))
+        succeed(words[0], folder, *words[1:], command=command)
     return steps
 
 
@@ -106,34 +107,23 @@ def command(target: str, folder: Path, *variables: str, **options) -> subprocess
     return subprocess.Popen(words, **options)
 
 
-def results(folder: Path, name: str, preset: str = PRESET) -> Path:
+def results(folder: Path, name: str) -> Path:
     """Folder of the tables and figures of that name."""
-    return folder / "results" / preset / "openhead" / name
+    return folder / "results" / PRESET / "openhead" / name
 
 
-def work(folder: Path, track: str, preset: str = PRESET, model: str = "openhead") -> Path:
+def work(folder: Path, track: str, model: str = "openhead") -> Path:
     """Folder of the arrays and weights of a track."""
-    return folder / "build" / model / f"{track}-{preset}-paper-seed0"
-
-
-def files_in(folder: Path) -> list[Path]:
-    """Files but those with temporary names, and Snakemake's."""
-    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
-    return [path for path in paths if ".snakemake" not in path.parts]
+    return folder / "build" / model / f"{track}-{PRESET}-paper-seed0"
 
 
 def _snakemake(target: str, folder: Path, variables: tuple[str, ...], *options: str):
     """Run Snakemake on a target; it is to succeed."""
-    words = [*SNAKEMAKE, target.replace("-", "_"), *options, "--config", *_with_preset(variables)]
+    config = ("--config", *variables, f"PRESET={PRESET}")
+    words = [*SNAKEMAKE, target.replace("-", "_"), *options, *config]
     done = subprocess.run(words, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done
-
-
-def _with_preset(variables: tuple[str, ...]) -> tuple[str, ...]:
-    """Variables of `make`, with the preset of the tests if they name none."""
-    named = any(variable.startswith("PRESET=") for variable in variables)
-    return variables if named else (*variables, f"PRESET={PRESET}")
 
 
 def call(words: list[str]) -> None:

