@@ -30,11 +30,7 @@ def n_triangles_seen():
     return len(part_of_head().triangles)
 
 
-def frontal(lamp=(0, 0, 1.0), ambient=1.0):
-    return Lights(np.array([lamp]), np.array([ambient]), np.ones((1, 3)))
-
-
-def drawn(colours, pose, light=None, whole=True, background=None, stretched=False):
+def drawn(colours, pose, whole=True, background=None, stretched=False):
     """One image of the mean face in colours, all of it or what can be seen; and its vertices."""
     model, part = head(), head() if whole else part_of_head()
     landmarks = model.mean[None, model.landmarks["bfm72"]]
@@ -43,7 +39,7 @@ def drawn(colours, pose, light=None, whole=True, background=None, stretched=Fals
     if stretched:
         frames = stretched_frames(seen[..., :2], SIZE)
     colours = np.broadcast_to(colours, (1, part.n_vertices, 3))
-    light = light or frontal()
+    light = Lights(np.array([[0, 0, 1.0]]), np.ones(1), np.ones((1, 3)))
     image = renderer_of(whole).draw(seen, posed, colours, frames, light, background)[0]
     return image, frames.pixels(seen[..., :2])[0]
 
@@ -98,7 +94,7 @@ def test_what_lies_behind_is_hidden(apart, model):
 @pytest.mark.parametrize("pose", POSES)
 def test_the_silhouette_is_that_of_the_vertices_in_either_frame(apart, pose):
     for stretched in (False, True):
-        image, places = apart(drawn, GREY, pose, None, True, None, stretched)
+        image, places = apart(drawn, GREY, pose, True, None, stretched)
         rows, columns = np.nonzero((image < 250).any(-1))
         low, high = np.clip([places.min(0), places.max(0)], 0, SIZE)
         assert np.abs(low - [columns.min(), rows.min()]).max() < 1.5
@@ -109,7 +105,7 @@ def test_the_silhouette_is_that_of_the_vertices_in_either_frame(apart, pose):
 
 def test_a_background_is_seen_where_the_head_is_not(apart):
     background = np.random.default_rng(0).integers(0, 256, (1, SIZE, SIZE, 3)).astype(np.uint8)
-    white, other = (apart(drawn, GREY, cameras(), None, True, b)[0] for b in (None, background))
+    white, other = (apart(drawn, GREY, cameras(), True, b)[0] for b in (None, background))
     outside, inside = (white == 255).all(-1), (white == 102).all(-1)
     assert 0.02 < outside.mean() < 0.6 and inside.mean() > 0.3
     assert np.array_equal(other[outside], background[0][outside])
@@ -124,7 +120,7 @@ def test_a_background_is_seen_where_the_head_is_not(apart):
 def test_what_cannot_be_seen_need_not_be_drawn(apart, model):
     assert apart(n_triangles_seen) < len(model.triangles)
     for pose in POSES[:4]:
-        whole, fewer = (apart(drawn, GREY, pose, None, whole)[0] for whole in (True, False))
+        whole, fewer = (apart(drawn, GREY, pose, whole)[0] for whole in (True, False))
         assert (np.abs(whole.astype(int) - fewer) > 8).mean() < 1e-3
 
 

@@ -28,9 +28,9 @@ set_hypothesis_home_dir(Path(tempfile.gettempdir(), "deepmds-hypothesis"))
 laws = settings(deadline=None, derandomize=True, database=None, max_examples=60)
 
 
-def points(n_landmarks=(5, 9), d=3):
+def points(n_landmarks=(5, 9)):
     """Landmarks of one face, whole hundredths, that lie in no plane or line."""
-    shapes = st.integers(*n_landmarks).map(lambda n: (n, d))
+    shapes = st.integers(*n_landmarks).map(lambda n: (n, 3))
     drawn = arrays(np.int64, shapes, elements=st.integers(-1000, 1000), fill=st.nothing())
     return drawn.map(lambda face: face / 100).filter(lambda face: spread(face) > 0.05)
 
@@ -41,9 +41,9 @@ def spread(face):
     return extents[-1] / max(extents[0], 1e-9)
 
 
-def several(n, n_landmarks=6, d=3):
-    """So many faces of as many landmarks."""
-    return st.tuples(*[points((n_landmarks, n_landmarks), d)] * n).map(np.array)
+def several(n):
+    """So many faces of six landmarks."""
+    return st.tuples(*[points((6, 6))] * n).map(np.array)
 
 
 angles = st.integers(-314, 314).map(lambda hundredths: hundredths / 100)

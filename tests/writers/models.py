@@ -35,11 +35,12 @@ def write_bfm2009(folder, mean):
     return write_mat(folder, arrays)
 
 
-def write_h5(folder, arrays, filename="model2017-1_bfm_nomouth.h5"):
-    with h5py.File(folder / filename, "w") as file:
+def write_h5(folder, arrays):
+    path = folder / "model2017-1_bfm_nomouth.h5"
+    with h5py.File(path, "w") as file:
         for key, value in arrays.items():
             file[key] = value
-    return folder / filename
+    return path
 
 
 def write_ict_folder(folder, arrays):
@@ -82,12 +83,12 @@ def write_ict_npz(folder, arrays, **changes):
     return folder / "ict_light.npz"
 
 
-def write_3ddfa(folder, face_model, *, n_vertices=53_215):
+def write_3ddfa(folder, face_model):
     """A checkout of 3DDFA with another face model's landmarks and first components.
 
     Its identity varies as in that model, and its ten expressions are components too.
     """
-    landmarks = face_model.at_landmarks("ibug68")
+    n_vertices, landmarks = 53_215, face_model.at_landmarks("ibug68")
     offsets = 1000 * landmarks.identity_basis_times_sd[:50].reshape(50, -1).astype(float)
     configs, weights = folder / "train.configs", folder / "c++" / "weights"
     for place in (configs, weights):

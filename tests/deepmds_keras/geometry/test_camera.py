@@ -20,9 +20,9 @@ from deepmds_keras.geometry.views import project, rotations
 N = 40
 
 
-def random_cameras(n=N):
+def random_cameras():
     rng = np.random.default_rng(1)
-    return cameras(*(rng.uniform(-most, most, n) for most in (80, 60, 150)))
+    return cameras(*(rng.uniform(-most, most, N) for most in (80, 60, 150)))
 
 
 @pytest.fixture(scope="module")
