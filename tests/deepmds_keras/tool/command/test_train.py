@@ -93,7 +93,7 @@ def test_the_error_is_of_all_landmarks_in_squared_radii(source, untrained, tmp_p
 def test_a_command_that_is_stopped_goes_on_from_its_checkpoint_with_the_same_faces(
     source, untrained, tmp_path, monkeypatch
 ):
-    """Of which a checkpoint is, or another run is refused."""
+    """A checkpoint of other faces would be refused."""
 
     def stop(*_):
         raise KeyboardInterrupt
