@@ -25,16 +25,16 @@ BLANK = np.full((SIZE, SIZE, 3), 128, np.uint8)
 
 def portraits():
     """Random faces before dark walls, in CelebA's size; their identities, poses and landmarks."""
-    model, rng = load_openhead(), np.random.default_rng(0)
-    identity, shapes = model.sample(N, rng)
+    head, rng = load_openhead(), np.random.default_rng(0)
+    identity, shapes = head.sample(N, rng)
     yaw, pitch, roll = rng.normal(0, [[20], [7], [3]], (3, N)).clip(-40, 40)
     poses = cameras(yaw, pitch, roll)
     posed = in_camera_frame(shapes, poses)
-    landmarks = posed[:, model.landmarks["ibug68"], :2]
+    landmarks = posed[:, head.landmarks["ibug68"], :2]
     extent = np.full((N, 2), SIZE / SCALE)
     frames = Frames(landmarks.mean(1) - extent / 2, extent, SIZE)
-    renderer = Renderer(model, SIZE)
-    albedo = Albedo(model).sample(N, rng)
+    renderer = Renderer(head, SIZE)
+    albedo = Albedo(head).sample(N, rng)
     walls = np.linspace(40, 90, SIZE)[:, None, None] + rng.normal(0, 2, (N, SIZE, SIZE, 3))
     images = renderer.draw(posed, posed, albedo, frames, sample_lights(N, rng), np.uint8(walls))
     renderer.close()
@@ -49,10 +49,10 @@ def faces(apart):
 
 
 @pytest.fixture(scope="module")
-def fits(model, faces):
+def fits(head, faces):
     """Of every face: with the edges of its image, and without any."""
     _, _, images, detected = faces
-    fitter = EdgeFitter(model)
+    fitter = EdgeFitter(head)
     with_edges = [fitter.fit(*face) for face in zip(detected, images, strict=True)]
     return with_edges, [fitter.fit(face, BLANK) for face in detected]
 
@@ -61,9 +61,9 @@ def angles(fits, poses):
     return degrees_between(np.array([fit.camera.rotation for fit in fits]), poses)
 
 
-def error(model, fits, identity):
+def error(head, fits, identity):
     """Mean squared error of the paper's landmarks after alignment."""
-    part = model.at_landmarks("bfm72")
+    part = head.at_landmarks("bfm72")
     truth = normalise(part.shape(identity))
     return (
         (align(part.shape(np.array([fit.identity for fit in fits])), truth) - truth) ** 2
@@ -143,37 +143,37 @@ def test_edges_that_are_hidden_or_against_something_near_are_left_out(radius, ce
     assert (radii < 48).any() == is_seen
 
 
-def test_edges_bring_pose_and_landmarks_nearer_to_the_truth(model, faces, fits):
+def test_edges_bring_pose_and_landmarks_nearer_to_the_truth(head, faces, fits):
     identity, poses, _, _ = faces
     turned, errors = zip(
-        *((angles(some, poses).mean(), error(model, some, identity)) for some in fits), strict=True
+        *((angles(some, poses).mean(), error(head, some, identity)) for some in fits), strict=True
     )
     assert turned[0] < 0.85 * turned[1] and turned[0] < 3
-    mean_face = error(model, [replace(fits[0][0], identity=np.zeros(1))] * N, identity)
+    mean_face = error(head, [replace(fits[0][0], identity=np.zeros(1))] * N, identity)
     assert errors[0] < 0.97 * errors[1] < 0.8 * mean_face
 
 
-def test_a_fit_says_of_itself_what_is_so(model, faces, fits):
+def test_a_fit_says_of_itself_what_is_so(head, faces, fits):
     used = [8, *range(17, 68)]
     for fit, points in zip(fits[0], faces[3], strict=True):
         assert fit.identity.shape == (40,) and np.abs(fit.identity).max() <= 3
-        missed = fit.project(model.shape(fit.identity))[model.landmarks["ibug68"]] - points
+        missed = fit.project(head.shape(fit.identity))[head.landmarks["ibug68"]] - points
         assert np.sqrt((missed[used] ** 2).sum(1).mean()) < 2 * NOISE * SCALE * np.sqrt(2)
     scales = np.array([fit.camera.scale for fit in fits[0]]) / SCALE
     assert abs(scales.mean() - 1) < 0.02 and scales.std() < 0.05
 
 
 @pytest.mark.parametrize("schemes", [("bfm72",), ("ibug51",)])
-def test_models_with_fewer_landmarks_are_fitted_too(model, faces, schemes):
-    fitter = EdgeFitter(replace(model, landmarks={name: model.landmarks[name] for name in schemes}))
+def test_models_with_fewer_landmarks_are_fitted_too(head, faces, schemes):
+    fitter = EdgeFitter(replace(head, landmarks={name: head.landmarks[name] for name in schemes}))
     some = [fitter.fit(*face) for face in zip(faces[3], faces[2], strict=True)]
     assert angles(some, faces[1]).mean() < 4.5
-    mean_face = error(model, [replace(some[0], identity=np.zeros(1))] * N, faces[0])
-    assert error(model, some, faces[0]) < 0.85 * mean_face
+    mean_face = error(head, [replace(some[0], identity=np.zeros(1))] * N, faces[0])
+    assert error(head, some, faces[0]) < 0.85 * mean_face
 
 
-def test_what_cannot_be_fitted_is_refused(model, faces):
-    fitter, image, points = EdgeFitter(model), faces[2][0], faces[3][0]
+def test_what_cannot_be_fitted_is_refused(head, faces):
+    fitter, image, points = EdgeFitter(head), faces[2][0], faces[3][0]
     for landmarks, message in (
         ((0, SIZE) + points * (1, -1), "y turned up: .* seen from behind or mirrored"),
         (points * 10, "must be pixels of the image, of 218 x 218. Received 0 of 68"),
@@ -181,4 +181,4 @@ def test_what_cannot_be_fitted_is_refused(model, faces):
         with pytest.raises(InputError, match=message):
             fitter.fit(landmarks, image)
     with pytest.raises(InputError, match="openhead must be a mesh .* Received one that has none"):
-        EdgeFitter(replace(model, landmarks={}))
+        EdgeFitter(replace(head, landmarks={}))

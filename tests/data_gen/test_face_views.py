@@ -28,8 +28,8 @@ def faces():
 
 
 @pytest.fixture(scope="module")
-def drawn(model):
-    return sample_photo_views(model, "ibug51", N, np.random.default_rng(0))
+def drawn(head):
+    return sample_photo_views(head, "ibug51", N, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
@@ -145,17 +145,17 @@ def test_what_is_well_behind_a_surface_is_hidden():
     assert not hidden_landmarks(points, triangles, np.array([8])).any()
 
 
-def test_a_turned_head_hides_its_far_side(model):
-    landmarks = model.landmarks["ibug68"]
+def test_a_turned_head_hides_its_far_side(head):
+    landmarks = head.landmarks["ibug68"]
     turned = cameras([0, 60, -60])
-    front, left, right = hidden_by_head(model, "ibug68", np.zeros((3, 1)), turned)
+    front, left, right = hidden_by_head(head, "ibug68", np.zeros((3, 1)), turned)
     assert not front[17:].any()
-    x = model.mean[landmarks, 0]
+    x = head.mean[landmarks, 0]
     assert left.sum() > 10 and (x[left] > 0).mean() > 0.9
     assert right.sum() > 10 and (x[right] < 0).mean() > 0.9
 
 
-def test_views_are_the_projected_landmarks_with_the_detectors_errors(model, drawn):
+def test_views_are_the_projected_landmarks_with_the_detectors_errors(head, drawn):
     views, landmarks, cameras = drawn
     errors = (views - project(landmarks, cameras)).reshape(N, -1)
     assert abs(errors.mean()) < 0.05
@@ -163,7 +163,7 @@ def test_views_are_the_projected_landmarks_with_the_detectors_errors(model, draw
     assert np.allclose(errors.std(0), DETECTOR_SD_MM, rtol=0.1)
     assert np.abs(np.corrcoef(errors[:, :20].T) - np.eye(20)).max() < 0.1
     rng = np.random.default_rng(0)
-    exact, same, cameras = sample_photo_views(model, "ibug51", N, rng, detector_sd=0)
+    exact, same, cameras = sample_photo_views(head, "ibug51", N, rng, detector_sd=0)
     assert np.array_equal(same, landmarks)
     assert np.array_equal(exact, project(landmarks, cameras))
 

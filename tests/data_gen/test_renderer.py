@@ -21,9 +21,9 @@ GREY = np.full((1, 3), 0.4)
 
 
 # What draws does so in a separate process (`apart`), where it is kept for the next call.
-head = cache(load_openhead)
-part_of_head = cache(lambda: part_of(head(), seen_vertices(head(), "bfm72")))
-renderer_of = cache(lambda whole: Renderer(head() if whole else part_of_head(), SIZE))
+load_head = cache(load_openhead)
+part_of_head = cache(lambda: part_of(load_head(), seen_vertices(load_head(), "bfm72")))
+renderer_of = cache(lambda whole: Renderer(load_head() if whole else part_of_head(), SIZE))
 
 
 def n_triangles_seen():
@@ -32,8 +32,8 @@ def n_triangles_seen():
 
 def drawn(colours, pose, whole=True, background=None, stretched=False):
     """One image of the mean face in colours, all of it or what can be seen; and its vertices."""
-    model, part = head(), head() if whole else part_of_head()
-    landmarks = model.mean[None, model.landmarks["bfm72"]]
+    head, part = load_head(), load_head() if whole else part_of_head()
+    landmarks = head.mean[None, head.landmarks["bfm72"]]
     posed, seen = pose_and_project(part.mean[None], landmarks, pose)
     frames = square_frames(project(landmarks, pose), SIZE)
     if stretched:
@@ -61,13 +61,13 @@ def redness(apart, marked, pose):
 
 
 @pytest.mark.parametrize("landmark", [NOSE_TIP, RIGHT_CORNER, LEFT_CORNER, CHIN])
-def test_a_landmark_lies_on_what_is_painted_there(apart, model, landmark):
-    vertex = model.landmarks["bfm72"][landmark]
-    near = np.linalg.norm(model.mean - model.mean[vertex], axis=1) < 6
+def test_a_landmark_lies_on_what_is_painted_there(apart, head, landmark):
+    vertex = head.landmarks["bfm72"][landmark]
+    near = np.linalg.norm(head.mean - head.mean[vertex], axis=1) < 6
     facing = [
         pose
         for pose in POSES
-        if vertex_normals(in_camera_frame(model.mean[None], pose)[0], model.triangles)[vertex, 2]
+        if vertex_normals(in_camera_frame(head.mean[None], pose)[0], head.triangles)[vertex, 2]
         > 0.3
     ]
     assert len(facing) >= 4
@@ -76,18 +76,18 @@ def test_a_landmark_lies_on_what_is_painted_there(apart, model, landmark):
         assert red.max() > 200
         rows, columns = np.indices(red.shape) + 0.5  # middles of the pixels
         middle = np.array([(red * axis).sum() for axis in (columns, rows)]) / red.sum()
-        view = project(model.mean[None, model.landmarks["bfm72"]], pose)
+        view = project(head.mean[None, head.landmarks["bfm72"]], pose)
         place = square_frames(view, SIZE).pixels(view)[0, landmark]
         assert np.linalg.norm(middle - place) < 2
 
 
-def test_what_lies_behind_is_hidden(apart, model):
-    back = (model.mean[:, 2] < 0) & (np.abs(model.mean[:, 0]) < 40)
+def test_what_lies_behind_is_hidden(apart, head):
+    back = (head.mean[:, 2] < 0) & (np.abs(head.mean[:, 0]) < 40)
     assert redness(apart, back, cameras()).max() < 30
     # Turned to its left, the face shows its right cheek and hides its left ear.
-    ear = model.landmarks["ibug68"][[0, 16]]
+    ear = head.landmarks["ibug68"][[0, 16]]
     for yaw, vertex, seen in ((45.0, ear[0], True), (45.0, ear[1], False), (-45.0, ear[1], True)):
-        near = np.linalg.norm(model.mean - model.mean[vertex], axis=1) < 10
+        near = np.linalg.norm(head.mean - head.mean[vertex], axis=1) < 10
         assert (redness(apart, near, cameras(yaw)).max() > 100) == seen
 
 
@@ -117,39 +117,39 @@ def test_a_background_is_seen_where_the_head_is_not(apart):
     assert edge.sum() > SIZE and np.allclose(other[edge], mixed, atol=1.5)
 
 
-def test_what_cannot_be_seen_need_not_be_drawn(apart, model):
-    assert apart(n_triangles_seen) < len(model.triangles)
+def test_what_cannot_be_seen_need_not_be_drawn(apart, head):
+    assert apart(n_triangles_seen) < len(head.triangles)
     for pose in POSES[:4]:
         whole, fewer = (apart(drawn, GREY, pose, whole)[0] for whole in (True, False))
         assert (np.abs(whole.astype(int) - fewer) > 8).mean() < 1e-3
 
 
-def test_painted_faces_have_features_and_differ(model):
-    colours = Albedo(model).sample(200, np.random.default_rng(0))
-    assert colours.shape == (200, model.n_vertices, 3)
+def test_painted_faces_have_features_and_differ(head):
+    colours = Albedo(head).sample(200, np.random.default_rng(0))
+    assert colours.shape == (200, head.n_vertices, 3)
     assert 0 <= colours.min() <= colours.max() <= 1
-    ibug = model.landmarks["ibug68"]
+    ibug = head.landmarks["ibug68"]
     brightness = colours.mean(-1)
     skin, lips = colours[:, ibug[29]], colours[:, ibug[[50, 57]]].mean(1)
     assert np.ptp(skin.mean(1)) > 0.4  # light and dark skin
     assert (lips[:, 0] / lips[:, 1] > skin[:, 0] / skin[:, 1]).mean() > 0.95  # redder
     assert (brightness[:, ibug[19]] < skin.mean(1)).mean() > 0.9  # brows
     # On the front of each eyeball, a dark middle within the white.
-    eye = model.mean[ibug[36:42]].mean(0)
-    near = np.flatnonzero(np.linalg.norm(model.mean[:, :2] - eye[:2], axis=1) < 12)
+    eye = head.mean[ibug[36:42]].mean(0)
+    near = np.flatnonzero(np.linalg.norm(head.mean[:, :2] - eye[:2], axis=1) < 12)
     assert (brightness[:, near].min(1) < 0.15).all()
     assert (brightness[:, near].max(1) > brightness[:, near].min(1) + 0.3).all()
 
 
-def test_what_cannot_be_coloured_or_drawn_is_refused(model, monkeypatch):
+def test_what_cannot_be_coloured_or_drawn_is_refused(head, monkeypatch):
     bare = MorphableModel("bare", np.zeros((3, 3)), np.zeros((1, 3, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(InputError, match="bare must have colours, or the landmarks ibug68"):
         Albedo(bare)
     monkeypatch.setattr(renderer.sys, "platform", "linux")
     monkeypatch.setitem(renderer.sys.modules, "tensorflow", None)
     with pytest.raises(InputError, match="in a process that has not loaded TensorFlow"):
-        Renderer(model, SIZE)
+        Renderer(head, SIZE)
     monkeypatch.delitem(renderer.sys.modules, "tensorflow")
     monkeypatch.setattr(renderer.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(InputError, match="libEGL or libOSMesa"):
-        Renderer(model, SIZE)
+        Renderer(head, SIZE)

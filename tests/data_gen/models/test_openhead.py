@@ -19,27 +19,27 @@ def arrays():
     return read_openhead()
 
 
-def test_the_mean_head_is_symmetric_and_where_the_basel_face_model_has_it(model, arrays):
+def test_the_mean_head_is_symmetric_and_where_the_basel_face_model_has_it(head, arrays):
     mirror = arrays["mirror"]
     assert (mirror[mirror] == np.arange(len(mirror))).all()
-    np.testing.assert_allclose(model.mean[mirror] * FLIP, model.mean, atol=1e-4)
-    np.testing.assert_allclose(model.mean[model.landmarks["bfm72"][28]], [0, 4.4, 131], atol=1e-4)
-    right_eye, left_eye = (model.mean[arrays["part"] == part].mean(0) for part in (1, 2))
-    chin, brow = model.mean[model.landmarks["ibug68"][[8, 19]]]
+    np.testing.assert_allclose(head.mean[mirror] * FLIP, head.mean, atol=1e-4)
+    np.testing.assert_allclose(head.mean[head.landmarks["bfm72"][28]], [0, 4.4, 131], atol=1e-4)
+    right_eye, left_eye = (head.mean[arrays["part"] == part].mean(0) for part in (1, 2))
+    chin, brow = head.mean[head.landmarks["ibug68"][[8, 19]]]
     assert right_eye[0] < 0 < left_eye[0]
     assert chin[1] < brow[1]
-    assert right_eye[2] > model.mean[:, 2].mean()
+    assert right_eye[2] > head.mean[:, 2].mean()
 
 
-def test_identity_components_descend_are_orthogonal_and_know_no_side(model, arrays):
-    basis = model.identity_basis_times_sd
-    flat = basis.reshape(model.n_identity, -1)
+def test_identity_components_descend_are_orthogonal_and_know_no_side(head, arrays):
+    basis = head.identity_basis_times_sd
+    flat = basis.reshape(head.n_identity, -1)
     gram = flat @ flat.T
     sd = np.sqrt(np.diag(gram))
-    assert model.n_identity == 199
+    assert head.n_identity == 199
     assert (np.diff(sd) <= 0).all()
     np.testing.assert_allclose(gram / np.outer(sd, sd), np.eye(199), atol=2e-3)
-    vertices = np.concatenate(list(model.landmarks.values()))
+    vertices = np.concatenate(list(head.landmarks.values()))
     given, mirrored = (
         b[:, vertices].reshape(len(b), -1) for b in (basis, basis[:, arrays["mirror"]] * FLIP)
     )
@@ -48,8 +48,8 @@ def test_identity_components_descend_are_orthogonal_and_know_no_side(model, arra
 
 
 @pytest.mark.parametrize(("scheme", "count"), [("bfm72", 72), ("ibug68", 68)])
-def test_landmarks_are_those_of_the_tables_and_closed_under_mirroring(model, arrays, scheme, count):
-    vertices = model.landmarks[scheme]
+def test_landmarks_are_those_of_the_tables_and_closed_under_mirroring(head, arrays, scheme, count):
+    vertices = head.landmarks[scheme]
     assert len(set(vertices.tolist())) == count
     assert set(arrays["mirror"][vertices].tolist()) == set(vertices.tolist())
     np.testing.assert_array_equal(load_vertices(scheme).vertices["openhead"], vertices)
@@ -58,12 +58,12 @@ def test_landmarks_are_those_of_the_tables_and_closed_under_mirroring(model, arr
     assert [int(row["base_vertex"]) for row in rows] == arrays["base_vertex"][vertices].tolist()
 
 
-def test_landmarks_vary_as_much_as_in_ict_facekit(model, ict):
-    def sds(head):
-        faces = head.at_landmarks("bfm72").sample(3000, np.random.default_rng(0))[1]
+def test_landmarks_vary_as_much_as_in_ict_facekit(head, ict):
+    def sds(face_model):
+        faces = face_model.at_landmarks("bfm72").sample(3000, np.random.default_rng(0))[1]
         mean = faces.mean(0) - faces.mean((0, 1))
         return align(faces, mean / np.linalg.norm(mean[0] - mean[56])).std(0)
 
-    ratio = np.sqrt((sds(model) ** 2).sum(1) / (sds(ict) ** 2).sum(1))
+    ratio = np.sqrt((sds(head) ** 2).sum(1) / (sds(ict) ** 2).sum(1))
     assert 0.9 < np.median(ratio) < 1.1
     assert ratio.min() > 0.6 and ratio.max() < 1.5
