@@ -15,13 +15,8 @@ MODULES = {
     path.relative_to(EXPERIMENTS).as_posix(): path.read_text(encoding="utf-8")
     for path in EXPERIMENTS.rglob("*.py")
 }
-# Streams that two modules draw from, on purpose: the same faces.
-SHARED = {
-    "RELEASED_WEIGHTS_FACES": {
-        "released_weights/train.py",
-        "released_weights/score.py",
-    },  # test both
-}
+# Two modules draw from it, on purpose: they test the same faces.
+SHARED = {"RELEASED_WEIGHTS_FACES": {"released_weights/train.py", "released_weights/score.py"}}
 
 
 def seeds():

@@ -42,10 +42,6 @@ def test_missing_and_damaged_files_are_named(tmp_path, suffix):
         ReleasedRingNet(tmp_path / "ring", TRIANGLES, WEIGHTS)
 
 
-def unknown_operation(graph):
-    graph.node.add(name="custom", op="RenderFace")
-
-
 def small_images(graph):
     placeholder = next(node for node in graph.node if node.name == "input_images_1")
     for dim in placeholder.attr["shape"].shape.dim[1:3]:
@@ -58,7 +54,11 @@ def small_images(graph):
     [
         ({"scope": "Flame"}, None, "KeyError: .*Flamenetnormal_2/Add_9:0"),
         ({"python": True}, None, "PyFunc.* uses what the file does not hold"),
-        ({}, unknown_operation, r"which TensorFlow .* can run\. Received .*RenderFace"),
+        (
+            {},
+            lambda graph: graph.node.add(name="custom", op="RenderFace"),
+            r"which TensorFlow .* can run\. Received .*RenderFace",
+        ),
         ({}, small_images, r"input_images_1:0 is float32 of shape \(1, 96, 96, 3\), not \(1, 224"),
     ],
 )
