@@ -136,8 +136,12 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
         raise InputError(
             f"{path} must have landmarks with consecutive numbers. Received {brief(numbers, 40)}."
         )
-    if not all(names) or len({*names}) < len(names):
-        raise InputError(f"{path} must give each landmark a different name. Received a name twice.")
+    for k, name in enumerate(names):
+        if not name or name in names[:k]:
+            raise InputError(
+                f"{path} must give each landmark a different name. "
+                f"Received {f'{name} again' if name else 'none'} for landmark {numbers[k]}."
+            )
     for number, mirror in mirrors.items():
         if mirrors.get(mirror) != number:
             raise InputError(

@@ -78,8 +78,8 @@ def test_landmarks_without_names_are_named_by_their_numbers(name, n, last, face)
     ("changes", "message"),
     [
         ({"old": "5,back", "new": "7,back"}, r"consecutive numbers. Received \[3, 4, 7, 6\]"),
-        ({"old": "seat", "new": "back_leg"}, "each landmark a different name"),
-        ({"old": "seat", "new": ""}, "each landmark a different name"),
+        ({"old": "seat", "new": "back_leg"}, "a different name. Received back_leg again for"),
+        ({"old": "seat", "new": ""}, "each landmark a different name. Received none for"),
         (
             {"old": "left_leg,3", "new": "left_leg,5"},
             "mirror, each with the other. Received 4 for .* 3",
