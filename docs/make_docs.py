@@ -86,11 +86,6 @@ class Results:
         """`error`, as text."""
         return f"{self.error(folder, method) / 1e-4:{form}}"
 
-    def seeds(self, folder: str, method: str = "deep_mds") -> str:
-        """Median of the errors over seeds, and their range."""
-        row = self.rows(folder).loc[method]
-        return "{:.2f} ({:.2f} to {:.2f})".format(*row[["median", "min", "max"]] / 1e-4)
-
     def by_seed(self, model: str) -> pd.DataFrame:
         """Deep-MDS of every seed: a row a seed, a column a metric."""
         rows = self.csv(f"{model}/seeds/metrics.csv").query("method == 'deep_mds'")

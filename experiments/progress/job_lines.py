@@ -77,7 +77,7 @@ def usual_seconds(build: Path, results: Path, preset: str) -> dict[str, float]:
     """Duration of each step, the median over runs of the same size, by the name of its record."""
     durations: dict[str, list[float]] = {}
     for step in _steps(build, results):
-        if step.get("preset", {}).get("name") == preset and "name" in step:
+        if step.get("preset", {}).get("name") == preset:
             durations.setdefault(step["name"], []).append(step["seconds"])
     return {name: median(seconds) for name, seconds in durations.items()}
 

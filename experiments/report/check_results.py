@@ -21,7 +21,6 @@ from experiments.run import EXISTING
 
 _ROOT = Path(__file__).parents[2]
 _TREES = _ROOT / "build" / "check-results"
-_ELSEWHERE = "intel"  # the same folders, made on another processor
 _FILES = {name.upper() for name in (*EXISTING, "authors")}
 _TIMES = ("ms_per_face", "seconds", "memory")  # in names of columns and metrics that differ
 
@@ -88,8 +87,7 @@ def small_run(made: Made, commit: str) -> Path:
     if not made.command.startswith("make ") or not (tree / "experiments" / "make.py").is_file():
         raise InputError(f"{commit} has no command that runs `{made.command}` at a small size")
     fault = _make(tree, made.command)
-    parts = made.folder.parts[made.folder.parts[0] == _ELSEWHERE :]
-    folder = Path(tree, "results", "smoke", *parts)
+    folder = tree / "results" / "smoke" / made.folder
     if fault is not None or not folder.is_dir():
         raise InputError(f"`{made.command}` failed at {commit}: {fault or 'no results'}")
     return folder

@@ -21,8 +21,6 @@ from experiments.plan import Plan
 from experiments.records import MANIFEST, new_results, publish, read_manifest, steps_of
 from experiments.run import Run, run_of_variables
 
-_GONE = ("intel", "published")  # results of another processor, and the paper's
-
 
 def dry_run(folder, *words):
     """Lines of Snakemake's plan for targets or files, with defaults but for `--config`."""
@@ -46,7 +44,7 @@ def tables(model):
     """Every committed CSV file of a model, and of both, by the protocol of its folder."""
     paths = [path.relative_to(committed()) for path in (committed() / "results").rglob("*.csv")]
     paths = [
-        p for p in paths if not {*_GONE} & {*p.parts} and (model in p.parts or len(p.parts) == 3)
+        p for p in paths if "published" not in p.parts and (model in p.parts or len(p.parts) == 3)
     ]
     posed = [str(path) for path in paths if path.parts[2].endswith("-posed")]
     return [str(path) for path in paths if str(path) not in posed], posed
