@@ -159,8 +159,8 @@ def prepare(*, onednn: bool = False, threads: int = _THREADS) -> None:
     os.environ["TF_NUM_INTRAOP_THREADS"] = str(threads)
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(threads)
     threadpool_limits(threads)  # of libraries that are loaded already
-    # From a pool: C's allocator returns the megabytes of a training step to the system, which clears
-    # them for the next one. Wide nets on pairs of landmarks took twice as long.
+    # From a pool: the allocator of C returns the megabytes of a training step, to be cleared anew
+    # for the next one. Wide nets on pairs of landmarks took twice as long.
     os.environ["TF_CPU_ALLOCATOR_USE_BFC"] = "true"
     os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
     # Each network of a step is traced once, which TensorFlow takes for one traced too often.
