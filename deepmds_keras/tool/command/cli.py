@@ -146,7 +146,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="npy (n, L, 3), L = 51, 68 or the model's, or csv with columns x, y, z and face, one "
         "landmark per row; faces as the camera sees them")  # fmt: skip
     add("--landmarks", metavar="FILE",
-        help="2D landmarks to lift, as predict takes them (default: x and y of TRUTH)")  # fmt: skip
+        help="2D landmarks to lift, as predict takes them, in the order of --scheme if that is a "
+        "table of yours (default: x and y of TRUTH)")  # fmt: skip
     add("--y-up", action="store_true", help="y points up in that file")
     add("--image-size", nargs=2, type=_number(0, "a number above 0"), metavar=("W", "H"),
         help="size of the image if that file has fractions of it")  # fmt: skip
