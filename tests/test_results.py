@@ -13,8 +13,7 @@ FOLDERS = sorted(path.parent.relative_to(RESULTS) for path in RESULTS.rglob("man
 
 # Begun at one commit and ended at another; between them no step changed that had been run.
 _SCORED_LATER = (
-    "bfm", "bfm-evaluator-released", "celeba", "celeba-true-landmarks", "flame",
-    "flame-true-landmarks", "parameters",
+    "bfm", "bfm-evaluator-released", "celeba", "celeba-true-landmarks", "parameters",
 )  # fmt: skip
 OF_SEVERAL_COMMITS = (
     {f"{model}/{name}": 2 for model in ("openhead", "ict") for name in _SCORED_LATER}
