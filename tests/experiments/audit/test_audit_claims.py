@@ -98,10 +98,12 @@ def test_committed_verdicts_are_those_of_the_committed_tables(copied):
     names = ("claims.csv", "numbers.csv")
     committed = {(m, n): pd.read_csv(RESULTS / m / "audit" / n) for m in MODELS for n in names}
     for run in copied:
-        made = audit.numbers_table(run, run.experiment_results("audit"))
-        write_csv(run.experiment_results("audit") / "numbers.csv", made)
-        made = pd.read_csv(run.experiment_results("audit") / "numbers.csv")
-        pd.testing.assert_frame_equal(made, committed[run.model, "numbers.csv"])
+        where = run.experiment_results("audit")
+        numbers = audit.numbers_table(run, where)
+        write_csv(where / "numbers.csv", numbers)
+        write_csv(where / "claims.csv", audit.judge(numbers, run.model))
+        for name in names:
+            pd.testing.assert_frame_equal(pd.read_csv(where / name), committed[run.model, name])
     folder = audit.combine(copied[0].results)
     assert {path.name for path in folder.iterdir()} == {"claims.csv", "claims.md"}
     of_all_models = (pd.read_csv(where / "claims.csv") for where in (folder, RESULTS / "audit"))
