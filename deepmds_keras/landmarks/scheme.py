@@ -136,12 +136,14 @@ def read_own_scheme(path: Path) -> LandmarkScheme:
         raise InputError(
             f"{path} must have landmarks with consecutive numbers. Received {brief(numbers, 40)}."
         )
-    for k, name in enumerate(names):
-        if not name or name in names[:k]:
+    earlier: set[str] = set()
+    for number, name in zip(numbers, names, strict=True):
+        if not name or name in earlier:
             raise InputError(
                 f"{path} must give each landmark a different name. "
-                f"Received {f'{name} again' if name else 'none'} for landmark {numbers[k]}."
+                f"Received {f'{name} again' if name else 'none'} for landmark {number}."
             )
+        earlier.add(name)
     for number, mirror in mirrors.items():
         if mirrors.get(mirror) != number:
             raise InputError(
